@@ -1,0 +1,70 @@
+"""A splat scene: the arrays 3DGS stores, raw (logits, logs), plus what the file said beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from .errors import SceneError
+
+SH_C0 = 0.28209479177387814
+SH_COEFFICIENTS = (1, 4, 9, 16)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """N Gaussians as 3DGS stores them; float32, C-contiguous.
+
+    Raw values: activated ones are exp(log_scales), sigmoid(opacity_logits), quats / |quats|.
+    Frame: that of the source file (COLMAP world for a trained scene); units: the source's.
+    """
+
+    means: np.ndarray  # (N, 3)
+    log_scales: np.ndarray  # (N, 3)
+    quats: np.ndarray  # (N, 4) w x y z, any length > 0
+    opacity_logits: np.ndarray  # (N,)
+    sh: np.ndarray  # (N, K, 3), K = 1, 4, 9 or 16, coefficient-major
+    antialiased: bool = False  # trained with the 2-D low-pass compensation
+    attributes: dict[str, np.ndarray] = field(default_factory=dict)  # further per-Gaussian columns, (N,) each, kept as read
+    comments: tuple[str, ...] = ()  # header comments of the source file, kept on writing
+    property_order: tuple[str, ...] = ()  # column order of the source file; empty: the 3DGS order
+
+    def __post_init__(self):
+        n = len(self.means)
+        shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,)}
+        for name, shape in shapes.items():
+            self._check(name, shape)
+        k = self.sh.shape[1] if self.sh.ndim == 3 else -1
+        if k not in SH_COEFFICIENTS:
+            raise SceneError(f"sh has shape {self.sh.shape}; expected (N, K, 3) with K in {SH_COEFFICIENTS}")
+        self._check("sh", (n, k, 3))
+        for name, column in self.attributes.items():
+            if column.shape != (n,):
+                raise SceneError(f"attribute {name} has shape {column.shape}; expected ({n},)")
+
+    def _check(self, name: str, shape: tuple[int, ...]):
+        array = getattr(self, name)
+        if array.shape != shape or array.dtype != np.float32 or not array.flags.c_contiguous:
+            raise SceneError(f"{name} is {array.dtype}{array.shape}; expected C-contiguous float32{shape}")
+
+    @property
+    def count(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        return SH_COEFFICIENTS.index(self.sh.shape[1])
+
+    def select(self, index: np.ndarray) -> Scene:
+        """The Gaussians named by a boolean mask (N,) or an index array, in that order."""
+        pick = lambda a: np.ascontiguousarray(a[index])  # noqa: E731
+        return replace(
+            self,
+            means=pick(self.means),
+            log_scales=pick(self.log_scales),
+            quats=pick(self.quats),
+            opacity_logits=pick(self.opacity_logits),
+            sh=pick(self.sh),
+            attributes={name: pick(column) for name, column in self.attributes.items()},
+        )
