@@ -1,0 +1,149 @@
+/* SVR-GS native core: the manual.
+
+   Masked Gaussian rasterisation with the spatial mask F of the SVR-GS paper, its gradients, the image loss and the
+   optimiser step. Conventions (docs/conventions.md): COLMAP camera frame (x right, y down, z forward), world-to-camera
+   matrices row-major, pixel centres at k + 0.5, quaternions w x y z of any positive length, raw (logit, log) parameters
+   as 3DGS stores them, images row-major (H, W) or (H, W, 3).
+
+   Rules: the caller allocates every output; "optional" pointers may be NULL and what they ask for is then not computed;
+   inputs and outputs must not overlap. Arrays marked `real` are float, or double in a context of level SVRGS_DOUBLE.
+   Every function returns an SVRGS_ status and, where it fails, leaves one sentence for svrgs_last_error() (per thread).
+   Nothing throws, nothing is global but the thread pool. */
+#ifndef SVRGS_H
+#define SVRGS_H
+
+#include <stdint.h>
+
+#if defined(_WIN32)
+#define SVRGS_API __declspec(dllexport)
+#else
+#define SVRGS_API __attribute__((visibility("default")))
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define SVRGS_INTERFACE_VERSION 1
+
+typedef void real; /* float or double, by the context's level */
+
+enum svrgs_status { SVRGS_OK = 0, SVRGS_INVALID = 1, SVRGS_NO_MEMORY = 2, SVRGS_CANCELLED = 3, SVRGS_TOO_LARGE = 4 };
+
+/* SIMD levels, each a separate compilation of the same kernels. SCALAR is the definition of truth for the others. */
+enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4 };
+
+/* How the spatial mask F and its gradient are formed (paper Eq. 5 and 9, scenarios A and B; SELF: F as in SVR, gradient
+   from the self term alone, 1 - alpha_i T_i). NONE skips F and all of its counting. */
+enum svrgs_mask_kind { SVRGS_MASK_NONE = 0, SVRGS_MASK_SVR = 1, SVRGS_MASK_SELF = 2, SVRGS_MASK_A = 3, SVRGS_MASK_B = 4 };
+
+typedef struct svrgs_context svrgs_context; /* buffers of one renderer; use from one thread at a time */
+
+typedef struct {
+  int64_t count;            /* N */
+  int32_t sh_coefficients;  /* 1, 4, 9 or 16 stored per channel */
+  const real *means;        /* (N, 3) */
+  const real *log_scales;   /* (N, 3) */
+  const real *quats;        /* (N, 4) */
+  const real *opacity_logits; /* (N,) */
+  const real *sh;           /* (N, sh_coefficients, 3) */
+  const uint8_t *masks;     /* (N,) 0 or 1, optional: all 1 */
+} svrgs_scene;
+
+typedef struct {
+  double viewmat[16]; /* world to camera, row-major */
+  double fx, fy, cx, cy;
+  int32_t width, height;
+  double background[3];
+} svrgs_camera;
+
+typedef struct {
+  int32_t sh_degree;     /* bands evaluated, at most those stored */
+  int32_t antialiased;   /* multiply opacity by sqrt(det before blur / det after blur) */
+  int32_t full;          /* F walks the list to its end (1) or stops with the colours (0) */
+  int32_t mask_kind;     /* enum svrgs_mask_kind */
+  int32_t mask_to_shape; /* the gradient of F also reaches alpha, and so shape and opacity */
+  double eps_a;          /* epsilon of scenario A */
+  int64_t max_pairs;     /* refuse more (Gaussian, tile) pairs than this: SVRGS_TOO_LARGE; 0: 2^31 - 1 */
+  const int32_t *cancel; /* optional; polled once per tile, non-zero stops with SVRGS_CANCELLED */
+} svrgs_options;
+
+typedef struct { /* all optional */
+  real *rgb;      /* (H, W, 3) blended colour including background, not clamped */
+  real *depth;    /* (H, W) sum of alpha_i T_i z_i */
+  real *alpha;    /* (H, W) 1 - T after the last blended Gaussian */
+  real *mask;     /* (H, W) F */
+  int32_t *hits;  /* (H, W) N: Gaussians on the ray */
+  int32_t *kept;  /* (H, W) K: those among them with M = 1 */
+  real *transmittance; /* (H, W) T_N: after the last Gaussian counted in N */
+} svrgs_images;
+
+typedef struct { /* all optional: dL/d(output), same shapes as the outputs */
+  const real *rgb;
+  const real *depth;
+  const real *alpha;
+  const real *mask;
+} svrgs_image_grads;
+
+typedef struct { /* all optional: one row per visible Gaussian, in the order of svrgs_visible() */
+  real *means;
+  real *log_scales;
+  real *quats; /* with respect to the stored, not normalised quaternion */
+  real *opacity_logits;
+  real *sh;    /* (V, sh_coefficients, 3); bands above sh_degree are zero */
+  real *masks; /* dL/dM, for M = 0 and M = 1 alike */
+  real *means2d; /* (V, 2) with respect to the projected centre, pixels */
+} svrgs_grads;
+
+SVRGS_API int32_t svrgs_interface_version(void);
+SVRGS_API const char *svrgs_last_error(void);
+
+SVRGS_API int32_t svrgs_best_level(void);           /* the fastest float level this processor runs */
+SVRGS_API int32_t svrgs_level_supported(int32_t level);
+SVRGS_API void svrgs_set_threads(int32_t threads);  /* 0: one per core; results do not depend on it */
+SVRGS_API int32_t svrgs_threads(void);
+
+SVRGS_API int32_t svrgs_context_create(int32_t level, svrgs_context **out);
+SVRGS_API void svrgs_context_destroy(svrgs_context *context);
+
+/* Renders one view. The scene's arrays must stay unchanged until svrgs_backward or svrgs_scores of this view is done. */
+SVRGS_API int32_t svrgs_forward(svrgs_context *, const svrgs_scene *, const svrgs_camera *, const svrgs_options *,
+                                const svrgs_images *);
+
+/* Gaussians of the last view that can touch a pixel: *ids points into the context, valid until the next forward. */
+SVRGS_API int32_t svrgs_visible(svrgs_context *, const uint32_t **ids, int64_t *count);
+
+/* Counts of the last view: pairs = (Gaussian, tile) entries. */
+SVRGS_API int32_t svrgs_pairs(svrgs_context *, int64_t *pairs);
+
+/* Gradients of the last view. dL/ddepth needs a forward pass that was asked for depth. */
+SVRGS_API int32_t svrgs_backward(svrgs_context *, const svrgs_image_grads *, const svrgs_grads *);
+
+/* Adds the last view to per-Gaussian statistics, each (N,) and optional: sum of alpha_i T_i over pixels, its maximum,
+   and the number of pixels blended. */
+SVRGS_API int32_t svrgs_scores(svrgs_context *, double *sum, float *max, int64_t *hits);
+
+/* L = l1_weight * mean|a - b| + ssim_weight * (1 - SSIM(a, b)); SSIM: 11x11 Gaussian window, sigma 1.5, zero padding,
+   C1 = 1e-4, C2 = 9e-4, mean over pixels and channels. image, target, grad: (H, W, 3). grad (dL/dimage) is optional.
+   values receives mean|a - b| and SSIM. */
+SVRGS_API int32_t svrgs_loss(svrgs_context *, const real *image, const real *target, int32_t height, int32_t width,
+                             double l1_weight, double ssim_weight, real *grad, double values[2]);
+
+/* One Adam step (Kingma and Ba) of `rows` rows of `width` values; grad is (rows, width). Row r updates row ids[r] of
+   param, m, v (ids NULL: row r). bias1 = 1 - beta1^t, bias2 = 1 - beta2^t. Rows whose gradient is not finite are
+   left alone and counted in *nonfinite. */
+typedef struct {
+  double lr, beta1, beta2, eps, bias1, bias2;
+} svrgs_adam_settings;
+SVRGS_API int32_t svrgs_adam(int32_t level, const svrgs_adam_settings *, real *param, real *m, real *v,
+                             const real *grad, const uint32_t *ids, int64_t rows, int32_t width, int64_t *nonfinite);
+
+/* Draws M_i = [d_i + l_i > 0], l logistic noise keyed by (seed, step, i); slope receives the straight-through
+   derivative sigma(d + l)(1 - sigma(d + l)). */
+SVRGS_API int32_t svrgs_sample_masks(const float *logits, int64_t count, uint64_t seed, uint64_t step, uint8_t *masks,
+                                     float *slope);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

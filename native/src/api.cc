@@ -1,0 +1,199 @@
+// The C interface: checks every argument, then hands over. No exception leaves this file.
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <new>
+
+#include "context.h"
+#include "pool.h"
+
+struct svrgs_context {
+  svrgs::Context context;
+};
+
+namespace {
+
+using svrgs::Failure;
+
+thread_local std::string last_error;
+
+constexpr int kMaxSide = 32768;           // pixels; tile coordinates are 16 bits
+constexpr int64_t kMaxCount = 1LL << 31;  // Gaussians; ids are 32 bits
+
+void require(bool ok, const char* sentence) {
+  if (!ok) throw Failure{SVRGS_INVALID, sentence};
+}
+
+template <class F>
+int32_t guarded(F&& f) {
+  try {
+    f();
+    return SVRGS_OK;
+  } catch (const Failure& e) {
+    last_error = e.sentence;
+    return e.status;
+  } catch (const std::bad_alloc&) {
+    last_error = "out of memory";
+    return SVRGS_NO_MEMORY;
+  } catch (const std::exception& e) {
+    last_error = e.what();
+    return SVRGS_INVALID;
+  }
+}
+
+bool supported(int32_t level) {
+  switch (level) {
+    case SVRGS_SCALAR:
+    case SVRGS_BASELINE:
+    case SVRGS_DOUBLE: return true;
+#if defined(__x86_64__)
+    case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    case SVRGS_AVX512: return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && supported(SVRGS_AVX2);
+#endif
+    default: return false;
+  }
+}
+
+const svrgs::Kernels& kernels(int32_t level) {
+  require(supported(level), "this processor or build does not have the requested SIMD level");
+  switch (level) {
+    case SVRGS_SCALAR: return svrgs::scalar_kernels;
+    case SVRGS_BASELINE: return svrgs::baseline_kernels;
+#if defined(__x86_64__)
+    case SVRGS_AVX2: return svrgs::avx2_kernels;
+    case SVRGS_AVX512: return svrgs::avx512_kernels;
+#endif
+    default: return svrgs::double_kernels;
+  }
+}
+
+void check(const svrgs_scene& s) {
+  require(s.count >= 0 && s.count < kMaxCount, "the scene's count must be between 0 and 2^31 - 1");
+  const int k = s.sh_coefficients;
+  require(k == 1 || k == 4 || k == 9 || k == 16, "sh_coefficients must be 1, 4, 9 or 16");
+  require(s.count == 0 || (s.means && s.log_scales && s.quats && s.opacity_logits && s.sh), "a scene array is missing");
+}
+
+void check(const svrgs_camera& c) {
+  require(c.width > 0 && c.height > 0 && c.width <= kMaxSide && c.height <= kMaxSide, "image sides must be 1 to 32768 pixels");
+  bool finite = std::isfinite(c.cx) && std::isfinite(c.cy);
+  for (const double v : c.viewmat) finite = finite && std::isfinite(v);
+  for (const double v : c.background) finite = finite && std::isfinite(v);
+  require(finite, "the camera has a value that is not finite");
+  require(c.fx > 0 && c.fy > 0 && c.fx < 1e9 && c.fy < 1e9, "focal lengths must be positive");
+}
+
+void check(const svrgs_options& o, const svrgs_scene& s) {
+  require(o.sh_degree >= 0 && o.sh_degree <= 3 && (o.sh_degree + 1) * (o.sh_degree + 1) <= s.sh_coefficients, "sh_degree is not stored in the scene");
+  require(o.mask_kind >= SVRGS_MASK_NONE && o.mask_kind <= SVRGS_MASK_B, "mask_kind is unknown");
+  require(o.mask_kind != SVRGS_MASK_A || o.eps_a > 0, "eps_a must be positive");
+}
+
+uint64_t mix(uint64_t x) {  // the splitmix64 finaliser
+  x ^= x >> 30, x *= 0xbf58476d1ce4e5b9ULL;
+  x ^= x >> 27, x *= 0x94d049bb133111ebULL;
+  return x ^ x >> 31;
+}
+
+}  // namespace
+
+extern "C" {
+
+int32_t svrgs_interface_version(void) { return SVRGS_INTERFACE_VERSION; }
+const char* svrgs_last_error(void) { return last_error.c_str(); }
+int32_t svrgs_level_supported(int32_t level) { return supported(level); }
+void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::clamp(threads, 0, 1024)); }
+int32_t svrgs_threads(void) { return svrgs::threads(); }
+
+int32_t svrgs_best_level(void) {
+  for (const int32_t level : {SVRGS_AVX512, SVRGS_AVX2})
+    if (supported(level)) return level;
+  return SVRGS_BASELINE;
+}
+
+int32_t svrgs_context_create(int32_t level, svrgs_context** out) {
+  return guarded([&] { *out = new svrgs_context{svrgs::Context(kernels(level))}; });
+}
+
+void svrgs_context_destroy(svrgs_context* context) { delete context; }
+
+int32_t svrgs_forward(svrgs_context* c, const svrgs_scene* scene, const svrgs_camera* camera, const svrgs_options* options, const svrgs_images* images) {
+  return guarded([&] {
+    require(c && scene && camera && options && images, "an argument is missing");
+    check(*scene);
+    check(*camera);
+    check(*options, *scene);
+    c->context.forward(*scene, *camera, *options, *images);
+  });
+}
+
+int32_t svrgs_visible(svrgs_context* c, const uint32_t** ids, int64_t* count) {
+  return guarded([&] {
+    require(c && ids && count, "an argument is missing");
+    *ids = c->context.visible();
+    *count = c->context.visible_count();
+  });
+}
+
+int32_t svrgs_pairs(svrgs_context* c, int64_t* pairs) {
+  return guarded([&] {
+    require(c && pairs, "an argument is missing");
+    *pairs = c->context.pairs();
+  });
+}
+
+int32_t svrgs_backward(svrgs_context* c, const svrgs_image_grads* in, const svrgs_grads* out) {
+  return guarded([&] {
+    require(c && in && out, "an argument is missing");
+    require(c->context.holds_view(), "there is no rendered view to differentiate: call svrgs_forward first");
+    require(!in->depth || c->context.holds_depth(), "a gradient of the depth image needs a forward pass that made one");
+    c->context.backward(*in, *out);
+  });
+}
+
+int32_t svrgs_scores(svrgs_context* c, double* sum, float* max, int64_t* hits) {
+  return guarded([&] {
+    require(c, "an argument is missing");
+    require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
+    c->context.scores(sum, max, hits);
+  });
+}
+
+int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int32_t height, int32_t width, double l1_weight, double ssim_weight, real* grad, double values[2]) {
+  return guarded([&] {
+    require(c && image && target && values, "an argument is missing");
+    require(height > 0 && width > 0 && height <= kMaxSide && width <= kMaxSide, "image sides must be 1 to 32768 pixels");
+    c->context.loss(image, target, height, width, l1_weight, ssim_weight, grad, values);
+  });
+}
+
+int32_t svrgs_adam(int32_t level, const svrgs_adam_settings* settings, real* param, real* m, real* v, const real* grad, const uint32_t* ids, int64_t rows, int32_t width, int64_t* nonfinite) {
+  return guarded([&] {
+    require(settings && nonfinite && (rows == 0 || (param && m && v && grad)), "an argument is missing");
+    require(rows >= 0 && width > 0 && width <= 64, "rows must not be negative, width must be 1 to 64");
+    const svrgs::Kernels& k = kernels(level);
+    std::atomic<int64_t> bad{0};
+    svrgs::parallel_blocks(rows, 2048, [&](int64_t begin, int64_t end) {
+      bad += k.adam_rows(*settings, param, m, v, grad, ids, begin, end, width);
+    });
+    *nonfinite = bad;
+  });
+}
+
+int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_t seed, uint64_t step, uint8_t* masks, float* slope) {
+  return guarded([&] {
+    require(count == 0 || (logits && masks && slope), "an argument is missing");
+    const uint64_t key = mix(mix(seed + 0x9e3779b97f4a7c15ULL) + step);
+    svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) {
+        const uint64_t bits = mix(key + 0x9e3779b97f4a7c15ULL * static_cast<uint64_t>(i)) >> 40;
+        const double u = (static_cast<double>(bits) + 0.5) / 16777216.0;  // inside (0, 1): never infinite noise
+        const double z = logits[i] + std::log(u / (1 - u)), y = 1 / (1 + std::exp(-z));
+        masks[i] = z > 0;
+        slope[i] = static_cast<float>(y * (1 - y));
+      }
+    });
+  });
+}
+
+}  // extern "C"

@@ -1,0 +1,189 @@
+#include "context.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cstring>
+
+#include "pool.h"
+
+namespace svrgs {
+namespace {
+
+constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
+constexpr int64_t kVisibleGrain = 1024;
+constexpr int kLossRows = 8;
+
+// Exclusive prefix sum over chunk totals.
+int64_t prefix(std::vector<int64_t>& totals) {
+  int64_t sum = 0;
+  for (int64_t& t : totals) {
+    const int64_t n = t;
+    t = sum;
+    sum += n;
+  }
+  return sum;
+}
+
+int64_t chunk_count(int64_t items, int64_t grain) { return (items + grain - 1) / grain; }
+
+}  // namespace
+
+void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs_options& o, const svrgs_images& images) {
+  Frame& f = frame_;
+  f = {};
+  f.count = s.count;
+  f.sh_coefficients = s.sh_coefficients;
+  f.sh_degree = o.sh_degree;
+  f.means = s.means, f.log_scales = s.log_scales, f.quats = s.quats, f.opacity_logits = s.opacity_logits, f.sh = s.sh;
+  f.masks = s.masks;
+  std::memcpy(f.viewmat, c.viewmat, sizeof f.viewmat);
+  for (int k = 0; k < 3; ++k) {  // -R^T t
+    f.position[k] = -(c.viewmat[k] * c.viewmat[3] + c.viewmat[4 + k] * c.viewmat[7] + c.viewmat[8 + k] * c.viewmat[11]);
+    f.background[k] = c.background[k];
+  }
+  f.fx = c.fx, f.fy = c.fy, f.cx = c.cx, f.cy = c.cy;
+  f.width = c.width, f.height = c.height;
+  f.tiles_x = (c.width + kTile - 1) / kTile, f.tiles_y = (c.height + kTile - 1) / kTile;
+  f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.mask_to_shape = o.mask_to_shape, f.eps_a = o.eps_a;
+  f.full = o.full && o.mask_kind != kMaskNone;
+  f.want_depth = images.depth != nullptr;
+}
+
+void Context::project() {
+  Frame& f = frame_;
+  f.splats = splats_.reserve<char>(f.count * kernels_.splat_size);
+  f.tiles = tiles_.reserve<SplatTiles>(f.count);
+  uint32_t *ids = ids_.reserve<uint32_t>(f.count), *keys = keys_.reserve<uint32_t>(f.count);
+  std::vector<int64_t> kept(chunk_count(f.count, kProjectGrain));
+  parallel_blocks(f.count, kProjectGrain, [&](int64_t begin, int64_t end) {
+    kept[begin / kProjectGrain] = kernels_.project_range(f, begin, end, ids + begin, keys + begin);
+  });
+  std::vector<int64_t> offset = kept;
+  f.visible_count = prefix(offset);
+  uint32_t* visible = visible_.reserve<uint32_t>(f.visible_count);
+  Keyed* sorted = sorted_.reserve<Keyed>(f.visible_count);
+  parallel_for(static_cast<int64_t>(kept.size()), [&](int64_t c) {
+    for (int64_t i = 0; i < kept[c]; ++i) {
+      const int64_t from = c * kProjectGrain + i, to = offset[c] + i;
+      visible[to] = ids[from];
+      sorted[to] = {keys[from], ids[from]};
+    }
+  });
+  f.visible = visible;
+}
+
+// Exact tiles of every visible Gaussian, and a slot for each (Gaussian, tile) pair.
+void Context::find_tiles(int64_t max_pairs) {
+  Frame& f = frame_;
+  std::vector<int64_t> offset(chunk_count(f.visible_count, kVisibleGrain));
+  parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
+    int64_t rows = 0;
+    for (int64_t i = begin; i < end; ++i) rows += f.tiles[f.visible[i]].rows;
+    offset[begin / kVisibleGrain] = rows;
+  });
+  const int64_t limit = max_pairs > 0 ? max_pairs : INT32_MAX;
+  const auto too_large = [&](int64_t n) {
+    if (n > limit) throw Failure{SVRGS_TOO_LARGE, "the view needs " + std::to_string(n) + " (Gaussian, tile) pairs, more than the limit of " + std::to_string(limit)};
+  };
+  rows_ = prefix(offset);
+  too_large(rows_);
+  f.spans = spans_.reserve<Span>(rows_);
+  parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
+    int64_t row = offset[begin / kVisibleGrain], pairs = 0;
+    for (int64_t i = begin; i < end; ++i) {
+      SplatTiles& t = f.tiles[f.visible[i]];
+      t.span = static_cast<uint32_t>(row);
+      t.tiles = kernels_.fill_spans(f, f.visible[i], f.spans + row);
+      row += t.rows, pairs += t.tiles;
+    }
+    offset[begin / kVisibleGrain] = pairs;
+  });
+  pairs_ = prefix(offset);
+  too_large(pairs_);
+  parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
+    int64_t slot = offset[begin / kVisibleGrain];
+    for (int64_t i = begin; i < end; ++i) {
+      SplatTiles& t = f.tiles[f.visible[i]];
+      t.slot = static_cast<uint32_t>(slot);
+      slot += t.tiles;
+    }
+  });
+}
+
+void Context::sort_and_bin() {
+  Frame& f = frame_;
+  const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y;
+  Keyed* sorted = sorted_.reserve<Keyed>(f.visible_count);
+  sort_by_depth(sorted, scratch_.reserve<Keyed>(f.visible_count), f.visible_count);
+  int64_t* tile_begin = tile_begin_.reserve<int64_t>(tiles + 1);
+  TileEntry* entries = entries_.reserve<TileEntry>(pairs_);
+  bin_tiles(f, sorted, tile_begin, entries, counts_.reserve<uint32_t>(binning_chunks(f.visible_count) * tiles));
+  f.tile_begin = tile_begin, f.entries = entries;
+}
+
+template <class F>
+void Context::for_each_tile(F&& run) const {
+  std::atomic<bool> stopped{false};
+  const volatile int32_t* cancel = cancel_;
+  parallel_for(static_cast<int64_t>(frame_.tiles_x) * frame_.tiles_y, [&](int64_t tile) {
+    if (cancel && *cancel) stopped.store(true, std::memory_order_relaxed);
+    if (!stopped.load(std::memory_order_relaxed)) run(tile);
+  });
+  if (stopped) throw Failure{SVRGS_CANCELLED, "cancelled"};
+}
+
+void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_options& o, const svrgs_images& images) {
+  holds_view_ = false;
+  set_frame(s, c, o, images);
+  cancel_ = o.cancel;
+  project();
+  find_tiles(o.max_pairs);
+  sort_and_bin();
+  const int64_t tiles = static_cast<int64_t>(frame_.tiles_x) * frame_.tiles_y;
+  frame_.hits = hits_.reserve<uint16_t>(pairs_);
+  frame_.state = state_.reserve<char>(tiles * kBlocks * kFields * kBlockPixels * kernels_.real_size);
+  for_each_tile([&](int64_t tile) {
+    kernels_.forward_tile(frame_, tile);
+    kernels_.write_tile(frame_, tile, images);
+  });
+  holds_view_ = true;
+}
+
+void Context::backward(const svrgs_image_grads& in, const svrgs_grads& out) {
+  char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
+  for_each_tile([&](int64_t tile) { kernels_.backward_tile(frame_, in, out, tile, slots); });
+  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
+    kernels_.gradients_range(frame_, in, out, slots, begin, end);
+  });
+}
+
+void Context::scores(double* sum, float* max, int64_t* hits) {
+  char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
+  for_each_tile([&](int64_t tile) { kernels_.scores_tile(frame_, tile, slots); });
+  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
+    kernels_.scores_range(frame_, slots, begin, end, sum, max, hits);
+  });
+}
+
+void Context::loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]) {
+  const int64_t pixels = static_cast<int64_t>(height) * width, count = 3 * pixels, per_row = kernels_.loss_scratch(width);
+  const int64_t bands = chunk_count(height, kLossRows);
+  double* row_values = row_values_.reserve<double>(2 * height);
+  char* scratch = rows_scratch_.reserve<char>(bands * per_row * kernels_.real_size);
+  char* maps = grad ? maps_.reserve<char>(3 * count * kernels_.real_size) : nullptr;
+  const LossArguments a = {image, target, height, width, l1_weight / count, -ssim_weight / count, maps, grad, row_values, row_values + height};
+  for (const bool second : {false, true}) {
+    if (second && !grad) break;
+    parallel_for(bands, [&](int64_t band) {
+      char* own = scratch + band * per_row * kernels_.real_size;
+      std::memset(own, 0, per_row * kernels_.real_size);
+      for (int64_t y = band * kLossRows, end = std::min<int64_t>(height, y + kLossRows); y < end; ++y)
+        kernels_.loss_row(a, static_cast<int>(y), own, second);
+    });
+  }
+  values[0] = values[1] = 0;
+  for (int y = 0; y < height; ++y) values[0] += a.row_l1[y], values[1] += a.row_ssim[y];
+  values[0] /= count, values[1] /= count;
+}
+
+}  // namespace svrgs

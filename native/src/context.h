@@ -1,0 +1,74 @@
+// One renderer: grow-only buffers and the order of the stages.
+#pragma once
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "frame.h"
+#include "kernels.h"
+#include "svrgs.h"
+#include "tiles.h"
+
+namespace svrgs {
+
+// Memory that only grows and is not initialised; contents are lost when it grows.
+class Buffer {
+ public:
+  template <class T>
+  T* reserve(int64_t count) {
+    const size_t bytes = static_cast<size_t>(count) * sizeof(T) + 64;
+    if (bytes > size_) {
+      data_.reset();
+      const size_t grown = bytes + bytes / 4;
+      data_.reset(static_cast<char*>(::operator new(grown, std::align_val_t{128})));
+      size_ = grown;
+    }
+    return reinterpret_cast<T*>(data_.get());
+  }
+
+ private:
+  struct Free {
+    void operator()(char* p) const { ::operator delete(p, std::align_val_t{128}); }
+  };
+  std::unique_ptr<char, Free> data_;
+  size_t size_ = 0;
+};
+
+struct Failure {  // thrown inside the library only; api.cc turns it into a status
+  svrgs_status status;
+  std::string sentence;
+};
+
+class Context {
+ public:
+  explicit Context(const Kernels& kernels) : kernels_(kernels) {}
+
+  void forward(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);
+  void backward(const svrgs_image_grads&, const svrgs_grads&);
+  void scores(double* sum, float* max, int64_t* hits);
+  void loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
+
+  const uint32_t* visible() const { return frame_.visible; }
+  int64_t visible_count() const { return frame_.visible_count; }
+  int64_t pairs() const { return pairs_; }
+  bool holds_view() const { return holds_view_; }
+  bool holds_depth() const { return frame_.want_depth; }
+
+ private:
+  void set_frame(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);
+  void project();
+  void find_tiles(int64_t max_pairs);
+  void sort_and_bin();
+  template <class F>
+  void for_each_tile(F&& run) const;  // in any order, until the cancel flag is set
+
+  const Kernels& kernels_;
+  Frame frame_ = {};
+  const int32_t* cancel_ = nullptr;
+  int64_t pairs_ = 0, rows_ = 0;
+  bool holds_view_ = false;
+  Buffer splats_, tiles_, spans_, ids_, keys_, visible_, sorted_, scratch_, tile_begin_, entries_, counts_, hits_, state_, slots_;
+  Buffer maps_, rows_scratch_, row_values_;
+};
+
+}  // namespace svrgs

@@ -1,0 +1,72 @@
+// One view's data, shared by the stages. Plain pointers into the context's buffers; typed by the level's real type.
+#pragma once
+#include <cstdint>
+
+#include "constants.h"
+
+namespace svrgs {
+
+// A projected Gaussian. alpha(dx, dy) = min(0.99, 2^(log2_opacity - u^2 - v^2)), u = l11 dx + l12 dy, v = l22 dy:
+// the Cholesky factor of the conic, scaled by sqrt(log2(e) / 2), keeps the exponent <= 0 and free of cancellation.
+template <class R>
+struct alignas(16 * sizeof(R)) Splat {
+  double x, y;  // centre, pixels; double so that offsets from it are exact to float rounding
+  R l11, l12, l22, log2_opacity;
+  R rgb[3], depth;
+  R inv_l11, y_extreme;  // 1 / l11; dy of the rightmost point of the 1/255 ellipse (see ellipse.h)
+  R mask;                // 0 or 1
+  R unused;
+};
+
+struct SplatTiles {   // where a visible Gaussian's tiles are
+  uint32_t span;      // first of its rows in Frame::spans
+  uint32_t slot;      // first of its (Gaussian, tile) slots
+  uint16_t row, rows; // tile rows it touches
+  uint32_t tiles;     // how many tiles it touches
+};
+
+struct Span {  // tiles [begin, end) of one tile row
+  uint16_t begin, end;
+};
+
+struct TileEntry {
+  uint32_t splat, slot;
+};
+
+// Per-pixel results kept for the backward pass, in tile order: tile, block, field, 16 lanes.
+enum Field { kRed, kGreen, kBlue, kDepth, kFinalT, kFullT, kCount, kDropped, kSum0, kSum1, kSum2, kSum3, kFields };
+
+constexpr int kSlotWidth = 12;  // reals per (Gaussian, tile) slot of the backward pass
+enum Slot { kV, kVx, kVy, kVxx, kVxy, kVyy, kSlotRed, kSlotGreen, kSlotBlue, kSlotMask, kSlotDepth };
+
+enum MaskKind { kMaskNone = 0, kMaskSvr = 1, kMaskSelf = 2, kMaskA = 3, kMaskB = 4 };
+
+struct Frame {
+  // scene
+  int64_t count;
+  int sh_coefficients, sh_degree;
+  const void *means, *log_scales, *quats, *opacity_logits, *sh;
+  const uint8_t* masks;
+  // camera
+  double viewmat[16], position[3];
+  double fx, fy, cx, cy;
+  int width, height, tiles_x, tiles_y;
+  double background[3];
+  // options
+  bool antialiased, full, mask_to_shape, want_depth;
+  int mask_kind;
+  double eps_a;
+  // projection
+  void* splats;           // Splat<R>[count], visible ones written
+  SplatTiles* tiles;      // [count], visible ones written
+  Span* spans;
+  const uint32_t* visible;
+  int64_t visible_count;
+  // tile lists
+  const int64_t* tile_begin;  // [tiles + 1]
+  const TileEntry* entries;
+  uint16_t* hits;         // per slot: bit b set where the Gaussian hits a pixel of block b that counts
+  void* state;            // R[tiles][kBlocks][kFields][kBlockPixels]
+};
+
+}  // namespace svrgs

@@ -1,0 +1,173 @@
+// One batch of W Gaussians from world to screen, and back (projection and its vector-Jacobian product, side by side).
+// Equations: 3DGS Eq. 5-6 (covariance, EWA projection), with the full K and the 3DGS clamp of x/z, y/z.
+
+struct Batch {  // raw parameters of W Gaussians, transposed
+  V mean[3], log_scale[3], quat[4], opacity_logit;
+};
+
+inline Batch load_batch(const Frame& f, const uint32_t* ids) {
+  const R *means = static_cast<const R*>(f.means), *scales = static_cast<const R*>(f.log_scales),
+          *quats = static_cast<const R*>(f.quats), *logits = static_cast<const R*>(f.opacity_logits);
+  Batch b;
+  for (int i = 0; i < W; ++i) {
+    const int64_t g = ids[i];
+    for (int k = 0; k < 3; ++k) b.mean[k][i] = means[3 * g + k], b.log_scale[k][i] = scales[3 * g + k];
+    for (int k = 0; k < 4; ++k) b.quat[k][i] = quats[4 * g + k];
+    b.opacity_logit[i] = logits[g];
+  }
+  return b;
+}
+
+struct Projected {
+  V c[3];                    // camera-space centre
+  V ratio_x, ratio_y;        // x/z, y/z clamped to the widened frustum
+  V free_x, free_y;          // 1 where not clamped
+  V scale[3], quat[4], inv_norm;
+  V rotation[3][3];          // of the Gaussian
+  V to_screen[2][3];         // P = J W, 2x3
+  V factor[2][3];            // A = P R S: covariance before blur = A A^T
+  V cxx, cxy, cyy;           // covariance after blur, pixels^2
+  V det, det_before;         // of it, and before blur
+  V compensation;            // 1, or sqrt(det_before / det)
+  V opacity;                 // sigmoid, without compensation
+};
+
+inline void rotation_matrix(const V q[4], V m[3][3]) {
+  const V w = q[0], x = q[1], y = q[2], z = q[3], one = splat(1), two = splat(2);
+  m[0][0] = one - two * (y * y + z * z), m[0][1] = two * (x * y - w * z), m[0][2] = two * (x * z + w * y);
+  m[1][0] = two * (x * y + w * z), m[1][1] = one - two * (x * x + z * z), m[1][2] = two * (y * z - w * x);
+  m[2][0] = two * (x * z - w * y), m[2][1] = two * (y * z + w * x), m[2][2] = one - two * (x * x + y * y);
+}
+
+inline V view(const Frame& f, int row, int column) { return splat(static_cast<R>(f.viewmat[4 * row + column])); }
+
+inline Projected project(const Frame& f, const Batch& b) {
+  Projected p;
+  for (int i = 0; i < 3; ++i)
+    p.c[i] = fma(view(f, i, 0), b.mean[0], fma(view(f, i, 1), b.mean[1], fma(view(f, i, 2), b.mean[2], view(f, i, 3))));
+  const V inv_z = splat(1) / p.c[2], fx = splat(R(f.fx)), fy = splat(R(f.fy));
+  const V rx = p.c[0] * inv_z, ry = p.c[1] * inv_z;
+  const R margin_x = R(kFrustumMargin * f.width / (2 * f.fx)), margin_y = R(kFrustumMargin * f.height / (2 * f.fy));
+  p.ratio_x = clamp(rx, splat(R(-f.cx / f.fx) - margin_x), splat(R((f.width - f.cx) / f.fx) + margin_x));
+  p.ratio_y = clamp(ry, splat(R(-f.cy / f.fy) - margin_y), splat(R((f.height - f.cy) / f.fy) + margin_y));
+  p.free_x = select(both(at_least(rx, p.ratio_x), at_least(p.ratio_x, rx)), splat(1), splat(0));
+  p.free_y = select(both(at_least(ry, p.ratio_y), at_least(p.ratio_y, ry)), splat(1), splat(0));
+
+  V norm2 = splat(0);
+  for (int k = 0; k < 4; ++k) norm2 = fma(b.quat[k], b.quat[k], norm2);
+  p.inv_norm = splat(1) / sqrt(norm2);
+  for (int k = 0; k < 4; ++k) p.quat[k] = b.quat[k] * p.inv_norm;
+  for (int k = 0; k < 3; ++k) p.scale[k] = exp(b.log_scale[k]);
+  rotation_matrix(p.quat, p.rotation);
+
+  for (int j = 0; j < 3; ++j) {
+    p.to_screen[0][j] = fx * inv_z * (view(f, 0, j) - p.ratio_x * view(f, 2, j));
+    p.to_screen[1][j] = fy * inv_z * (view(f, 1, j) - p.ratio_y * view(f, 2, j));
+  }
+  for (int r = 0; r < 2; ++r)
+    for (int j = 0; j < 3; ++j) {
+      V a = p.to_screen[r][0] * p.rotation[0][j];
+      a = fma(p.to_screen[r][1], p.rotation[1][j], a);
+      a = fma(p.to_screen[r][2], p.rotation[2][j], a);
+      p.factor[r][j] = a * p.scale[j];
+    }
+  const V *u = p.factor[0], *v = p.factor[1], blur = splat(R(kBlur));
+  const V uu = fma(u[0], u[0], fma(u[1], u[1], u[2] * u[2])), vv = fma(v[0], v[0], fma(v[1], v[1], v[2] * v[2]));
+  p.cxx = uu + blur, p.cyy = vv + blur;
+  p.cxy = fma(u[0], v[0], fma(u[1], v[1], u[2] * v[2]));
+  // det(A A^T) = |u x v|^2: a sum of squares, no cancellation for needles
+  const V x0 = u[1] * v[2] - u[2] * v[1], x1 = u[2] * v[0] - u[0] * v[2], x2 = u[0] * v[1] - u[1] * v[0];
+  p.det_before = fma(x0, x0, fma(x1, x1, x2 * x2));
+  p.det = p.det_before + blur * (uu + vv) + blur * blur;
+  p.opacity = sigmoid(b.opacity_logit);
+  p.compensation = splat(1);
+  if (f.antialiased) p.compensation = sqrt(max(splat(R(kCompensationFloor)), p.det_before / p.det));
+  return p;
+}
+
+// dL/d of one batch: what the raster pass sums (moments of v = alpha dL/dalpha about the centre) ...
+struct ScreenGrads {
+  V v, vx, vy, vxx, vxy, vyy;  // sum of v, v dx, v dy, v dx^2, v dx dy, v dy^2 over pixels
+  V depth;                     // dL/d camera z from the depth image
+};
+// ... and what it means for the parameters.
+struct ParameterGrads {
+  V mean[3], log_scale[3], quat[4], opacity_logit, mean2d[2];
+};
+
+// dL/dR of a rotation matrix to dL/dquat of the unit quaternion it came from.
+inline void rotation_matrix_vjp(const V q[4], const V d[3][3], V out[4]) {
+  const V w = q[0], x = q[1], y = q[2], z = q[3], two = splat(2), four = splat(4);
+  out[0] = two * (x * (d[2][1] - d[1][2]) + y * (d[0][2] - d[2][0]) + z * (d[1][0] - d[0][1]));
+  out[1] = two * (y * (d[1][0] + d[0][1]) + z * (d[2][0] + d[0][2]) + w * (d[2][1] - d[1][2])) - four * x * (d[1][1] + d[2][2]);
+  out[2] = two * (x * (d[1][0] + d[0][1]) + z * (d[2][1] + d[1][2]) + w * (d[0][2] - d[2][0])) - four * y * (d[0][0] + d[2][2]);
+  out[3] = two * (x * (d[2][0] + d[0][2]) + y * (d[2][1] + d[1][2]) + w * (d[1][0] - d[0][1])) - four * z * (d[0][0] + d[1][1]);
+}
+
+// dL/dA (A = P R S, the covariance factor) from the moments: 2 G A with G = dL/dcov = Q S2 Q / 2, Q = inverse covariance.
+inline void factor_vjp(const Frame& f, const Projected& p, const ScreenGrads& g, V d_factor[2][3]) {
+  const V inv_det = splat(1) / p.det;
+  const V qxx = p.cyy * inv_det, qxy = -p.cxy * inv_det, qyy = p.cxx * inv_det;
+  const V ax = qxx * g.vxx + qxy * g.vxy, ay = qxx * g.vxy + qxy * g.vyy;  // rows of Q S2
+  const V bx = qxy * g.vxx + qyy * g.vxy, by = qxy * g.vxy + qyy * g.vyy;
+  V gxx = ax * qxx + ay * qxy, gxy = ax * qxy + ay * qyy, gyy = bx * qxy + by * qyy;  // 2 G
+  V before_xx = splat(0), before_xy = splat(0), before_yy = splat(0);
+  if (f.antialiased) {  // d ln(compensation) = (d ln det_before - d ln det) / 2 above the floor
+    const M active = less(splat(R(kCompensationFloor)), p.det_before * inv_det);
+    const V v = keep(active, g.v);
+    gxx -= v * qxx, gxy -= v * qxy, gyy -= v * qyy;
+    const V share = keep(active, v / max(p.det_before, splat(R(1e-37))));
+    before_xx = share * (p.cyy - splat(R(kBlur))), before_xy = -share * p.cxy, before_yy = share * (p.cxx - splat(R(kBlur)));
+  }
+  gxx += before_xx, gxy += before_xy, gyy += before_yy;
+  for (int j = 0; j < 3; ++j) {
+    d_factor[0][j] = gxx * p.factor[0][j] + gxy * p.factor[1][j];
+    d_factor[1][j] = gxy * p.factor[0][j] + gyy * p.factor[1][j];
+  }
+}
+
+inline ParameterGrads project_vjp(const Frame& f, const Projected& p, const ScreenGrads& g) {
+  ParameterGrads out;
+  const V inv_z = splat(1) / p.c[2], inv_det = splat(1) / p.det, fx = splat(R(f.fx)), fy = splat(R(f.fy));
+  out.opacity_logit = g.v * (splat(1) - p.opacity);
+  out.mean2d[0] = (p.cyy * g.vx - p.cxy * g.vy) * inv_det;  // Q (sum v d)
+  out.mean2d[1] = (p.cxx * g.vy - p.cxy * g.vx) * inv_det;
+
+  V d_factor[2][3], d_screen[2][3], d_rotation[3][3];
+  factor_vjp(f, p, g, d_factor);
+  for (int j = 0; j < 3; ++j) {
+    V d_scale = splat(0);
+    for (int i = 0; i < 3; ++i) {
+      const V d = p.to_screen[0][i] * d_factor[0][j] + p.to_screen[1][i] * d_factor[1][j];  // dL/d(R S)
+      d_scale = fma(d, p.rotation[i][j], d_scale);
+      d_rotation[i][j] = d * p.scale[j];
+    }
+    out.log_scale[j] = d_scale * p.scale[j];
+  }
+  for (int r = 0; r < 2; ++r)
+    for (int i = 0; i < 3; ++i) {
+      V d = splat(0);
+      for (int j = 0; j < 3; ++j) d = fma(d_factor[r][j] * p.scale[j], p.rotation[i][j], d);
+      d_screen[r][i] = d;
+    }
+  V d_quat[4], along = splat(0);
+  rotation_matrix_vjp(p.quat, d_rotation, d_quat);
+  for (int k = 0; k < 4; ++k) along = fma(d_quat[k], p.quat[k], along);
+  for (int k = 0; k < 4; ++k) out.quat[k] = (d_quat[k] - along * p.quat[k]) * p.inv_norm;
+
+  // P = (1/z) [fx (w0 - rx w2); fy (w1 - ry w2)], w = rows of the view rotation
+  V d_c[3] = {splat(0), splat(0), g.depth};
+  V radial = splat(0), d_rx = splat(0), d_ry = splat(0);
+  for (int i = 0; i < 3; ++i) {
+    radial = fma(d_screen[0][i], p.to_screen[0][i], fma(d_screen[1][i], p.to_screen[1][i], radial));
+    d_rx = fnma(d_screen[0][i], fx * inv_z * view(f, 2, i), d_rx);
+    d_ry = fnma(d_screen[1][i], fy * inv_z * view(f, 2, i), d_ry);
+  }
+  d_c[2] -= radial * inv_z;
+  d_rx *= p.free_x, d_ry *= p.free_y;
+  d_rx = fma(out.mean2d[0], fx, d_rx), d_ry = fma(out.mean2d[1], fy, d_ry);  // centre = (fx x/z + cx, fy y/z + cy)
+  d_c[0] = d_rx * inv_z, d_c[1] = d_ry * inv_z;
+  d_c[2] -= (d_rx * p.c[0] + d_ry * p.c[1]) * inv_z * inv_z;
+  for (int j = 0; j < 3; ++j) out.mean[j] = view(f, 0, j) * d_c[0] + view(f, 1, j) * d_c[1] + view(f, 2, j) * d_c[2];
+  return out;
+}

@@ -1,0 +1,102 @@
+// Stage 6: sums each visible Gaussian's slots in tile order and carries them back to its parameters.
+
+struct SlotSums {
+  R value[kSlotWidth];
+};
+
+inline SlotSums sum_slots(const Frame& f, const R* slots, uint32_t id) {
+  const SplatTiles& t = f.tiles[id];
+  SlotSums out = {};
+  for (uint32_t i = 0; i < t.tiles; ++i) {
+    if (!f.hits[t.slot + i]) continue;
+    const R* slot = slots + static_cast<int64_t>(t.slot + i) * kSlotWidth;
+    for (int k = 0; k < kSlotWidth; ++k) out.value[k] += slot[k];
+  }
+  return out;
+}
+
+// dL/dcolour of a batch, zero where the colour was clamped at 0 ...
+struct ColourGrads {
+  V rgb[3];
+};
+
+// ... to its SH coefficients (rows of (V, K, 3), bands above sh_degree zero) and, through the direction, to the mean.
+inline void sh_vjp(const Frame& f, const Batch& b, const uint32_t* ids, int n, const ColourGrads& g, R* sh_rows, V mean[3]) {
+  const Direction dir = direction(f, b.mean);
+  const int used = (f.sh_degree + 1) * (f.sh_degree + 1);
+  V basis[16], weight[16] = {};
+  sh_basis(f.sh_degree, dir.d, basis);
+  const R* sh = static_cast<const R*>(f.sh);
+  for (int i = 0; i < n; ++i) {
+    const R* row = sh + static_cast<int64_t>(ids[i]) * f.sh_coefficients * 3;
+    const R g0 = g.rgb[0][i], g1 = g.rgb[1][i], g2 = g.rgb[2][i];
+    for (int k = 0; k < used; ++k) weight[k][i] = row[3 * k] * g0 + row[3 * k + 1] * g1 + row[3 * k + 2] * g2;
+    if (!sh_rows) continue;
+    R* out = sh_rows + static_cast<int64_t>(i) * f.sh_coefficients * 3;
+    for (int k = 0; k < used; ++k) out[3 * k] = basis[k][i] * g0, out[3 * k + 1] = basis[k][i] * g1, out[3 * k + 2] = basis[k][i] * g2;
+    for (int k = 3 * used; k < 3 * f.sh_coefficients; ++k) out[k] = 0;
+  }
+  V d[3], along = splat(0);
+  sh_basis_vjp(f.sh_degree, dir.d, weight, d);
+  for (int k = 0; k < 3; ++k) along = fma(d[k], dir.d[k], along);
+  for (int k = 0; k < 3; ++k) mean[k] += (d[k] - along * dir.d[k]) * dir.inv_length;
+}
+
+inline void scatter(void* rows, int64_t first, int n, int width, const V* values) {
+  if (!rows) return;
+  R* out = static_cast<R*>(rows) + first * width;
+  for (int i = 0; i < n; ++i)
+    for (int k = 0; k < width; ++k) out[i * width + k] = values[k][i];
+}
+
+inline void gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads& out, const R* slots, int64_t first, int n) {
+  uint32_t ids[W];
+  V s[kSlotWidth];
+  ColourGrads colour;
+  for (int i = 0; i < W; ++i) {
+    ids[i] = f.visible[first + (i < n ? i : n - 1)];
+    const SlotSums sums = sum_slots(f, slots, ids[i]);
+    for (int k = 0; k < kSlotWidth; ++k) s[k][i] = sums.value[k];
+    const Splat<R>& splat = static_cast<const Splat<R>*>(f.splats)[ids[i]];
+    for (int c = 0; c < 3; ++c) colour.rgb[c][i] = splat.rgb[c] > 0 ? sums.value[kSlotRed + c] : R(0);
+  }
+  if (want.mask) scatter(out.masks, first, n, 1, &s[kSlotMask]);
+  if (!want.shape && !want.colour) return;
+  const Batch b = load_batch(f, ids);
+  ParameterGrads g = {};
+  if (want.shape)
+    g = project_vjp(f, project(f, b), {s[kV], s[kVx], s[kVy], s[kVxx], s[kVxy], s[kVyy], want.depth ? s[kSlotDepth] : splat(0)});
+  if (want.colour) {
+    R* rows = out.sh ? static_cast<R*>(out.sh) + first * f.sh_coefficients * 3 : nullptr;
+    sh_vjp(f, b, ids, n, colour, rows, g.mean);
+  } else if (out.sh) {
+    __builtin_memset(static_cast<R*>(out.sh) + first * f.sh_coefficients * 3, 0, sizeof(R) * n * f.sh_coefficients * 3);
+  }
+  scatter(out.means, first, n, 3, g.mean);
+  scatter(out.log_scales, first, n, 3, g.log_scale);
+  scatter(out.quats, first, n, 4, g.quat);
+  scatter(out.opacity_logits, first, n, 1, &g.opacity_logit);
+  scatter(out.means2d, first, n, 2, g.mean2d);
+}
+
+// Visible Gaussians [begin, end).
+void gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const void* slots, int64_t begin, int64_t end) {
+  const Wanted want = wanted(in, out);
+  for (int64_t i = begin; i < end; i += W)
+    gradient_batch(f, want, out, static_cast<const R*>(slots), i, static_cast<int>(std::min<int64_t>(W, end - i)));
+}
+
+void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* sum_out, float* max_out, int64_t* hits_out) {
+  for (int64_t i = begin; i < end; ++i) {
+    const uint32_t id = f.visible[i];
+    const SplatTiles& t = f.tiles[id];
+    if (f.masks && !f.masks[id]) continue;
+    for (uint32_t k = 0; k < t.tiles; ++k) {
+      if (!f.hits[t.slot + k]) continue;
+      const R* slot = static_cast<const R*>(slots) + static_cast<int64_t>(t.slot + k) * kSlotWidth;
+      if (sum_out) sum_out[id] += static_cast<double>(slot[0]);
+      if (max_out) max_out[id] = std::max(max_out[id], static_cast<float>(slot[1]));
+      if (hits_out) hits_out[id] += static_cast<int64_t>(slot[2]);
+    }
+  }
+}

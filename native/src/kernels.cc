@@ -1,0 +1,50 @@
+// Compiled once per SIMD level (native/Makefile): SVRGS_LEVEL and SVRGS_TABLE_NAME name it, SVRGS_LANES and SVRGS_REAL define its vectors.
+// Everything below lives in the level's own namespace; nothing here may use a standard container.
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <type_traits>
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
+#include "kernels.h"
+
+namespace svrgs::SVRGS_LEVEL {
+#include "simd.h"
+#include "gaussian.h"
+#include "sh.h"
+#include "ellipse.h"
+#include "project.h"
+#include "raster_forward.h"
+#include "images.h"
+#include "raster_backward.h"
+#include "gradients.h"
+#include "loss.h"
+#include "adam.h"
+
+int64_t loss_scratch(int width) { return 5 * padded_row(width); }
+
+void loss_pass(const LossArguments& a, int y, void* scratch, bool second_pass) {
+  const int64_t values = 3 * static_cast<int64_t>(a.height) * a.width;
+  R* maps = static_cast<R*>(a.maps);
+  const LossJob job = {static_cast<const R*>(a.image), static_cast<const R*>(a.target), a.height, a.width,
+                       static_cast<R>(a.l1_scale), static_cast<R>(a.ssim_scale), maps, maps + values, maps + 2 * values,
+                       static_cast<R*>(a.grad), a.row_l1, a.row_ssim};
+  (second_pass ? loss_grad_row : loss_row)(job, y, static_cast<R*>(scratch));
+}
+
+int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* m, void* v, const void* grad, const uint32_t* ids,
+                  int64_t begin, int64_t end, int width) {
+  return adam_rows(a, static_cast<R*>(param), static_cast<R*>(m), static_cast<R*>(v), static_cast<const R*>(grad), ids, begin, end, width);
+}
+}  // namespace svrgs::SVRGS_LEVEL
+
+namespace svrgs {
+namespace level = SVRGS_LEVEL;
+const Kernels SVRGS_TABLE_NAME = {
+    sizeof(level::R), sizeof(Splat<level::R>), level::project_range, level::fill_spans, level::forward_tile, level::write_tile,
+    level::backward_tile, level::gradients_range, level::scores_tile, level::scores_range, level::loss_scratch,
+    level::loss_pass, level::adam_pass};
+}

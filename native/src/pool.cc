@@ -1,0 +1,113 @@
+#include "pool.h"
+
+#include <atomic>
+#include <condition_variable>
+#include <memory>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+namespace svrgs {
+namespace {
+
+struct Job {
+  Task task;
+  void* argument;
+  int64_t count;
+  std::atomic<int64_t> next{0};
+  int working = 0;  // workers inside; guarded by the pool's mutex
+
+  void work() {
+    for (int64_t i; (i = next.fetch_add(1, std::memory_order_relaxed)) < count;) task(argument, i);
+  }
+};
+
+class Pool {
+ public:
+  explicit Pool(int size) {
+    for (int i = 1; i < size; ++i) workers_.emplace_back([this] { loop(); });
+  }
+
+  ~Pool() {
+    {
+      std::lock_guard lock(mutex_);
+      stop_ = true;
+    }
+    wake_.notify_all();
+    for (auto& worker : workers_) worker.join();
+  }
+
+  int size() const { return static_cast<int>(workers_.size()) + 1; }
+
+  void run(Job& job) {
+    if (workers_.empty() || job.count < 2) return job.work();
+    std::lock_guard one_at_a_time(submit_);
+    {
+      std::lock_guard lock(mutex_);
+      job_ = &job;
+      ++generation_;
+    }
+    wake_.notify_all();
+    job.work();
+    std::unique_lock lock(mutex_);
+    job_ = nullptr;
+    done_.wait(lock, [&] { return job.working == 0; });
+  }
+
+ private:
+  void loop() {
+    uint64_t seen = 0;
+    std::unique_lock lock(mutex_);
+    for (;;) {
+      wake_.wait(lock, [&] { return stop_ || (job_ && generation_ != seen); });
+      if (stop_) return;
+      seen = generation_;
+      Job* job = job_;
+      ++job->working;
+      lock.unlock();
+      job->work();
+      lock.lock();
+      if (--job->working == 0) done_.notify_all();
+    }
+  }
+
+  std::vector<std::thread> workers_;
+  std::mutex submit_, mutex_;
+  std::condition_variable wake_, done_;
+  Job* job_ = nullptr;
+  uint64_t generation_ = 0;
+  bool stop_ = false;
+};
+
+std::mutex pool_mutex;
+std::shared_ptr<Pool> pool;
+
+int core_count() {
+  const unsigned n = std::thread::hardware_concurrency();
+  return n ? static_cast<int>(n) : 1;
+}
+
+std::shared_ptr<Pool> current_pool() {
+  std::lock_guard lock(pool_mutex);
+  if (!pool) pool = std::make_shared<Pool>(core_count());
+  return pool;
+}
+
+}  // namespace
+
+void set_threads(int threads) {
+  const int wanted = threads > 0 ? threads : core_count();
+  if (current_pool()->size() == wanted) return;
+  auto fresh = std::make_shared<Pool>(wanted);
+  std::lock_guard lock(pool_mutex);
+  pool.swap(fresh);
+}
+
+int threads() { return current_pool()->size(); }
+
+void run_tasks(int64_t count, Task task, void* argument) {
+  Job job{task, argument, count};
+  current_pool()->run(job);
+}
+
+}  // namespace svrgs

@@ -1,0 +1,117 @@
+"""The PLY header, parsed without trust: every limit is checked before a byte of the body is touched."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+from ..errors import FormatError
+
+MAX_HEADER_BYTES = 64 * 1024
+MAX_HEADER_LINES = 1000
+
+ENCODINGS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}  # name: NumPy byte order
+TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "float32": "f4", "float64": "f8",
+}  # fmt: skip
+TYPE_NAMES = {code: name for name, code in reversed(TYPES.items())}  # NumPy code: the short name, as 3DGS writes it
+
+
+@dataclass
+class Element:
+    """One element of the header; properties in file order as (name, NumPy type code)."""
+
+    name: str
+    count: int
+    properties: list[tuple[str, str]] = field(default_factory=list)
+    list_property: str = ""  # the first list property; such an element has no fixed stride
+
+
+@dataclass(frozen=True)
+class Header:
+    """A parsed header; size counts its bytes, end_header line included."""
+
+    encoding: str
+    elements: tuple[Element, ...]
+    comments: tuple[str, ...]
+    size: int
+
+
+def parse_header(data: bytes) -> Header:
+    """Parse the first MAX_HEADER_BYTES of a file. Raises FormatError (without the file's name)."""
+    lines, size = _split_lines(data)
+    encodings, elements, comments = [], [], []
+    for line in lines:
+        keyword, _, rest = line.partition(" ")
+        if keyword == "comment":
+            comments.append(rest)
+        elif keyword == "format":
+            encodings.append(_parse_encoding(rest))
+        elif keyword == "element":
+            elements.append(_parse_element(rest.split(), elements))
+        elif keyword == "property":
+            _add_property(rest.split(), elements)
+        elif keyword != "obj_info":
+            raise FormatError(f"has a header line that is not understood: {line[:60]!r}")
+    if len(encodings) != 1:
+        raise FormatError("needs exactly one format line in its header")
+    return Header(encodings[0], tuple(elements), tuple(comments), size)
+
+
+def format_header(comments: list[str], count: int, properties: list[tuple[str, str]]) -> bytes:
+    """A binary-little-endian header with one vertex element; properties as (name, NumPy type code)."""
+    lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [f"comment {text}" for text in comments]
+    lines += [f"element vertex {count}"]
+    lines += [f"property {TYPE_NAMES[code]} {name}" for name, code in properties]
+    return "\n".join([*lines, "end_header", ""]).encode("ascii")
+
+
+def _split_lines(data: bytes) -> tuple[list[str], int]:
+    """The header lines between 'ply' and 'end_header', and the header's size in bytes."""
+    if not re.match(rb"ply\r?\n", data):
+        raise FormatError("is not a PLY file")
+    end = re.search(rb"\nend_header\r?\n", data[:MAX_HEADER_BYTES])
+    if end is None:
+        raise FormatError(f"has no end of header within {MAX_HEADER_BYTES // 1024} KiB; it is truncated or not a PLY file")
+    try:
+        lines = [line.rstrip("\r") for line in data[: end.start()].decode("ascii").split("\n")]
+    except UnicodeDecodeError as error:
+        raise FormatError(f"has a byte that is not ASCII at header position {error.start}") from None
+    if len(lines) > MAX_HEADER_LINES:
+        raise FormatError(f"has {len(lines)} header lines, more than the limit of {MAX_HEADER_LINES}")
+    return lines[1:], end.end()
+
+
+def _parse_encoding(text: str) -> str:
+    encoding, _, version = text.strip().partition(" ")
+    if encoding not in ENCODINGS or version.strip() != "1.0":
+        raise FormatError(f"has an unknown format: {text[:60]!r}")
+    return encoding
+
+
+def _parse_element(words: list[str], elements: list[Element]) -> Element:
+    if len(words) != 2 or not re.fullmatch(r"[0-9]{1,10}", words[1]):
+        raise FormatError(f"has an element line that is not a name and a count: {' '.join(words)[:60]!r}")
+    if any(element.name == words[0] for element in elements):
+        raise FormatError(f"declares the element {words[0]} twice")
+    return Element(words[0], int(words[1]))
+
+
+def _add_property(words: list[str], elements: list[Element]) -> None:
+    """Append a property to the last element."""
+    if not elements:
+        raise FormatError("declares a property before any element")
+    element = elements[-1]
+    is_list = words[:1] == ["list"]
+    *types, name = words[is_list:] or [""]
+    if len(types) != 1 + is_list or any(word not in TYPES for word in types):
+        raise FormatError(f"has a property line that is not understood: {' '.join(words)[:60]!r}")
+    if name == element.list_property or any(name == other for other, _ in element.properties):
+        raise FormatError(f"declares the property {name} of {element.name} twice")
+    if is_list:
+        element.list_property = element.list_property or name
+    else:
+        element.properties.append((name, TYPES[types[0]]))

@@ -1,0 +1,258 @@
+"""The only importer of the native library: checks dtype, shape, contiguity and size of every argument, then calls it.
+
+`native/include/svrgs.h` is the manual; names, shapes and units here are the same.
+"""
+
+from __future__ import annotations
+
+import ctypes as c
+import functools
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from .camera import Camera
+from .errors import Cancelled, NativeError
+
+INTERFACE_VERSION = 1
+LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
+MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4}
+IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
+COUNTS = ("hits", "kept")
+GRADS = ("means", "log_scales", "quats", "opacity_logits", "sh", "masks", "means2d")
+_LIBRARY = {"win32": "svrgs.dll", "darwin": "libsvrgs.dylib"}.get(sys.platform, "libsvrgs.so")
+_CANCELLED, _TOO_LARGE = 3, 4
+
+_real = c.c_void_p
+
+
+def _struct(name: str, **fields):
+    return type(name, (c.Structure,), {"_fields_": list(fields.items())})
+
+
+_Scene = _struct("_Scene", count=c.c_int64, sh_coefficients=c.c_int32, means=_real, log_scales=_real, quats=_real,
+                 opacity_logits=_real, sh=_real, masks=c.c_void_p)
+_Camera = _struct("_Camera", viewmat=c.c_double * 16, fx=c.c_double, fy=c.c_double, cx=c.c_double, cy=c.c_double,
+                  width=c.c_int32, height=c.c_int32, background=c.c_double * 3)
+_Options = _struct("_Options", sh_degree=c.c_int32, antialiased=c.c_int32, full=c.c_int32, mask_kind=c.c_int32,
+                   mask_to_shape=c.c_int32, eps_a=c.c_double, max_pairs=c.c_int64, cancel=c.c_void_p)
+_Images = _struct("_Images", rgb=_real, depth=_real, alpha=_real, mask=_real, hits=_real, kept=_real, transmittance=_real)
+_ImageGrads = _struct("_ImageGrads", rgb=_real, depth=_real, alpha=_real, mask=_real)
+_Grads = _struct("_Grads", **{name: _real for name in GRADS})
+_Adam = _struct("_Adam", **{name: c.c_double for name in ("lr", "beta1", "beta2", "eps", "bias1", "bias2")})
+
+
+@functools.cache
+def _library() -> c.CDLL:
+    path = Path(__file__).with_name(_LIBRARY)
+    if not path.exists():
+        raise NativeError(f"the native library {path} is missing: build it with 'make setup', or install the extension's wheel")
+    library = c.CDLL(str(path))
+    library.svrgs_last_error.restype = c.c_char_p
+    if library.svrgs_interface_version() != INTERFACE_VERSION:
+        raise NativeError(f"{path} has interface version {library.svrgs_interface_version()}, this code needs {INTERFACE_VERSION}: rebuild it with 'make setup'")
+    return library
+
+
+def _call(name: str, *arguments):
+    library = _library()
+    status = getattr(library, name)(*arguments)
+    if status == _CANCELLED:
+        raise Cancelled
+    if status:
+        raise NativeError(library.svrgs_last_error().decode())
+
+
+def _check(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
+    """Address of `array`, or TypeError if it is not exactly what the library will read or write."""
+    if not isinstance(array, np.ndarray) or array.dtype != dtype or array.shape != shape or not array.flags.c_contiguous:
+        found = f"{array.dtype}{array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise TypeError(f"{name} is {found}; expected C-contiguous {np.dtype(dtype).name}{shape}")
+    return array.ctypes.data
+
+
+def _check_out(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
+    address = _check(array, name, shape, dtype)
+    if not array.flags.writeable:
+        raise TypeError(f"{name} is read-only")
+    return address
+
+
+def best_level() -> str:
+    """Name of the fastest SIMD level this processor runs."""
+    return list(LEVELS)[_library().svrgs_best_level()]
+
+
+def supported_levels() -> list[str]:
+    """Names of every level this processor runs, 'float64' among them."""
+    return [name for name, code in LEVELS.items() if _library().svrgs_level_supported(code)]
+
+
+def set_threads(count: int):
+    """Size of the thread pool; 0: one per core. Results do not depend on it."""
+    _library().svrgs_set_threads(c.c_int32(count))
+
+
+def threads() -> int:
+    return _library().svrgs_threads()
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """What one forward pass computes; see svrgs.h for each."""
+
+    sh_degree: int = 3  # lowered to what the scene stores
+    antialiased: bool = False
+    full: bool = True  # F walks each ray to its end
+    mask_kind: str = "none"  # one of MASK_KINDS
+    mask_to_shape: bool = False
+    eps_a: float = 1e-3
+    max_pairs: int = 0
+    background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
+
+
+class Rasterizer:
+    """One renderer with its buffers; use from one thread at a time.
+
+    level: a name from LEVELS (default: the best). `dtype` is float64 for 'float64', else float32; every `real` array in
+    and out has it. `cancel[0] = 1` from any thread stops the running call, which then raises Cancelled.
+    """
+
+    def __init__(self, level: str | None = None):
+        self.level = level or best_level()
+        if self.level not in LEVELS:
+            raise ValueError(f"level {level!r} is unknown; one of {', '.join(LEVELS)}")
+        self.dtype = np.dtype(np.float64 if self.level == "float64" else np.float32)
+        self.cancel = np.zeros(1, np.int32)
+        self._context = c.c_void_p()
+        self._view = None  # arrays the library still reads: kept alive until the next forward
+        self._shape = (0, 0, 0)  # H, W, K of the last view
+        self._buffers: dict[str, np.ndarray] = {}
+        _call("svrgs_context_create", c.c_int32(LEVELS[self.level]), c.byref(self._context))
+
+    def __del__(self):
+        if getattr(self, "_context", None):
+            _library().svrgs_context_destroy(self._context)
+            self._context = None
+
+    def forward(self, scene, camera: Camera, options: RenderOptions = RenderOptions(), masks=None, outputs=("rgb",)) -> dict:
+        """Renders one view (paper Eq. 1-2 and 5).
+
+        scene: anything with the arrays of Scene, in self.dtype; masks: (N,) uint8 of 0 and 1, or None for all 1;
+        outputs: names from IMAGES and COUNTS. Returns {name: (H, W) or (H, W, 3) array}; rgb is not clamped.
+        """
+        arrays = self._scene(scene, masks)
+        images, pointers = self._images(camera, outputs)
+        degree = min(options.sh_degree, int(arrays.sh_coefficients**0.5) - 1)
+        native = _Options(degree, options.antialiased, options.full, MASK_KINDS[options.mask_kind], options.mask_to_shape,
+                          options.eps_a, options.max_pairs, self.cancel.ctypes.data)
+        self._view = (scene, masks)
+        self._shape = (camera.height, camera.width, arrays.sh_coefficients)
+        _call("svrgs_forward", self._context, c.byref(arrays), c.byref(_camera(camera, options.background)), c.byref(native), c.byref(pointers))
+        return images
+
+    def visible(self) -> np.ndarray:
+        """Ids of the Gaussians of the last view that can touch a pixel, (V,) uint32, ascending; valid until the next forward."""
+        ids, count = c.POINTER(c.c_uint32)(), c.c_int64()
+        _call("svrgs_visible", self._context, c.byref(ids), c.byref(count))
+        return np.ctypeslib.as_array(ids, (count.value,)) if count.value else np.empty(0, np.uint32)
+
+    def pairs(self) -> int:
+        """(Gaussian, tile) pairs of the last view."""
+        pairs = c.c_int64()
+        _call("svrgs_pairs", self._context, c.byref(pairs))
+        return pairs.value
+
+    def backward(self, image_grads: dict, wanted=GRADS) -> dict:
+        """Gradients of the last view, one row per visible Gaussian (see visible()).
+
+        image_grads: {'rgb' | 'depth' | 'alpha' | 'mask': dL/dimage}; wanted: names from GRADS, the others are not computed.
+        Returns {name: (V, ...)}, valid until the next backward.
+        """
+        height, width, coefficients = self._shape
+        grads_in = _ImageGrads(**{name: _check(g, f"d{name}", _image_shape(name, height, width), self.dtype) for name, g in image_grads.items()})
+        count = len(self.visible())
+        widths = {"means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3), "means2d": (2,)}
+        grads = {name: self._buffer(name, (count, *widths.get(name, ()))) for name in wanted}
+        grads_out = _Grads(**{name: g.ctypes.data for name, g in grads.items()})
+        _call("svrgs_backward", self._context, c.byref(grads_in), c.byref(grads_out))
+        return grads
+
+    def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray):
+        """Adds the last view to per-Gaussian statistics (N,): sum of alpha T float64, max alpha T float32, pixels int64."""
+        n = (self._view[0].means.shape[0],)
+        _call("svrgs_scores", self._context, c.c_void_p(_check_out(sum_, "sum", n, np.float64)),
+              c.c_void_p(_check_out(max_, "max", n, np.float32)), c.c_void_p(_check_out(hits, "hits", n, np.int64)))
+
+    def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
+        """(mean |image - target|, SSIM, dL/dimage or None) of (H, W, 3) images; L = l1_weight L1 + ssim_weight (1 - SSIM)."""
+        shape = image.shape
+        grad = self._buffer("loss", shape) if want_grad else None
+        values = (c.c_double * 2)()
+        _call("svrgs_loss", self._context, c.c_void_p(_check(image, "image", (*shape[:2], 3), self.dtype)),
+              c.c_void_p(_check(target, "target", shape, self.dtype)), c.c_int32(shape[0]), c.c_int32(shape[1]), c.c_double(l1_weight),
+              c.c_double(ssim_weight), c.c_void_p(grad.ctypes.data if want_grad else None), values)
+        return values[0], values[1], grad
+
+    def adam(self, param, m, v, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
+        """One Adam step on rows `ids` (uint32, or None: all) of param, m, v (N, ...), given grad (rows, ...).
+
+        step counts from 1 (bias correction). Returns the number of rows skipped because their gradient was not finite.
+        """
+        width = int(np.prod(param.shape[1:], dtype=np.int64))
+        rows = len(param) if ids is None else len(ids)
+        settings = _Adam(lr, *betas, eps, 1 - betas[0] ** step, 1 - betas[1] ** step)
+        bad = c.c_int64()
+        addresses = [_check_out(a, name, param.shape, self.dtype) for name, a in (("param", param), ("m", m), ("v", v))]
+        addresses.append(_check(grad, "grad", (rows, *param.shape[1:]), self.dtype))
+        addresses.append(_check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
+        _call("svrgs_adam", c.c_int32(LEVELS[self.level]), c.byref(settings), *map(c.c_void_p, addresses), c.c_int64(rows), c.c_int32(width), c.byref(bad))
+        return bad.value
+
+    def _scene(self, scene, masks):
+        n, k = scene.means.shape[0], scene.sh.shape[1]
+        shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3)}
+        pointers = {name: _check(getattr(scene, name), name, shape, self.dtype) for name, shape in shapes.items()}
+        if masks is not None:
+            pointers["masks"] = _check(masks, "masks", (n,), np.uint8)
+        return _Scene(count=n, sh_coefficients=k, **pointers)
+
+    def _images(self, camera: Camera, outputs):
+        images = {}
+        for name in outputs:
+            dtype = np.int32 if name in COUNTS else self.dtype
+            images[name] = np.empty(_image_shape(name, camera.height, camera.width), dtype)
+        return images, _Images(**{name: image.ctypes.data for name, image in images.items()})
+
+    def _buffer(self, name: str, shape: tuple) -> np.ndarray:
+        """A view of a grow-only buffer: large gradients are not allocated anew at every step."""
+        size = int(np.prod(shape, dtype=np.int64))
+        if name not in self._buffers or self._buffers[name].size < size:
+            self._buffers[name] = np.empty(size + size // 4, self.dtype)
+        return self._buffers[name][:size].reshape(shape)
+
+
+def _image_shape(name: str, height: int, width: int) -> tuple:
+    if name not in IMAGES and name not in COUNTS:
+        raise ValueError(f"output {name!r} is unknown; one of {', '.join((*IMAGES, *COUNTS))}")
+    return (height, width, 3) if IMAGES.get(name) else (height, width)
+
+
+def _camera(camera: Camera, background) -> _Camera:
+    K = camera.K
+    return _Camera((c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()), K[0, 0], K[1, 1], K[0, 2], K[1, 2],
+                   camera.width, camera.height, (c.c_double * 3)(*background))
+
+
+def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, np.ndarray]:
+    """Draws every Gaussian's existence from its logit (N,) float32, keyed by (seed, step, index): (masks uint8, slopes float32).
+
+    slope = dM/dlogit by the straight-through rule, sigma(d + l)(1 - sigma(d + l)) (MaskGaussian, one-logit form).
+    """
+    n = logits.shape
+    masks, slope = np.empty(n, np.uint8), np.empty(n, np.float32)
+    _call("svrgs_sample_masks", c.c_void_p(_check(logits, "logits", (*n,), np.float32)), c.c_int64(len(logits)), c.c_uint64(seed),
+          c.c_uint64(step), c.c_void_p(masks.ctypes.data), c.c_void_p(slope.ctypes.data))
+    return masks, slope

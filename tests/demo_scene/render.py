@@ -1,0 +1,86 @@
+"""Renders the views with Cycles on the CPU, the same bytes every time."""
+
+import time
+from pathlib import Path
+
+import _cycles
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from .views import Intrinsics, Pose
+
+
+def render_views(
+    scene: bpy.types.Scene, camera: Intrinsics, poses: list[Pose], folder: Path, samples: int
+) -> np.ndarray:
+    """Write one PNG a pose into `folder`. Returns the images, (V, H, W, 3) uint8 sRGB."""
+    _configure_cycles(scene, samples)
+    _configure_output(scene, camera)
+    eye = _add_camera(scene, camera)
+    start = time.monotonic()
+    images = []
+    for index, pose in enumerate(poses):
+        eye.matrix_world = Matrix(np.linalg.inv(pose.world_to_camera) @ np.diag([1, -1, -1, 1]))
+        scene.cycles.seed = index  # else every view carries the same noise
+        scene.render.filepath = str(folder / pose.name)
+        bpy.ops.render.render(write_still=True)
+        images.append(_read_png(folder / pose.name))
+    print(f"{len(poses)} views rendered in {time.monotonic() - start:.1f} s")
+    return np.stack(images)
+
+
+def _configure_cycles(scene: bpy.types.Scene, samples: int) -> None:
+    scene.render.engine = "CYCLES"
+    scene.render.use_persistent_data = True
+    cycles = scene.cycles
+    cycles.device = "CPU"
+    cycles.samples = samples
+    cycles.use_adaptive_sampling = False
+    cycles.use_light_tree = False  # there are two lamps to choose from
+    cycles.use_denoising = _cycles.with_openimagedenoise  # some distributions' Blenders lack it
+    cycles.denoising_prefilter = "FAST"
+    cycles.max_bounces = 3
+    cycles.diffuse_bounces = 2
+    cycles.glossy_bounces = 2
+    cycles.use_fast_gi = True  # after one bounce, occlusion stands in for the rest
+    cycles.ao_bounces_render = 1
+    cycles.sample_clamp_indirect = 4.0
+    cycles.caustics_reflective = cycles.caustics_refractive = False
+
+
+def _configure_output(scene: bpy.types.Scene, camera: Intrinsics) -> None:
+    render = scene.render
+    render.resolution_x, render.resolution_y = camera.width, camera.height
+    render.resolution_percentage = 100
+    render.dither_intensity = 0
+    render.image_settings.file_format = "PNG"
+    render.image_settings.color_mode = "RGB"
+    render.image_settings.color_depth = "8"
+    scene.display_settings.display_device = "sRGB"
+    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.look = "None"
+    for name in render.bl_rna.properties.keys():
+        if name.startswith("use_stamp"):  # dates and render times in the file's header
+            setattr(render, name, False)
+
+
+def _add_camera(scene: bpy.types.Scene, camera: Intrinsics) -> bpy.types.Object:
+    data = bpy.data.cameras.new("camera")
+    data.sensor_fit = "HORIZONTAL"
+    data.lens = camera.focal * data.sensor_width / camera.width
+    data.clip_end = 1000
+    scene.camera = bpy.data.objects.new("camera", data)
+    scene.collection.objects.link(scene.camera)
+    return scene.camera
+
+
+def _read_png(path: Path) -> np.ndarray:
+    """(H, W, 3) uint8, first row on top."""
+    image = bpy.data.images.load(str(path))
+    width, height = image.size
+    flat = np.empty(width * height * 4, dtype=np.float32)
+    image.pixels.foreach_get(flat)
+    bpy.data.images.remove(image)
+    rgb = flat.reshape(height, width, 4)[::-1, :, :3]
+    return np.rint(rgb * 255).astype(np.uint8)

@@ -1,0 +1,1 @@
+"""The definition of truth: float64, dense, differentiable by autograd, readable beside the paper."""

@@ -1,0 +1,144 @@
+"""The generated demo dataset: cached, reproducible, and its geometry fits its pictures."""
+
+import hashlib
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+GENERATOR = Path(__file__).parent / "demo_scene"
+TINY = ("--views", "5", "--width", "96", "--samples", "4", "--points", "600")
+
+
+def generate(out: Path, *options: str) -> subprocess.CompletedProcess:
+    """Run the generator in its own process, so that Blender never enters this one."""
+    return subprocess.run(
+        [sys.executable, str(GENERATOR), str(out), *options],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory) -> Path:
+    if importlib.util.find_spec("bpy") is None:
+        pytest.skip("bpy is not installed")
+    probe = subprocess.run([sys.executable, "-c", "import bpy"], capture_output=True, text=True)
+    if probe.returncode:
+        pytest.skip(f"bpy cannot be imported: {probe.stderr.strip().splitlines()[-1:]}")
+    out = tmp_path_factory.mktemp("demo") / "scene"
+    done = generate(out, *TINY)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+@pytest.fixture(scope="module")
+def model(dataset):
+    pycolmap = pytest.importorskip("pycolmap")
+    return pycolmap.Reconstruction(str(dataset / "sparse" / "0"))
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(f.relative_to(folder)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
+
+
+def pictures(dataset: Path, model) -> dict[int, np.ndarray]:
+    """Image id to (H, W, 3) float32 in 0..255."""
+    oiio = pytest.importorskip("OpenImageIO")
+    found = {}
+    for image_id, image in model.images.items():
+        buffer = oiio.ImageBuf(str(dataset / "images" / image.name))
+        found[image_id] = buffer.get_pixels(oiio.FLOAT)[..., :3] * 255
+    return found
+
+
+def project(model, image, xyz: np.ndarray) -> np.ndarray:
+    """World points (N, 3) to pixels (N, 2), all of it pycolmap's own arithmetic."""
+    xyz_c = image.cam_from_world() * xyz
+    return model.cameras[image.camera_id].img_from_cam(xyz_c)
+
+
+def test_same_request_gives_same_bytes(dataset, tmp_path):
+    again = tmp_path / "again"
+    assert generate(again, *TINY).returncode == 0
+    assert hashes(again) == hashes(dataset)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["again"], "leftovers beside it"
+
+
+def test_current_dataset_is_left_alone(dataset):
+    before = {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
+    done = generate(dataset, *TINY)
+    assert done.returncode == 0 and "up to date" in done.stdout
+    assert {path: path.stat().st_mtime_ns for path in dataset.rglob("*")} == before
+
+
+def test_foreign_folder_is_refused(tmp_path):
+    keepsake = tmp_path / "mine" / "photo.txt"
+    keepsake.parent.mkdir()
+    keepsake.write_text("mine")
+    done = generate(keepsake.parent, *TINY)
+    assert done.returncode == 2 and "left untouched" in done.stderr
+    assert keepsake.read_text() == "mine"
+
+
+def test_model_is_a_plain_pinhole_dataset(dataset, model):
+    assert len(model.images) == 5 and len(model.points3D) > 300
+    camera = next(iter(model.cameras.values()))
+    assert camera.model_name == "PINHOLE" and (camera.width, camera.height) == (96, 72)
+    assert np.allclose(camera.params, [86.4, 86.4, 48, 36])
+    assert sorted(image.name for image in model.images.values()) == sorted(
+        path.name for path in (dataset / "images").iterdir()
+    )
+
+
+def test_keypoints_are_the_projections_of_their_points(model):
+    for image in model.images.values():
+        seen = [p for p in image.points2D if p.has_point3D()]
+        xyz = np.array([model.points3D[p.point3D_id].xyz for p in seen])
+        xy = np.array([p.xy for p in seen])
+        assert np.abs(project(model, image, xyz) - xy).max() < 1e-6
+
+
+def test_points_have_the_colours_of_the_pixels_they_fall_on(dataset, model):
+    """Also in views other than the one that lent the colour; not so if the cameras were off."""
+    images = pictures(dataset, model)
+
+    def colour_error(shift: tuple[float, float]) -> float:
+        errors = []
+        for image_id, image in model.images.items():
+            picture = images[image_id]
+            for keypoint in image.points2D:
+                col, row = np.floor(keypoint.xy + shift).astype(int)
+                if 0 <= row < picture.shape[0] and 0 <= col < picture.shape[1]:
+                    point = model.points3D[keypoint.point3D_id]
+                    errors.append(np.abs(picture[row, col] - point.color).mean())
+        return float(np.mean(errors))
+
+    straight = colour_error((0, 0))
+    shifted = [colour_error(s) for s in ((2, 0), (-2, 0), (0, 2), (0, -2))]
+    assert straight < 12, straight
+    assert straight < 0.6 * min(shifted), (straight, shifted)
+
+
+def test_marker_shows_where_its_centre_projects(dataset, model):
+    marker = json.loads((dataset / "demo_scene.json").read_text())["marker"]
+    checked = 0
+    for image_id, picture in pictures(dataset, model).items():
+        # How magenta: 1 on the marker, in between on its rim, about 0 elsewhere.
+        weight = np.clip((np.minimum(picture[..., 0], picture[..., 2]) - picture[..., 1]) / 255, 0, 1)
+        weight[weight < 0.3] = 0
+        centre = project(model, model.images[image_id], np.array([marker["centre"]]))[0]
+        inside = np.all((centre > 6) & (centre < (90, 66)))
+        if not inside or weight.sum() < 8:  # cut by the border, or hidden
+            continue
+        rows, cols = np.nonzero(weight)
+        found = np.average(np.stack([cols, rows], 1) + 0.5, axis=0, weights=weight[rows, cols])
+        assert np.abs(found - centre).max() < 0.35, (image_id, found, centre)
+        checked += 1
+    assert checked >= 2
