@@ -57,7 +57,7 @@ def check_writable(path: str | os.PathLike, needed_bytes: int = 0) -> None:
     target = Path(os.path.realpath(path))
     _check_target(path, target)
     folder = next(parent for parent in target.parents if os.path.lexists(parent))
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise SceneError(f"{path}: cannot be written because {folder} is not a folder")
     try:
         _create_beside(folder / target.name).unlink()
@@ -70,7 +70,7 @@ def check_writable(path: str | os.PathLike, needed_bytes: int = 0) -> None:
 
 def _check_target(path: str | os.PathLike, target: Path) -> None:
     """Refuse a folder, a write-protected file, and a name the file system cannot hold."""
-    if target.is_dir():
+    if os.path.isdir(target):
         raise SceneError(f"{path}: is a folder, not a file")
     try:
         target.lstat()

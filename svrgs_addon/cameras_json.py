@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from .camera import Camera
-from .colmap import MAX_SIDE, check_name
+from .colmap import check_name
 from .errors import FormatError
+from .images import MAX_SIDE
 
 MAX_BYTES = 64 * 2**20
 MAX_SKEW = 1e-3  # by which a rotation may miss being one

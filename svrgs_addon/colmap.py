@@ -1,14 +1,18 @@
 """COLMAP sparse models through pycolmap: finding, checking, reading, and turning every camera into a pinhole.
 
 pycolmap is imported inside functions only. It trusts the counts in binary files (a cut points3D.bin makes it loop for
-ever), so these are held against the bytes that exist before it sees them.
+ever), so these are held against the bytes that exist before it sees them; and it sees no file but those three, since
+poses stand in `images` and rigs and frames add nothing a pinhole view needs.
 """
 
 from __future__ import annotations
 
 import copy
 import functools
+import os
+import shutil
 import struct
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -19,13 +23,13 @@ import numpy as np
 
 from .camera import Camera
 from .errors import FormatError, SceneError
+from .images import MAX_SIDE
 
 if TYPE_CHECKING:
     import pycolmap
 
 MODEL_FILES = ("cameras", "images", "points3D")
 MODEL_FOLDERS = (".", "sparse/0", "0", "sparse")  # below the folder given
-MAX_SIDE = 16_384
 ROUNDING_PX = 1.0  # by which a scaled photograph's sides may miss the exact ratio
 
 
@@ -52,27 +56,30 @@ def find_model(folder: Path) -> Path:
     for below in MODEL_FOLDERS:
         if _has_files(folder / below, ".bin") or _has_files(folder / below, ".txt"):
             return folder / below
-    raise SceneError(f"{folder}: holds no COLMAP model (cameras, images and points3D as .bin or .txt, here or in sparse/0)")
+    raise SceneError(
+        f"{folder}: holds no COLMAP model (cameras, images and points3D as .bin or .txt, here or in sparse/0)"
+    )
 
 
 def read_model(folder: Path) -> Model:
-    """Read the model in `folder`, binary or text; rigs and frames are left to pycolmap. Raises FormatError."""
+    """Read the model in `folder`, binary if it is there, else text. Raises FormatError."""
     library = import_pycolmap()
-    if _has_files(folder, ".bin"):  # which pycolmap prefers to text, too
-        for name, skip in (("cameras", _skip_camera), ("images", _skip_image), ("points3D", _skip_point)):
-            _check_records(folder / f"{name}.bin", skip)
+    suffix = ".bin" if _has_files(folder, ".bin") else ".txt"
     try:
-        reconstruction = library.Reconstruction(folder)
+        if suffix == ".bin":
+            for name, skip in zip(MODEL_FILES, (_skip_camera, _skip_image, _skip_point), strict=True):
+                _check_records(folder / f"{name}.bin", skip)
+        with tempfile.TemporaryDirectory() as alone:
+            for name in MODEL_FILES:
+                _lend(folder / f"{name}{suffix}", Path(alone))
+            return _convert(library.Reconstruction(alone))
+    except FormatError as error:
+        raise FormatError(f"{folder}: {error}") from None
+    except OSError as error:
+        raise FormatError(f"{folder}: cannot be read ({error.strerror or error})") from error
     except (ValueError, LookupError, RuntimeError, MemoryError) as error:
         reason = str(error).partition("\n")[0].rpartition("] ")[2]  # without pycolmap's source line
         raise FormatError(f"{folder}: is not a COLMAP model that can be read ({reason})") from error
-    images = sorted((i for i in reconstruction.images.values() if i.has_pose), key=lambda image: image.name)
-    points = [point for _, point in sorted(reconstruction.points3D.items())]
-    return Model(
-        views=[_view(image, folder) for image in images],
-        points=np.array([point.xyz for point in points], np.float32).reshape(-1, 3),
-        point_colors=np.array([point.color for point in points], np.uint8).reshape(-1, 3),
-    )
 
 
 def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolmap.Camera | None]:
@@ -119,14 +126,35 @@ def import_pycolmap() -> ModuleType:
 
 
 def _has_files(folder: Path, suffix: str) -> bool:
-    return all((folder / f"{name}{suffix}").is_file() for name in MODEL_FILES)
+    return all(os.path.isfile(folder / f"{name}{suffix}") for name in MODEL_FILES)
 
 
-def _view(image: pycolmap.Image, folder: Path) -> View:
+def _lend(file: Path, folder: Path) -> None:
+    """Make the file appear in the folder: by a link, or by a copy where links are not allowed."""
     try:
-        check_name(image.name)
-    except FormatError as error:
-        raise FormatError(f"{folder}: {error}") from None
+        os.symlink(os.path.abspath(file), folder / file.name)
+    except OSError:
+        shutil.copyfile(file, folder / file.name)
+
+
+def _convert(reconstruction: pycolmap.Reconstruction) -> Model:
+    images = [image for image in reconstruction.images.values() if image.has_pose]
+    points = [point for _, point in sorted(reconstruction.points3D.items())]
+    positions = np.array([point.xyz for point in points], np.float64).reshape(-1, 3)
+    if not (np.abs(positions) < np.finfo(np.float32).max).all():
+        raise FormatError("has a 3-D point that is not at a finite place")
+    return Model(
+        views=[_view(image) for image in sorted(images, key=lambda image: image.name)],
+        points=positions.astype(np.float32),
+        point_colors=np.array([point.color for point in points], np.uint8).reshape(-1, 3),
+    )
+
+
+def _view(image: pycolmap.Image) -> View:
+    check_name(image.name)
+    width, height = image.camera.width, image.camera.height
+    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):  # undistorting walks along the border
+        raise FormatError(f"the camera of {image.name} is {width} x {height}; the limit is {MAX_SIDE} a side")
     viewmat = np.eye(4)
     viewmat[:3] = image.cam_from_world().matrix()
     return View(image.name, viewmat, copy.copy(image.camera))
@@ -144,40 +172,38 @@ def _undistort_camera(
 
 
 def _checked(camera: Camera) -> Camera:
-    """Refuse what no image could be drawn with: broken numbers, a focal length of zero, absurd sizes."""
+    """Refuse what no image could be drawn with."""
     finite = np.isfinite(camera.K).all() and np.isfinite(camera.viewmat).all()
     if not (finite and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
         raise SceneError(f"{camera.name}: its camera has a focal length or pose that is not usable")
-    if not (0 < camera.width <= MAX_SIDE and 0 < camera.height <= MAX_SIDE):
-        raise SceneError(f"{camera.name}: its camera is {camera.width} x {camera.height}; the limit is {MAX_SIDE} a side")
     return camera
 
 
 def _check_aspect(view: View, width: int, height: int) -> None:
-    """Both sides must be the camera's at one scale, up to rounding; else photograph and model do not belong together."""
-    x, y = view.camera.width, view.camera.height
-    if not x or not y or max((width - ROUNDING_PX) / x, (height - ROUNDING_PX) / y) > min(
-        (width + ROUNDING_PX) / x, (height + ROUNDING_PX) / y
-    ):
-        raise SceneError(f"{view.name}: the photograph is {width} x {height}, which is no scaled copy of its camera's {x} x {y}")
+    """Both sides must be the camera's at one scale, up to rounding; else the photograph is not this model's."""
+    sides = ((width, view.camera.width), (height, view.camera.height))
+    smallest = max((side - ROUNDING_PX) / full for side, full in sides)
+    largest = min((side + ROUNDING_PX) / full for side, full in sides)
+    if smallest > largest:
+        raise SceneError(
+            f"{view.name}: the photograph is {width} x {height}, "
+            f"which is no scaled copy of its camera's {view.camera.width} x {view.camera.height}"
+        )
 
 
 def _check_records(path: Path, skip: Callable[[bytes, int], int]) -> None:
     """Walk over the records a binary file announces. Raises FormatError where they outrun its bytes."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+    data = path.read_bytes()
     try:
         (count,) = struct.unpack_from("<Q", data)
         position = 8
         for _ in range(count):
             position = skip(data, position)
         whole = position <= len(data)
-    except (struct.error, ValueError):
+    except (struct.error, ValueError, OverflowError):
         whole = False
     if not whole:
-        raise FormatError(f"{path}: is truncated or not a COLMAP model")
+        raise FormatError(f"{path.name} is truncated or not a COLMAP file")
 
 
 def _skip_camera(data: bytes, start: int) -> int:

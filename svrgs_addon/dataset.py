@@ -61,7 +61,7 @@ class Dataset:
 
     @property
     def extent(self) -> float:
-        """1.1 times the largest distance of a training camera from their mean, world units (all cameras if none train)."""
+        """1.1 times the largest distance of a training camera from their mean, world units; of all if none trains."""
         centres = np.array([self.cameras[i].position for i in self.train_indices or range(len(self.cameras))])
         return float(EXTENT_MARGIN * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
 
@@ -147,14 +147,14 @@ def _image_folder(folder: Path, location: Path, images: str) -> Path:
     here = Path(os.path.abspath(folder))
     above = here.parents[:2] if folder == location or here.name == "sparse" else ()
     for candidate in [*(base / images for base in (here, *above)), Path(images)]:
-        if candidate.is_dir():
+        if os.path.isdir(candidate):
             return candidate
     raise SceneError(f"{folder}: has no image folder {images}")
 
 
 def _fit_photos(views: list[View], folder: Path) -> tuple[list[Camera], list[Photo]]:
     """A pinhole camera of the photograph's size for every view, and where its photograph is."""
-    missing = [view.name for view in views if not (folder / view.name).is_file()]
+    missing = [view.name for view in views if not os.path.isfile(folder / view.name)]
     if missing:
         shown = ", ".join(missing[:MISSING_SHOWN]) + (", ..." if len(missing) > MISSING_SHOWN else "")
         raise SceneError(f"{folder}: {len(missing)} of {len(views)} photographs are missing: {shown}")

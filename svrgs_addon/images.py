@@ -87,7 +87,7 @@ def write_image(path: str | os.PathLike, pixels: np.ndarray) -> None:
         pixels = to_float(np.asarray(pixels, np.uint8 if pixels.dtype == np.uint8 else np.float32))
         pixels = srgb_to_linear(pixels) if pixels.ndim == 3 else pixels
     with atomic_path(path) as temporary:
-        _write(temporary, path, np.ascontiguousarray(pixels))
+        _write(temporary, path, pixels)
 
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
@@ -174,6 +174,7 @@ def _turn(image: np.ndarray, orientation: int) -> np.ndarray:
 def _write(temporary: os.PathLike, path: str | os.PathLike, pixels: np.ndarray) -> None:
     oiio = _library()
     height, width, channels = (*pixels.shape, 1)[:3]
+    pixels = np.ascontiguousarray(pixels).reshape(height, width, channels)  # of two axes it would make channels
     spec = oiio.ImageSpec(width, height, channels, "uint8" if pixels.dtype == np.uint8 else "float")
     output = oiio.ImageOutput.create(os.fspath(temporary))
     good = output is not None and output.open(os.fspath(temporary), spec) and output.write_image(pixels)

@@ -41,7 +41,7 @@ _Options = _struct("_Options", sh_degree=c.c_int32, antialiased=c.c_int32, full=
 _Images = _struct("_Images", rgb=_real, depth=_real, alpha=_real, mask=_real, hits=_real, kept=_real, transmittance=_real)
 _ImageGrads = _struct("_ImageGrads", rgb=_real, depth=_real, alpha=_real, mask=_real)
 _Grads = _struct("_Grads", **{name: _real for name in GRADS})
-_Adam = _struct("_Adam", **{name: c.c_double for name in ("lr", "beta1", "beta2", "eps", "bias1", "bias2")})
+_Adam = _struct("_Adam", lr=c.c_void_p, **{name: c.c_double for name in ("beta1", "beta2", "eps", "bias1", "bias2")})
 
 
 @functools.cache
@@ -199,11 +199,12 @@ class Rasterizer:
     def adam(self, param, m, v, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
         """One Adam step on rows `ids` (uint32, or None: all) of param, m, v (N, ...), given grad (rows, ...).
 
-        step counts from 1 (bias correction). Returns the number of rows skipped because their gradient was not finite.
+        lr: one rate, or one per column of a flattened row; step counts from 1 (bias correction). Returns the number of rows skipped because their gradient was not finite.
         """
         width = int(np.prod(param.shape[1:], dtype=np.int64))
         rows = len(param) if ids is None else len(ids)
-        settings = _Adam(lr, *betas, eps, 1 - betas[0] ** step, 1 - betas[1] ** step)
+        rates = np.ascontiguousarray(np.broadcast_to(np.asarray(lr, np.float64), (width,)))
+        settings = _Adam(rates.ctypes.data, *betas, eps, 1 - betas[0] ** step, 1 - betas[1] ** step)
         bad = c.c_int64()
         addresses = [_check_out(a, name, param.shape, self.dtype) for name, a in (("param", param), ("m", m), ("v", v))]
         addresses.append(_check(grad, "grad", (rows, *param.shape[1:]), self.dtype))

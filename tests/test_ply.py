@@ -15,12 +15,18 @@ from svrgs_addon.formats import clamp_extremes, drop_nonfinite, read_ply, write_
 from svrgs_addon.scene import SH_COEFFICIENTS, Scene
 
 ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
-STANDARD = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+STANDARD = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
 
 
 def make_scene(count: int = 7, degree: int = 1, **more) -> Scene:
     rng = np.random.default_rng(degree)
-    shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (SH_COEFFICIENTS[degree], 3)}
+    shapes = {
+        "means": (3,),
+        "log_scales": (3,),
+        "quats": (4,),
+        "opacity_logits": (),
+        "sh": (SH_COEFFICIENTS[degree], 3),
+    }
     return Scene(**{k: rng.standard_normal((count, *s)).astype(np.float32) for k, s in shapes.items()}, **more)
 
 
@@ -286,9 +292,9 @@ def test_a_healthy_scene_is_left_alone():
 
 
 def test_attributes_a_ply_cannot_hold_are_refused(tmp_path):
-    for name, column in (("x", np.zeros(7, np.float32)), ("two words", np.zeros(7, np.float32)), ("id", np.zeros(7, np.int64))):
+    for name, kind in (("x", np.float32), ("two words", np.float32), ("id", np.int64)):
         with pytest.raises(SceneError, match="cannot be stored"):
-            write_ply(tmp_path / "a.ply", make_scene(attributes={name: column}))
+            write_ply(tmp_path / "a.ply", make_scene(attributes={name: np.zeros(7, kind)}))
     with pytest.raises(SceneError, match="comment"):
         write_ply(tmp_path / "a.ply", make_scene(comments=("a\nend_header",)))
     assert not list(tmp_path.iterdir())
@@ -303,7 +309,7 @@ def test_failing_write_leaves_the_old_file(tmp_path, monkeypatch, call):
         raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(os, call, fail)
-    with pytest.raises(SceneError, match="a.ply: cannot be written"):
+    with pytest.raises(SceneError, match=r"a\.ply: cannot be written"):
         write_ply(path, make_scene())
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]

@@ -169,7 +169,7 @@ int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int3
 
 int32_t svrgs_adam(int32_t level, const svrgs_adam_settings* settings, real* param, real* m, real* v, const real* grad, const uint32_t* ids, int64_t rows, int32_t width, int64_t* nonfinite) {
   return guarded([&] {
-    require(settings && nonfinite && (rows == 0 || (param && m && v && grad)), "an argument is missing");
+    require(settings && settings->lr && nonfinite && (rows == 0 || (param && m && v && grad)), "an argument is missing");
     require(rows >= 0 && width > 0 && width <= 64, "rows must not be negative, width must be 1 to 64");
     const svrgs::Kernels& k = kernels(level);
     std::atomic<int64_t> bad{0};

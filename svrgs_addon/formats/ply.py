@@ -75,7 +75,8 @@ def _read(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Scene:
         raise FormatError(f"holds {vertex.count} Gaussians, more than the limit of {max_count}")
     _check_size(header, vertex, os.fstat(file.fileno()).st_size)
     if len(header.elements) > 1:
-        log.warning("%s: elements after the Gaussians are not kept: %s", path, ", ".join(e.name for e in header.elements[1:]))
+        others = ", ".join(element.name for element in header.elements[1:])
+        log.warning("%s: elements after the Gaussians are not kept: %s", path, others)
 
     arrays = _empty_arrays(vertex.count, coefficients)
     columns = _named_columns(arrays)
@@ -128,7 +129,9 @@ def _check_size(header: Header, vertex: Element, file_size: int) -> None:
     available = file_size - header.size
     if header.encoding == "ascii":
         if available > MAX_ASCII_BYTES:
-            raise FormatError(f"is an ASCII PLY of more than {MAX_ASCII_BYTES // 2**20} MiB; convert it to a binary one first")
+            raise FormatError(
+                f"is an ASCII PLY of more than {MAX_ASCII_BYTES // 2**20} MiB; convert it to binary first"
+            )
         if available + 1 < 2 * vertex.count * len(vertex.properties):  # a digit and a separator for each value
             raise FormatError(f"is truncated: {vertex.count} Gaussians cannot fit into {available} bytes of text")
         return

@@ -12,9 +12,10 @@ MAX_HEADER_LINES = 1000
 
 ENCODINGS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}  # name: NumPy byte order
 TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
-    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
-    "float32": "f4", "float64": "f8",
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2",
+    "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
+    "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 TYPE_NAMES = {code: name for name, code in reversed(TYPES.items())}  # NumPy code: the short name, as 3DGS writes it
 
@@ -75,7 +76,9 @@ def _split_lines(data: bytes) -> tuple[list[str], int]:
         raise FormatError("is not a PLY file")
     end = re.search(rb"\nend_header\r?\n", data[:MAX_HEADER_BYTES])
     if end is None:
-        raise FormatError(f"has no end of header within {MAX_HEADER_BYTES // 1024} KiB; it is truncated or not a PLY file")
+        raise FormatError(
+            f"has no end of header within {MAX_HEADER_BYTES // 1024} KiB; it is truncated or not a PLY file"
+        )
     try:
         lines = [line.rstrip("\r") for line in data[: end.start()].decode("ascii").split("\n")]
     except UnicodeDecodeError as error:

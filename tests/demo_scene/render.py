@@ -25,6 +25,7 @@ def render_views(
         scene.cycles.seed = index  # else every view carries the same noise
         scene.render.filepath = str(folder / pose.name)
         bpy.ops.render.render(write_still=True)
+        _strip_notes(folder / pose.name)
         images.append(_read_png(folder / pose.name))
     print(f"{len(poses)} views rendered in {time.monotonic() - start:.1f} s")
     return np.stack(images)
@@ -60,9 +61,6 @@ def _configure_output(scene: bpy.types.Scene, camera: Intrinsics) -> None:
     scene.display_settings.display_device = "sRGB"
     scene.view_settings.view_transform = "Standard"
     scene.view_settings.look = "None"
-    for name in render.bl_rna.properties.keys():
-        if name.startswith("use_stamp"):  # dates and render times in the file's header
-            setattr(render, name, False)
 
 
 def _add_camera(scene: bpy.types.Scene, camera: Intrinsics) -> bpy.types.Object:
@@ -73,6 +71,18 @@ def _add_camera(scene: bpy.types.Scene, camera: Intrinsics) -> bpy.types.Object:
     scene.camera = bpy.data.objects.new("camera", data)
     scene.collection.objects.link(scene.camera)
     return scene.camera
+
+
+def _strip_notes(path: Path) -> None:
+    """Drop the chunks an image can do without: Cycles notes its render times there."""
+    data = path.read_bytes()
+    kept, at = data[:8], 8  # after the signature: length, type, content, checksum
+    while at < len(data):
+        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
+        if data[at + 4 : at + 8] in (b"IHDR", b"IDAT", b"IEND"):
+            kept += data[at:end]
+        at = end
+    path.write_bytes(kept)
 
 
 def _read_png(path: Path) -> np.ndarray:

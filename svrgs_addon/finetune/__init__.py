@@ -1,0 +1,1 @@
+"""Fine-tuning: one loop, two engines. See loop.py."""

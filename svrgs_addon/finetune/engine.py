@@ -1,0 +1,109 @@
+"""The native engine: one optimisation step with NumPy arrays and the native kernels, nothing else.
+
+An engine is anything with `step(model, step) -> StepResult`; torch_engine.py is the readable twin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..camera import Camera
+from ..native import Rasterizer, RenderOptions
+from .model import MASK, PARAMETERS, Model
+
+BETAS, EPS = (0.9, 0.999), 1e-15
+
+
+@dataclass
+class Step:
+    """What one step looks at and by which rules."""
+
+    camera: Camera
+    target: np.ndarray  # (H, W, 3) in the model's dtype, display sRGB 0..1
+    number: int  # counts from 1 over the run; Adam's t
+    rates: dict[str, float]
+    options: RenderOptions
+    l1_weight: float = 0.8
+    ssim_weight: float = 0.2
+    masks: np.ndarray | None = None  # (N,) uint8, this step's draw
+    slope: np.ndarray | None = None  # (N,) dM/dlogit
+    lambda_f: float = 0.0
+    lambda_m: float = 0.0
+    update: bool = True  # False: gradients only (3DGS takes no optimiser step where it densifies)
+    want_means2d: bool = False
+
+
+@dataclass
+class StepResult:
+    """Loss terms before the step, and what densification wants to know."""
+
+    l1: float
+    ssim: float
+    mask_loss: float  # mean F^2
+    visible: np.ndarray  # (V,) uint32
+    means2d: np.ndarray | None = None  # (V, 2) dL/d(projected centre), pixels
+    nonfinite: int = 0  # rows skipped because their gradient was not finite
+    grads: dict = field(default_factory=dict)
+
+    def loss(self, step: Step) -> float:
+        return step.l1_weight * self.l1 + step.ssim_weight * (1 - self.ssim) + step.lambda_f * self.mask_loss
+
+
+def mask_loss_grad(mask: np.ndarray, weight: float) -> tuple[float, np.ndarray]:
+    """mean F^2 (paper Eq. 10) and weight * its gradient; mask: F (H, W)."""
+    flat = mask.ravel()
+    return float(np.dot(flat, flat)) / flat.size, mask * mask.dtype.type(2 * weight / flat.size)
+
+
+def global_mask_grad(masks: np.ndarray, slope: np.ndarray, lambda_m: float) -> np.ndarray:
+    """d/dlogits of lambda_m (mean M)^2 (MaskGaussian), (N,)."""
+    return slope * slope.dtype.type(2 * lambda_m * float(masks.mean()) / len(masks))
+
+
+class NativeEngine:
+    """Forward, loss, backward and a sparse Adam step: only Gaussians this view saw are touched."""
+
+    def __init__(self, level: str | None = None):
+        self.rasterizer = Rasterizer(level)
+
+    def step(self, model: Model, step: Step) -> StepResult:
+        r = self.rasterizer
+        spatial = step.lambda_f > 0 and step.masks is not None
+        outputs = ("rgb", "mask") if spatial else ("rgb",)
+        images = r.forward(model, step.camera, step.options, step.masks, outputs)
+        l1, ssim, d_rgb = r.loss(images["rgb"], step.target, step.l1_weight, step.ssim_weight)
+        image_grads, mask_loss = {"rgb": d_rgb}, 0.0
+        if spatial:
+            mask_loss, image_grads["mask"] = mask_loss_grad(images["mask"], step.lambda_f)
+        wanted = PARAMETERS + (("masks",) if step.masks is not None else ()) + (("means2d",) if step.want_means2d else ())
+        grads = r.backward(image_grads, wanted)
+        result = StepResult(l1, ssim, mask_loss, r.visible(), grads.get("means2d"), grads=grads)
+        if step.update:
+            result.nonfinite = self._update(model, step, grads, result.visible)
+        return result
+
+    def _update(self, model: Model, step: Step, grads: dict, ids: np.ndarray) -> int:
+        bad = sum(self._adam(model, name, grads[name], ids, step, _row_rates(name, step.rates, model)) for name in PARAMETERS)
+        if step.masks is None:
+            return bad
+        d_logits = grads["masks"] * step.slope[ids]
+        if step.lambda_m:  # reaches every Gaussian, seen or not
+            dense = global_mask_grad(step.masks, step.slope, step.lambda_m)
+            dense[ids] += d_logits
+            d_logits, ids = dense, None
+        return bad + self._adam(model, MASK, d_logits, ids, step, step.rates[MASK])
+
+    def _adam(self, model: Model, name: str, grad, ids, step: Step, rate) -> int:
+        arrays = model.values[name], model.first[name], model.second[name]
+        return self.rasterizer.adam(*arrays, grad, ids, lr=rate, step=step.number, betas=BETAS, eps=EPS)
+
+
+def _row_rates(name: str, rates: dict[str, float], model: Model):
+    """The rate of a tensor, or one per column: SH above degree 0 learns more slowly."""
+    if name != "sh":
+        return rates[name]
+    columns = np.full(3 * model.sh.shape[1], rates["sh_rest"])
+    columns[:3] = rates["sh"]
+    return columns

@@ -1,0 +1,216 @@
+"""The one loop: which view, which rates, which masks; when to densify, prune, recover. Deterministic for a given seed."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..dataset import Dataset
+from ..errors import Cancelled, SceneError
+from ..native import RenderOptions
+from . import densify, masks
+from .engine import Step, StepResult
+from .model import Model
+from .settings import Phase, Settings, method_named
+
+SMOOTHING = 0.05  # of the loss shown
+
+
+@dataclass
+class Progress:
+    """What an observer is told after each step."""
+
+    iteration: int
+    total: int
+    phase: str
+    count: int
+    loss: float  # exponentially smoothed
+    iterations_per_second: float
+    seconds_left: float
+
+
+@dataclass
+class Curves:
+    """Values over iterations, for plots."""
+
+    iteration: list[int] = field(default_factory=list)
+    count: list[int] = field(default_factory=list)
+    loss: list[float] = field(default_factory=list)
+    psnr: list[float | None] = field(default_factory=list)
+
+
+def view_order(indices: list[int], seed: int, start: int) -> Iterator[int]:
+    """Training views from iteration `start` (0-based) on: each epoch is a fresh permutation, keyed by (seed, epoch)."""
+    n = len(indices)
+    for epoch in itertools.count(start // n):
+        order = np.random.default_rng([seed, epoch]).permutation(n)
+        for k in order[start % n if epoch == start // n else 0 :]:
+            yield indices[k]
+
+
+class Run:
+    """One fine-tuning run: model, position in the schedule, statistics. `advance()` does one iteration."""
+
+    def __init__(self, model: Model, dataset: Dataset, settings: Settings, engine, antialiased: bool = False):
+        self.model, self.dataset, self.settings, self.engine = model, dataset, settings, engine
+        self.antialiased = antialiased
+        self.iteration = 0
+        self.statistics = densify.Statistics(model.count)
+        self.initial_count = model.count
+        self.curves = Curves()
+        self.loss = math.nan
+        self.nonfinite = 0  # Gaussian rows whose gradient was not finite and was left out
+        self.seconds: dict[str, float] = {}  # by phase
+        self._views: Iterator | None = None
+
+    @property
+    def finished(self) -> bool:
+        return self.iteration >= self.settings.total
+
+    def phase(self) -> tuple[Phase, int]:
+        """The phase of the next iteration, and its number within it (from 1)."""
+        number = self.iteration + 1
+        for phase in self.settings.phases:
+            if number <= phase.steps:
+                return phase, number
+            number -= phase.steps
+        raise IndexError("the run is finished")
+
+    def advance(self):
+        """One iteration: loss and gradients, then densification or the optimiser step, then pruning events."""
+        started = time.perf_counter()
+        phase, number = self.phase()
+        self._set_masks(phase)
+        step = self._step(phase, number)
+        result = self.engine.step(self.model, step)
+        self._record(result, step)
+        self.iteration += 1
+        self._density_control(phase, number, step, result)
+        self._prune_by_masks(phase, number)
+        self.seconds[phase.name] = self.seconds.get(phase.name, 0.0) + time.perf_counter() - started
+
+    def close(self):
+        """Ends the reading threads."""
+        if self._views is not None:
+            self._views.close()
+            self._views = None
+
+    def _set_masks(self, phase: Phase):
+        if phase.masks and not self.model.learns_masks:
+            self.model.add_masks(self.settings.mask_init)
+        elif not phase.masks and self.model.learns_masks:
+            self.model.drop_masks()
+
+    def _step(self, phase: Phase, number: int) -> Step:
+        if self._views is None:
+            self._views = self.dataset.stream(view_order(self.dataset.train_indices, self.settings.seed, self.iteration))
+        view, image = next(self._views)
+        s = self.settings
+        drawn, slope = masks.draw(self.model, s.seed, self.iteration) if phase.masks else (None, None)
+        return Step(
+            camera=self.dataset.cameras[view],
+            target=as_real(image, self.model.dtype),
+            number=self.iteration + 1,
+            rates=phase.rates.at(number, self.dataset.extent),
+            options=self.render_options(phase, number),
+            l1_weight=s.l1_weight,
+            ssim_weight=s.ssim_weight,
+            masks=drawn,
+            slope=slope,
+            lambda_f=s.lambda_f if phase.masks else 0.0,
+            lambda_m=s.lambda_m if phase.masks else 0.0,
+            update=not self._densifies(phase, number),
+            want_means2d=phase.densify is not None and number < phase.densify.until,
+        )
+
+    def render_options(self, phase: Phase, number: int) -> RenderOptions:
+        s = self.settings
+        kind = method_named(s.method).mask_kind if phase.masks else "none"
+        degree = number // phase.sh_every if phase.sh_every else 3
+        return RenderOptions(min(degree, 3), self.antialiased, s.full, kind, s.mask_to_shape, background=s.background)
+
+    @staticmethod
+    def _densifies(phase: Phase, number: int) -> bool:
+        rule = phase.densify
+        return rule is not None and rule.start < number < rule.until and number % rule.every == 0
+
+    def _record(self, result: StepResult, step: Step):
+        loss = result.loss(step)
+        if not math.isfinite(loss):
+            raise SceneError(f"the loss is not finite at iteration {self.iteration + 1} (view {step.camera.name}): the scene or its images hold bad values")
+        self.loss = loss if math.isnan(self.loss) else self.loss + SMOOTHING * (loss - self.loss)
+        self.nonfinite += result.nonfinite
+
+    def _density_control(self, phase: Phase, number: int, step: Step, result: StepResult):
+        rule = phase.densify
+        if rule is None or number >= rule.until:
+            return
+        self.statistics.add(result.visible, result.means2d, step.camera.width, step.camera.height)
+        if self._densifies(phase, number):
+            rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
+            keep = densify.densify(self.model, self.statistics, rule, self.dataset.extent, rng)
+            keep &= densify.worth_keeping(self.model, rule, self.dataset.extent, number > rule.reset_every)
+            if phase.masks:
+                keep &= masks.ever_drawn(self.model, self.settings.seed, self.iteration, self.settings.draws)
+            self._keep(keep)
+            self.statistics = densify.Statistics(self.model.count)
+        if number % rule.reset_every == 0:
+            densify.reset_opacity(self.model)
+
+    def _prune_by_masks(self, phase: Phase, number: int):
+        if not phase.masks:
+            return
+        densifying = phase.densify is not None and number < phase.densify.until
+        last = number == phase.steps
+        if last or (not densifying and number % phase.prune_every == 0):
+            self._keep(masks.ever_drawn(self.model, self.settings.seed, self.iteration, self.settings.draws))
+        if last:
+            self._keep(masks.decided(self.model, self.settings.target))
+
+    def _keep(self, keep: np.ndarray):
+        masks.refuse_emptying(keep, self.initial_count)
+        if not keep.all():
+            self.model.keep(keep)
+            self.statistics = densify.Statistics(self.model.count)
+
+
+def as_real(image: np.ndarray, dtype) -> np.ndarray:
+    """A photograph as the loss wants it: (H, W, 3) in 0..1 of the given dtype."""
+    if image.dtype == np.uint8:
+        return np.multiply(image, dtype.type(1 / 255), dtype=dtype)
+    return np.ascontiguousarray(image, dtype)
+
+
+def run_to_end(run: Run, observe: Callable[[Progress], None], stop: Callable[[], bool], checkpoint: Callable[[], None], measure: Callable[[], float | None], points: int = 40):
+    """Advances until finished. Every total/points iterations the curves gain a point. On stop(): checkpoint, Cancelled.
+
+    observe is called after each step; measure returns a PSNR for the curves, or None.
+    """
+    total, begun, first = run.settings.total, time.perf_counter(), run.iteration
+    every = max(1, total // points)
+    try:
+        while not run.finished:
+            name = run.phase()[0].name
+            run.advance()
+            if run.iteration % every == 0 or run.finished:
+                _add_point(run, measure())
+            rate = (run.iteration - first) / (time.perf_counter() - begun)
+            observe(Progress(run.iteration, total, name, run.model.count, run.loss, rate, (total - run.iteration) / rate))
+            if stop() and not run.finished:
+                checkpoint()
+                raise Cancelled
+    finally:
+        run.close()
+
+
+def _add_point(run: Run, psnr: float | None):
+    c = run.curves
+    c.iteration.append(run.iteration)
+    c.count.append(run.model.count)
+    c.loss.append(run.loss)
+    c.psnr.append(psnr)

@@ -1,0 +1,112 @@
+"""The arrays a run changes: parameters, Adam moments, mask logits. Every move of rows goes through keep() or append()."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import SceneError
+from ..scene import SH_C0, SH_COEFFICIENTS, Scene
+
+PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")
+MASK = "mask_logits"
+MIN_SQUARED_DISTANCE = 1e-7
+NEIGHBOURS = 3
+INITIAL_OPACITY = 0.1
+
+
+class Model:
+    """N Gaussians in training: `values`, and their first and second Adam moments under the same names.
+
+    Values are the arrays of Scene (raw, shapes as there) and, while masks are learned, mask_logits (N,); all of one
+    real dtype. origin (N,) int64: the row of the source scene each Gaussian came from, -1 for new ones.
+    """
+
+    def __init__(self, values: dict[str, np.ndarray], first: dict | None = None, second: dict | None = None, origin: np.ndarray | None = None):
+        self.values = values
+        self.first = first or {name: np.zeros_like(v) for name, v in values.items()}
+        self.second = second or {name: np.zeros_like(v) for name, v in values.items()}
+        self.origin = np.arange(self.count) if origin is None else origin
+
+    @classmethod
+    def of(cls, scene: Scene, dtype=np.float32) -> Model:
+        return cls({name: getattr(scene, name).astype(dtype) for name in PARAMETERS})
+
+    def __getattr__(self, name: str) -> np.ndarray:  # the rasteriser reads a model as it reads a Scene
+        try:
+            return self.__dict__["values"][name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+    @property
+    def count(self) -> int:
+        return len(self.values["means"])
+
+    @property
+    def dtype(self) -> np.dtype:
+        return self.values["means"].dtype
+
+    @property
+    def learns_masks(self) -> bool:
+        return MASK in self.values
+
+    def add_masks(self, init: float):
+        """Gives every Gaussian an existence logit, all alike."""
+        self.values[MASK] = np.full(self.count, init, self.dtype)
+        self.first[MASK], self.second[MASK] = np.zeros_like(self.values[MASK]), np.zeros_like(self.values[MASK])
+
+    def drop_masks(self):
+        for arrays in (self.values, self.first, self.second):
+            arrays.pop(MASK, None)
+
+    def keep(self, index: np.ndarray):
+        """Keeps the rows named by a boolean mask or an index array, in that order, moments included."""
+        for arrays in (self.values, self.first, self.second):
+            for name, array in arrays.items():
+                arrays[name] = np.ascontiguousarray(array[index])
+        self.origin = self.origin[index]
+
+    def append(self, rows: dict[str, np.ndarray]):
+        """Adds new Gaussians with zero moments; rows: an array for every name in `values`."""
+        added = len(rows["means"])
+        for name, new in rows.items():
+            zeros = np.zeros(new.shape, self.dtype)
+            self.values[name] = np.concatenate([self.values[name], new.astype(self.dtype)])
+            self.first[name] = np.concatenate([self.first[name], zeros])
+            self.second[name] = np.concatenate([self.second[name], zeros])
+        self.origin = np.concatenate([self.origin, np.full(added, -1)])
+
+    def scene(self, source: Scene) -> Scene:
+        """The model as a Scene: its arrays, and what `source` says beside them as far as it still fits."""
+        arrays = {name: np.ascontiguousarray(self.values[name], np.float32) for name in PARAMETERS}
+        fits = bool((self.origin >= 0).all())
+        attributes = {name: column[self.origin] for name, column in source.attributes.items()} if fits else {}
+        order = source.property_order if fits else ()
+        return Scene(**arrays, antialiased=source.antialiased, attributes=attributes, comments=source.comments, property_order=order)
+
+
+def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3) -> Scene:
+    """3DGS initialisation: one isotropic Gaussian a point, opacity 0.1, as large as its three neighbours are far.
+
+    points (P, 3) world; colors (P, 3) uint8. log-scale = log sqrt(mean squared distance to the 3 nearest points).
+    Raises SceneError for fewer than 4 points, or where scipy is not installed.
+    """
+    try:
+        from scipy.spatial import cKDTree
+    except ImportError:
+        raise SceneError("training from sparse points needs scipy: install it into this Python") from None
+    n = len(points)
+    if n <= NEIGHBOURS:
+        raise SceneError(f"{n} sparse points are too few to start training from: at least {NEIGHBOURS + 1} are needed")
+    distance, _ = cKDTree(points).query(points, k=NEIGHBOURS + 1)
+    squared = np.maximum((distance[:, 1:] ** 2).mean(axis=1), MIN_SQUARED_DISTANCE)
+    quats = np.zeros((n, 4), np.float32)
+    quats[:, 0] = 1
+    sh = np.zeros((n, SH_COEFFICIENTS[sh_degree], 3), np.float32)
+    sh[:, 0] = (colors / 255.0 - 0.5) / SH_C0
+    return Scene(
+        means=np.ascontiguousarray(points, np.float32),
+        log_scales=np.repeat(0.5 * np.log(squared)[:, None], 3, axis=1).astype(np.float32),
+        quats=quats,
+        opacity_logits=np.full(n, np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)), np.float32),
+        sh=sh,
+    )

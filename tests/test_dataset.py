@@ -1,0 +1,406 @@
+"""COLMAP datasets: every form of folder, every perspective camera model, and clear words for what does not fit."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import shutil
+import struct
+import threading
+
+import numpy as np
+import pytest
+
+from svrgs_addon import dataset as dataset_module
+from svrgs_addon.cameras_json import load_cameras_json
+from svrgs_addon.dataset import load_dataset
+from svrgs_addon.errors import FormatError, SceneError
+from svrgs_addon.images import write_image
+
+pycolmap = pytest.importorskip("pycolmap")
+pytest.importorskip("OpenImageIO")
+
+WIDTH, HEIGHT = 64, 48
+PINHOLE = ("PINHOLE", [60.0, 58.0, 30.5, 25.0])
+OPENCV = ("OPENCV", [60.0, 58.0, 31.0, 25.0, -0.1, 0.02, 0.002, -0.001])
+POINTS = np.array([[0.1, 0.2, 0.0], [-0.4, 0.3, 0.5], [0.6, -0.2, 0.2]])
+
+
+def photo(index: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
+    return np.random.default_rng(index).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def make_model(names, model=PINHOLE, points=POINTS) -> pycolmap.Reconstruction:
+    """Cameras in a row, 4 units in front of the origin, slightly turned; ids run against the name order."""
+    result = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(camera_id=1, model=model[0], width=WIDTH, height=HEIGHT, params=model[1])
+    result.add_camera_with_trivial_rig(camera)
+    for index, name in enumerate(names):
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0, 0.02 * index, 0])), np.array([0.1 * index, 0.0, 4.0]))
+        image = pycolmap.Image(name=name, camera_id=1, image_id=len(names) - index)
+        result.add_image_with_trivial_frame(image, pose)
+    for point in points:
+        result.add_point3D(point, pycolmap.Track(), np.array([10, 20, 30], np.uint8))
+    return result
+
+
+def make_dataset(
+    root, names=None, model=PINHOLE, points=POINTS, text=False, below="sparse/0", images="images", size=(WIDTH, HEIGHT)
+):
+    """Write photographs and model; returns the reconstruction."""
+    names = names or [f"{i:02}.png" for i in range(9)]
+    reconstruction = make_model(names, model, points)
+    (root / below).mkdir(parents=True, exist_ok=True)
+    (reconstruction.write_text if text else reconstruction.write_binary)(root / below)
+    for index, name in enumerate(names):
+        write_image(root / images / name, photo(index, *size))
+    return reconstruction
+
+
+def only_the_three_files(folder):
+    for path in folder.iterdir():
+        if path.stem in ("rigs", "frames"):
+            path.unlink()
+
+
+# --- what is read
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("legacy", [False, True])
+def test_cameras_points_and_split(tmp_path, text, legacy):
+    reconstruction = make_dataset(tmp_path, text=text)
+    if legacy:
+        only_the_three_files(tmp_path / "sparse/0")
+    data = load_dataset(tmp_path)
+    assert [camera.name for camera in data.cameras] == [f"{i:02}.png" for i in range(9)]
+    assert (data.test_indices, data.train_indices) == ([0, 8], [1, 2, 3, 4, 5, 6, 7])
+    assert np.allclose(data.points, POINTS) and data.points.dtype == np.float32
+    assert data.point_colors.tolist() == [[10, 20, 30]] * 3 and data.point_colors.dtype == np.uint8
+    for index, camera in enumerate(data.cameras):
+        image = reconstruction.find_image_with_name(camera.name)
+        assert np.allclose(camera.viewmat[:3], image.cam_from_world().matrix(), atol=1e-12)
+        assert np.allclose(camera.K, [[60, 0, 30.5], [0, 58, 25], [0, 0, 1]])
+        assert np.array_equal(data.image(index), photo(index))
+
+
+def test_extent_is_that_of_the_training_cameras(tmp_path):
+    make_dataset(tmp_path)
+    data = load_dataset(tmp_path, holdout=0)
+    assert not data.test_indices and len(data.train_indices) == 9
+    centres = np.array([camera.position for camera in data.cameras])
+    assert np.isclose(data.extent, 1.1 * np.linalg.norm(centres - centres.mean(0), axis=1).max())
+    assert load_dataset(tmp_path).extent < data.extent
+
+
+@pytest.mark.parametrize(
+    "below, given",
+    [
+        ("sparse/0", ""),
+        ("sparse/0", "sparse"),
+        ("sparse/0", "sparse/0"),
+        ("sparse", ""),
+        ("sparse", "sparse"),
+        (".", ""),
+        ("model", "model"),
+    ],
+)
+def test_forms_of_folder(tmp_path, below, given):
+    make_dataset(tmp_path, below=below)
+    assert np.array_equal(load_dataset(tmp_path / given).image(3), photo(3))
+
+
+def test_folder_given_relative_to_the_working_directory(tmp_path, monkeypatch):
+    make_dataset(tmp_path)
+    monkeypatch.chdir(tmp_path / "sparse")
+    assert len(load_dataset(".").cameras) == len(load_dataset("0").cameras) == 9
+
+
+def test_photographs_in_subfolders(tmp_path):
+    make_dataset(tmp_path, ["left/a.png", "left/b.png", "right/a.png"])
+    data = load_dataset(tmp_path)
+    assert [camera.name for camera in data.cameras] == ["left/a.png", "left/b.png", "right/a.png"]
+    assert np.array_equal(data.image(2), photo(2))
+
+
+def test_real_dataset(shared_data):
+    data = load_dataset(shared_data / "brighton_beach")
+    assert (len(data.cameras), len(data.points), data.image(0).shape) == (18, 4179, (450, 800, 3))
+
+
+# --- scaled photographs
+
+
+@pytest.mark.parametrize("size", [(32, 24), (21, 16), (22, 16), (128, 96)])
+def test_intrinsics_follow_the_size_of_the_photograph(tmp_path, size):
+    make_dataset(tmp_path, images="images_2", size=size)
+    camera = load_dataset(tmp_path, "images_2").cameras[0]
+    assert (camera.width, camera.height) == size
+    x, y = size[0] / WIDTH, size[1] / HEIGHT
+    assert np.allclose(camera.K, [[60 * x, 0, 30.5 * x], [0, 58 * y, 25 * y], [0, 0, 1]])
+
+
+def test_image_folder_elsewhere(tmp_path):
+    make_dataset(tmp_path / "scene")
+    (tmp_path / "scene" / "images").rename(tmp_path / "photos")
+    assert np.array_equal(load_dataset(tmp_path / "scene", str(tmp_path / "photos")).image(1), photo(1))
+
+
+@pytest.mark.parametrize("size", [(48, 64), (32, 27), (64, 52)])
+def test_other_aspect_ratio_is_refused(tmp_path, size):
+    make_dataset(tmp_path, size=size)
+    with pytest.raises(SceneError, match=r"00\.png: the photograph is .* no scaled copy of its camera's 64 x 48"):
+        load_dataset(tmp_path)
+
+
+# --- distorted cameras
+
+
+def spot_image(centre: np.ndarray, width: int, height: int) -> np.ndarray:
+    """A smooth bright spot at `centre` (pixels, pixel centres at k + 0.5)."""
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    spot = np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * 3.0**2))
+    return np.rint(255 * spot).astype(np.uint8)[..., None].repeat(3, axis=2)
+
+
+def centroid(image: np.ndarray) -> np.ndarray:
+    weights = image[..., 0].astype(float)
+    x, y = np.meshgrid(np.arange(image.shape[1]) + 0.5, np.arange(image.shape[0]) + 0.5)
+    return np.array([(weights * x).sum(), (weights * y).sum()]) / weights.sum()
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        OPENCV,
+        ("OPENCV_FISHEYE", [60.0, 58.0, 31.0, 25.0, 0.05, -0.01, 0.0, 0.0]),
+        ("SIMPLE_RADIAL", [60, 32, 24, -0.15]),
+    ],
+)
+@pytest.mark.parametrize("scale", [1, 4])
+def test_distorted_photographs_are_undistorted(tmp_path, model, scale):
+    size = (WIDTH * scale, HEIGHT * scale)
+    reconstruction = make_dataset(tmp_path, ["a.png"], model, size=size)
+    image = reconstruction.find_image_with_name("a.png")
+    for point in POINTS:
+        feature = image.project_point(point) * scale  # where COLMAP sees it in the distorted photograph
+        write_image(tmp_path / "images/a.png", spot_image(feature, *size))
+        data = load_dataset(tmp_path)
+        camera = data.cameras[0]
+        x, y, z = camera.K @ (camera.viewmat[:3, :3] @ point + camera.viewmat[:3, 3])
+        assert data.image(0).shape == (camera.height, camera.width, 3)
+        assert np.linalg.norm(centroid(data.image(0)) - np.array([x, y]) / z) < 0.1
+
+
+def test_panorama_is_refused(tmp_path):
+    make_dataset(tmp_path, ["a.png"], ("EQUIRECTANGULAR", [WIDTH, HEIGHT]))
+    with pytest.raises(SceneError, match=r"a\.png: its camera model is EQUIRECTANGULAR"):
+        load_dataset(tmp_path)
+
+
+# --- cameras without photographs
+
+
+def test_cameras_only(tmp_path):
+    make_dataset(tmp_path, model=OPENCV)
+    full = load_dataset(tmp_path)
+    shutil.rmtree(tmp_path / "images")
+    data = load_dataset(tmp_path, cameras_only=True)
+    assert np.array_equal(data.cameras[3].K, full.cameras[3].K)
+    with pytest.raises(SceneError, match="without its photographs"):
+        data.image(0)
+
+
+def test_cameras_json_of_a_3dgs_run(shared_data):
+    scene = shared_data / "snowmiku_plush"
+    cameras = load_cameras_json(scene / "upstream_3dgs" / "cameras.json")
+    others = {camera.name.split(".")[0]: camera for camera in load_dataset(scene, cameras_only=True).cameras}
+    assert len(cameras) == 97
+    distances = [np.linalg.norm(camera.position - others[camera.name].position) for camera in cameras]
+    turns = [np.trace(camera.viewmat[:3, :3] @ others[camera.name].viewmat[:3, :3].T) for camera in cameras]
+    assert max(distances) < 0.05 and min(turns) > 1 + 2 * np.cos(np.radians(0.6))
+
+
+GOOD_ENTRY = {
+    "id": 0, "img_name": "a", "width": 64, "height": 48, "position": [1, 2, 3],
+    "rotation": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "fy": 58.0, "fx": 60.0,
+}  # fmt: skip
+
+
+def test_cameras_json_conventions(tmp_path):
+    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY]))
+    (camera,) = load_cameras_json(tmp_path / "cameras.json")
+    assert np.allclose(camera.position, [1, 2, 3])
+    assert np.allclose(camera.viewmat[:3, :3] @ [0, 1, 0], [1, 0, 0])  # camera x is the rotation's first column
+    assert np.allclose(camera.K, [[60, 0, 32], [0, 58, 24], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    "key, value",
+    [
+        ("img_name", "../a"), ("width", 0), ("width", 10**6), ("height", 48.5), ("fx", -1), ("fx", None),
+        ("fy", float("nan")), ("position", [1, 2]), ("position", [1, 2, float("inf")]), ("position", [10**400, 0, 0]),
+        ("rotation", [[1, 0, 0]] * 3), ("rotation", [[1, 0], [0, 1]]), ("rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+    ],
+)  # fmt: skip
+def test_unusable_cameras_json_entries(tmp_path, key, value):
+    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY, GOOD_ENTRY | {key: value}]))
+    with pytest.raises(FormatError, match=r"cameras\.json: camera 1 is not usable"):
+        load_cameras_json(tmp_path / "cameras.json")
+    (tmp_path / "cameras.json").write_text(json.dumps([{k: v for k, v in GOOD_ENTRY.items() if k != key}]))
+    with pytest.raises(FormatError, match=f"lacks '{key}'"):
+        load_cameras_json(tmp_path / "cameras.json")
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "[1]", "[" * 100_000, "\xff"])
+def test_other_json(tmp_path, text):
+    (tmp_path / "cameras.json").write_text(text, encoding="latin-1")
+    with pytest.raises(FormatError, match=r"cameras\.json"):
+        load_cameras_json(tmp_path / "cameras.json")
+
+
+# --- memory and reading ahead
+
+
+def test_images_stay_in_memory_within_the_budget(tmp_path, monkeypatch):
+    make_dataset(tmp_path)
+    reads = []
+    read_pixels = dataset_module.read_pixels
+    monkeypatch.setattr(
+        dataset_module, "read_pixels", lambda path, *a, **k: reads.append(path.name) or read_pixels(path, *a, **k)
+    )
+    data = load_dataset(tmp_path, memory_budget=3 * WIDTH * HEIGHT * 3)
+    for _ in range(2):
+        for index in range(4):
+            assert np.array_equal(data.image(index), photo(index))
+    assert reads == ["00.png", "01.png", "02.png", "03.png", "03.png"]
+
+
+@pytest.mark.parametrize("memory_budget", [0, 2**30])
+def test_stream_follows_its_order(tmp_path, memory_budget):
+    make_dataset(tmp_path)
+    data = load_dataset(tmp_path, memory_budget=memory_budget)
+    order = [5, 1, 1, 8, 0, 3, 5]
+    got = list(data.stream(order))
+    assert [index for index, _ in got] == order
+    assert all(np.array_equal(image, photo(index)) for index, image in got)
+    assert not list(data.stream([]))
+
+
+def test_stream_may_be_endless_and_ends_its_threads(tmp_path):
+    make_dataset(tmp_path)
+    before = threading.active_count()
+    stream = load_dataset(tmp_path).stream(itertools.cycle([2, 4]))
+    assert [index for index, _ in itertools.islice(stream, 5)] == [2, 4, 2, 4, 2]
+    stream.close()
+    assert threading.active_count() == before
+
+
+def test_stream_reports_a_broken_photograph(tmp_path):
+    make_dataset(tmp_path)
+    data = load_dataset(tmp_path)
+    (tmp_path / "images/02.png").write_bytes(b"no image any more")
+    with pytest.raises(FormatError, match=r"02\.png"):
+        list(data.stream([0, 1, 2, 3]))
+
+
+def test_images_are_read_only(tmp_path):
+    make_dataset(tmp_path)
+    with pytest.raises(ValueError, match="read-only"):
+        load_dataset(tmp_path).image(0)[0] = 0
+
+
+# --- what does not fit
+
+
+def test_missing_photographs_are_counted_and_named(tmp_path):
+    make_dataset(tmp_path)
+    for name in ("01.png", "03.png", "04.png", "07.png"):
+        (tmp_path / "images" / name).unlink()
+    with pytest.raises(SceneError, match=r"4 of 9 photographs are missing: 01\.png, 03\.png, 04\.png, \.\.\."):
+        load_dataset(tmp_path)
+
+
+def test_missing_folders(tmp_path):
+    with pytest.raises(SceneError, match="no COLMAP model"):
+        load_dataset(tmp_path)
+    with pytest.raises(SceneError, match="no COLMAP model"):
+        load_dataset(tmp_path / "nowhere")
+    make_dataset(tmp_path)
+    with pytest.raises(SceneError, match="no image folder images_8"):
+        load_dataset(tmp_path, "images_8")
+
+
+def test_no_views_and_no_points(tmp_path):
+    make_dataset(tmp_path, points=[])
+    assert load_dataset(tmp_path).points.shape == (0, 3)
+    with pytest.raises(SceneError, match="no 3-D points"):
+        load_dataset(tmp_path, need_points=True)
+    make_model([]).write_binary(tmp_path / "sparse/0")
+    with pytest.raises(SceneError, match="no view"):
+        load_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../a.png", "/etc/a.png", "b/../../a.png", "C:\\a.png", "..\\a.png"])
+def test_image_names_cannot_leave_the_folder(tmp_path, name):
+    make_model([name]).write_binary(tmp_path)
+    with pytest.raises(FormatError, match="does not stay inside"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+@pytest.mark.parametrize("params", [[0.0, 58, 30, 25], [float("nan"), 58, 30, 25], [60, -58, 30, 25]])
+def test_unusable_cameras_are_refused(tmp_path, params):
+    make_model(["a.png"], ("PINHOLE", params)).write_binary(tmp_path)
+    with pytest.raises(SceneError, match="not usable"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+def test_rigs_and_frames_are_not_looked_at(tmp_path):
+    make_dataset(tmp_path)
+    for name in ("rigs", "frames"):
+        (tmp_path / "sparse/0" / f"{name}.bin").write_bytes(b"\xff" * 100)
+    assert len(load_dataset(tmp_path, cameras_only=True).cameras) == 9
+
+
+def test_cameras_of_absurd_size_are_refused(tmp_path):
+    make_dataset(tmp_path, model=OPENCV)
+    path = tmp_path / "sparse/0/cameras.bin"
+    data = path.read_bytes()
+    path.write_bytes(data[:16] + struct.pack("<Q", 2**50) + data[24:])
+    with pytest.raises(FormatError, match="the limit is 16384 a side"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+def test_points_far_out_are_refused(tmp_path):
+    make_dataset(tmp_path, points=[[1e39, 0, 0]])
+    with pytest.raises(FormatError, match="finite place"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
+def test_truncated_binary_models(tmp_path, name):
+    make_dataset(tmp_path)
+    only_the_three_files(tmp_path / "sparse/0")
+    path = tmp_path / "sparse/0" / f"{name}.bin"
+    data = path.read_bytes()
+    for size in range(len(data)):
+        path.write_bytes(data[:size])
+        with pytest.raises(FormatError, match=f"{name}.bin is truncated"):
+            load_dataset(tmp_path, cameras_only=True)
+    path.write_bytes(struct.pack("<Q", 2**60) + data[8:])
+    with pytest.raises(FormatError, match="truncated"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+@pytest.mark.parametrize(
+    "name, old, new",
+    [("cameras", "PINHOLE", "HOLE"), ("images", "01.png", ""), ("points3D", "10 20 30", "x"), ("cameras", "64", "nan")],
+)
+def test_broken_text_models(tmp_path, name, old, new):
+    make_dataset(tmp_path, text=True)
+    only_the_three_files(tmp_path / "sparse/0")
+    path = tmp_path / "sparse/0" / f"{name}.txt"
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(FormatError) as caught:
+        load_dataset(tmp_path, cameras_only=True)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,157 @@
+"""Images come out as RGB in training colour space, whatever file they come from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from svrgs_addon.errors import FormatError, SceneError
+from svrgs_addon.images import image_size, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
+
+oiio = pytest.importorskip("OpenImageIO")
+
+RGB = np.random.default_rng(0).integers(0, 256, (6, 9, 3), dtype=np.uint8)
+
+
+def store(path, pixels, **attributes):
+    """Write pixels as they are; `__` in an attribute's name stands for ':'."""
+    pixels = np.ascontiguousarray(pixels)
+    kind = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}[str(pixels.dtype)]
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], kind)
+    for name, value in attributes.items():
+        spec.attribute(name.replace("__", ":"), value)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec) and output.write_image(pixels) and output.close(), output.geterror()
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_8_bit_pixels_come_out_as_stored(tmp_path, suffix):
+    path = store(tmp_path / f"a.{suffix}", RGB)
+    assert np.array_equal(read_pixels(path), RGB)
+    image = read_image(path)
+    assert image.dtype == np.float32 and np.array_equal(image, RGB / np.float32(255))
+    assert image_size(path) == (9, 6)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "webp"])
+def test_lossy_formats(tmp_path, suffix):
+    smooth = np.linspace(40, 200, 64 * 48).reshape(48, 64, 1).repeat(3, axis=2).astype(np.uint8)
+    image = read_pixels(store(tmp_path / f"a.{suffix}", smooth, CompressionQuality=95))
+    assert image.dtype == np.uint8 and np.abs(image.astype(int) - smooth).max() <= 6
+
+
+def test_16_bit_and_float_keep_their_precision(tmp_path):
+    deep = np.arange(27, dtype=np.uint16).reshape(3, 3, 3) + 30_000
+    assert np.allclose(read_image(store(tmp_path / "a.png", deep)), deep / 65535, atol=1e-7, rtol=0)
+    real = (deep / 65535).astype(np.float32)
+    assert np.array_equal(read_image(store(tmp_path / "a.tif", real)), real)
+
+
+def test_grey_becomes_rgb(tmp_path):
+    image = read_pixels(store(tmp_path / "a.png", RGB[:, :, :1]))
+    assert np.array_equal(image, RGB[:, :, :1].repeat(3, axis=2))
+
+
+def test_exr_is_scene_linear(tmp_path):
+    image = read_image(store(tmp_path / "a.exr", np.full((2, 2, 3), [0.0, 0.5, 4.0], np.float32)))
+    assert np.allclose(image[0, 0], [0, 0.735357, 1], atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix, tolerance", [("png", 0.002), ("tif", 0.002), ("webp", 0.01)])
+def test_alpha_is_composited_over_the_background(tmp_path, suffix, tolerance):
+    rgba = np.full((8, 8, 4), [200, 100, 50, 128], np.uint8)
+    rgba[:4, :, 3] = 0
+    path = store(tmp_path / f"a.{suffix}", rgba, oiio__UnassociatedAlpha=1)
+    image = read_image(path, background=(0, 1, 0.5))
+    assert np.allclose(image[0, 0], [0, 1, 0.5], atol=tolerance)
+    expected = np.array([200, 100, 50]) / 255 * 128 / 255 + np.array([0, 1, 0.5]) * (127 / 255)
+    assert np.allclose(image[7, 7], expected, atol=tolerance)
+
+
+def test_exr_alpha_is_associated(tmp_path):
+    half = np.full((2, 2, 4), [0.25, 0.25, 0.25, 0.5], np.float32)  # linear 0.5 under half coverage
+    image = read_image(store(tmp_path / "a.exr", half), background=(1, 1, 1))
+    assert np.allclose(image, 0.735357 / 2 + 0.5, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "orientation, turn",
+    [
+        (1, lambda a: a),
+        (2, lambda a: a[:, ::-1]),
+        (3, lambda a: np.rot90(a, 2)),
+        (4, lambda a: a[::-1]),
+        (5, lambda a: a.swapaxes(0, 1)),
+        (6, lambda a: np.rot90(a, -1)),
+        (7, lambda a: np.rot90(a, 2).swapaxes(0, 1)),
+        (8, lambda a: np.rot90(a, 1)),
+    ],
+)
+def test_exif_orientation(tmp_path, orientation, turn):
+    path = store(tmp_path / "a.tif", RGB, Orientation=orientation)
+    upright = turn(RGB)
+    assert np.array_equal(read_pixels(path), upright)
+    assert image_size(path) == (upright.shape[1], upright.shape[0])
+    assert np.array_equal(read_pixels(path, upright=False), RGB)
+    assert image_size(path, upright=False) == (9, 6)
+
+
+def test_png_rounds_and_clips(tmp_path):
+    values = np.array([[-1, 0.4 / 255, 0.6 / 255, 0.5, 2]], np.float32)
+    write_image(tmp_path / "a.png", values)
+    assert read_pixels(tmp_path / "a.png")[0, :, 0].tolist() == [0, 0, 1, 128, 255]
+
+
+@pytest.mark.parametrize("suffix, tolerance", [("png", 0.5 / 255), ("exr", 1e-6)])
+def test_pictures_read_back_as_written(tmp_path, suffix, tolerance):
+    colour = np.random.default_rng(1).random((5, 4, 3), np.float32)
+    write_image(tmp_path / f"a.{suffix}", colour)
+    assert np.allclose(read_image(tmp_path / f"a.{suffix}"), colour, atol=tolerance * 1.01, rtol=0)
+
+
+def test_exr_data_keeps_its_numbers(tmp_path):
+    depth = np.array([[0.5, 1234.5, -3.0]], np.float64)
+    write_image(tmp_path / "a.exr", depth)
+    source = oiio.ImageInput.open(str(tmp_path / "a.exr"))
+    assert np.array_equal(source.read_image(oiio.FLOAT)[:, :, 0], depth)
+
+
+def test_transfer_functions_are_inverse():
+    values = np.linspace(-0.5, 2, 1001, dtype=np.float32)
+    assert np.allclose(linear_to_srgb(srgb_to_linear(values)), values, atol=2e-6)
+
+
+def test_unknown_suffix_is_refused(tmp_path):
+    with pytest.raises(SceneError, match=r"a\.jpg.*\.png or \.exr"):
+        write_image(tmp_path / "a.jpg", RGB)
+
+
+def test_failed_write_leaves_the_old_picture(tmp_path, monkeypatch):
+    path = tmp_path / "a.png"
+    write_image(path, RGB)
+    monkeypatch.setattr(oiio, "geterror", lambda: "disk full")
+    monkeypatch.setattr(oiio.ImageOutput, "create", lambda _: None)
+    with pytest.raises(SceneError, match="disk full"):
+        write_image(path, 255 - RGB)
+    assert list(tmp_path.iterdir()) == [path] and np.array_equal(read_pixels(path), RGB)
+
+
+def test_broken_files_give_one_sentence(tmp_path):
+    big = np.random.default_rng(0).integers(0, 256, (200, 200, 3), dtype=np.uint8)
+    whole = {suffix: store(tmp_path / f"whole.{suffix}", big).read_bytes() for suffix in ("jpg", "png", "tif", "exr")}
+    cases = {f"cut.{suffix}": data[: len(data) // 2] for suffix, data in whole.items()}
+    cases |= {"text.png": b"hello", "empty.jpg": b""}
+    for name, data in cases.items():
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(FormatError, match=name) as caught:
+            read_image(tmp_path / name)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(FormatError, match=r"none\.png"):
+        image_size(tmp_path / "none.png")
+
+
+def test_pixels_that_are_not_numbers_are_refused(tmp_path):
+    path = store(tmp_path / "a.exr", np.full((2, 2, 3), np.nan, np.float32))
+    with pytest.raises(FormatError, match="not numbers"):
+        read_image(path)
