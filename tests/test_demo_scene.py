@@ -123,11 +123,16 @@ def test_points_have_the_colours_of_the_pixels_they_fall_on(dataset, model):
     straight = colour_error((0, 0))
     shifted = [colour_error(s) for s in ((2, 0), (-2, 0), (0, 2), (0, -2))]
     print(straight, shifted)
-    assert straight < 16, straight  # seen: XX
+    assert straight < 16, straight  # seen: 11.8, and 23 to 27 when shifted
     assert straight < 0.6 * min(shifted), (straight, shifted)
 
 
 def test_marker_shows_where_its_centre_projects(dataset, model):
+    """Half a pixel off, as by another idea of pixel centres, would be noticed.
+
+    The middle of what is seen of a ball is not quite its projected centre: perspective, the
+    column's rim and the contrast along the outline shift it by up to 0.2 pixels.
+    """
     marker = json.loads((dataset / "demo_scene.json").read_text())["marker"]
     checked = 0
     for image_id, picture in pictures(dataset, model).items():
@@ -142,8 +147,7 @@ def test_marker_shows_where_its_centre_projects(dataset, model):
         if near.sum() < 12:  # hidden; were the cameras wrong, it would be so everywhere
             continue
         found = np.average(pixels[near], axis=0, weights=weight[rows, cols][near])
-        print(found-centre)
-        assert np.abs(found - centre).max() < 0.35, (image_id, found, centre)
+        offset = np.abs(found - centre).max()
+        assert offset < 0.35, (image_id, offset)  # worst seen: 0.21
         checked += 1
-    print(checked)
     assert checked >= 2

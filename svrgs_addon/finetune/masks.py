@@ -7,6 +7,7 @@ import numpy as np
 from ..errors import SceneError
 from ..native import sample_masks
 from .model import MASK, Model
+from .scores import top
 
 _EVENT_STREAM = 1 << 62  # keeps an event's draws apart from those of the steps
 MIN_SHARE = 1e-3  # a run that would leave less than this share of a scene is refused
@@ -32,10 +33,7 @@ def decided(model: Model, target: int = 0) -> np.ndarray:
     logits = model.values[MASK]
     if not target or target >= model.count:
         return logits > 0
-    order = np.lexsort((np.arange(model.count), -logits))  # ties: earlier first
-    keep = np.zeros(model.count, bool)
-    keep[order[:target]] = True
-    return keep
+    return top(logits, target)
 
 
 def refuse_emptying(keep: np.ndarray, before: int):

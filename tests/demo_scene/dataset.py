@@ -1,4 +1,4 @@
-"""Owns the dataset folder: the stamp that says whether it is current, and its all-or-nothing making.
+"""Owns the dataset folder: the stamp that tells whether it is current, and its making.
 
 A dataset is built in a temporary folder beside its place and renamed, so it is never half there.
 """
@@ -69,6 +69,8 @@ def ensure(out: Path, request: Request) -> bool:
     try:
         fresh, old = work / "fresh", work / "old"
         _generate(fresh, request)
+        if is_current(out, request):  # another process was faster
+            return False
         if out.exists():
             out.rename(old)
         fresh.rename(out)

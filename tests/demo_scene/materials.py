@@ -66,7 +66,7 @@ def bricks(name: str, colours: list[Colour], **settings: float) -> bpy.types.Mat
 
 
 def sky(name: str, radius: float) -> bpy.types.Material:
-    """A glowing dome of the given radius (m): haze below, blue above, clouds over both."""
+    """A glowing dome, `radius` in its object's units: haze below, blue above, clouds on both."""
     material, shader = _new(name)
     material.cycles.emission_sampling = "NONE"  # to be looked at, not to be a lamp
     tree = material.node_tree
@@ -82,8 +82,12 @@ def sky(name: str, radius: float) -> bpy.types.Material:
     _link(material, height.outputs["Z"], level.inputs[0])
     mix = tree.nodes.new("ShaderNodeMixRGB")
     mix.inputs["Color2"].default_value = (0.95, 0.93, 0.92, 1)
-    _ramp(material, level.outputs[0], [(0.72, 0.70, 0.66), (0.30, 0.48, 0.80), (0.10, 0.24, 0.62)],
-          mix.inputs["Color1"])
+    _ramp(
+        material,
+        level.outputs[0],
+        [(0.72, 0.70, 0.66), (0.30, 0.48, 0.80), (0.10, 0.24, 0.62)],
+        mix.inputs["Color1"],
+    )
     cover = [(c, c, c) for c in (0.0, 0.0, 0.2, 0.9, 0.95)]
     _ramp(material, clouds.outputs[0], cover, mix.inputs["Fac"])
     _link(material, mix.outputs[0], glow.inputs["Color"])

@@ -39,7 +39,10 @@ def sample(
     keep = seen.sum(axis=0) >= MIN_TRACK
     xyz, rgb, seen = xyz[keep], rgb[keep], seen[:, keep]
     view, point = np.nonzero(seen)
-    xy = [camera.project(pose.world_to_camera, xyz[row])[0] for pose, row in zip(poses, seen)]
+    xy = [
+        camera.project(pose.world_to_camera, xyz[row])[0]
+        for pose, row in zip(poses, seen, strict=True)
+    ]
     return Cloud(xyz, rgb, view, point, np.concatenate(xy))
 
 

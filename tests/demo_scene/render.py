@@ -3,7 +3,7 @@
 import time
 from pathlib import Path
 
-import _cycles
+import _cycles  # there once bpy has been imported, as it was by whoever built the scene
 import bpy
 import numpy as np
 from mathutils import Matrix

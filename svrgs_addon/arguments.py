@@ -1,0 +1,137 @@
+"""The command line's words. What they do is in commands.py; nothing heavy is imported here."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from . import __version__
+
+TRAIN_ITERATIONS, PRUNE_ITERATIONS, RECOVERY = 30_000, 3_000, 5_000
+
+
+class Parser(argparse.ArgumentParser):
+    def error(self, message: str):
+        self.exit(2, f"{self.prog}: {message}\n")
+
+
+def parser() -> argparse.ArgumentParser:
+    root = Parser(prog="svrgs", description="Makes 3D Gaussian splat scenes several times smaller, and says what it cost.")
+    root.add_argument("--version", action="version", version=__version__)
+    commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for add in (_info, _render, _train, _prune, _eval, _compare):
+        add(commands)
+    return root
+
+
+def _command(commands, name: str, help_: str) -> argparse.ArgumentParser:
+    command = commands.add_parser(name, help=help_, description=help_)
+    command.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else there")
+    command.add_argument("--threads", type=_count, default=0, help="threads to use (default: one per core); results do not depend on it")
+    return command
+
+
+def _info(commands):
+    command = _command(commands, "info", "Says what is in a splat file.")
+    command.add_argument("scene", type=Path)
+
+
+def _render(commands):
+    command = _command(commands, "render", "Renders a scene from its cameras: colours, spatial mask, depth, alpha.")
+    command.add_argument("scene", type=Path)
+    cameras = command.add_mutually_exclusive_group(required=True)
+    cameras.add_argument("--colmap", type=Path, metavar="DIR", help="COLMAP dataset or model; photographs are not needed")
+    cameras.add_argument("--cameras", type=Path, metavar="JSON", help="cameras.json of a 3DGS run")
+    command.add_argument("--views", default="all", help="all, train, test, or image names and positions, comma-separated (default: all)")
+    command.add_argument("--outputs", default="rgb", help="any of rgb,mask,depth,alpha (default: rgb)")
+    command.add_argument("--format", choices=("png", "exr", "npy"), default="png")
+    command.add_argument("--background", type=_colour, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each (default: black)")
+    command.add_argument("--out", type=Path, required=True, metavar="DIR")
+
+
+def _dataset(command, required: bool = True):
+    command.add_argument("--colmap", type=Path, required=required, metavar="DIR", help="COLMAP dataset: photographs and model")
+    command.add_argument("--images", metavar="NAME", help="image folder inside the dataset, e.g. images_4 (default: images)")
+    command.add_argument("--holdout", type=_count, default=8, metavar="N", help="every N-th view is for testing; 0: none (default: 8)")
+    command.add_argument("--background", type=_colour, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="behind transparent pixels, 0..1 each (default: black)")
+    command.add_argument("--lpips-weights", type=Path, metavar="FILE", help="VGG LPIPS weights; without them LPIPS is left out")
+
+
+def _run(command):
+    command.add_argument("--seed", type=_count, default=0)
+    command.add_argument("--engine", choices=("native", "torch"), default="native")
+    command.add_argument("--lambda-f", type=_weight, metavar="L", help="weight of the spatial mask (default: 1e-4)")
+    command.add_argument("--visible-mask", action="store_true", help="F stops with the colours instead of walking each ray to its end")
+    command.add_argument("--resume", action="store_true", help="go on from the last checkpoint of the same job")
+    command.add_argument("--quiet", action="store_true", help="no progress on stderr")
+
+
+def _train(commands):
+    command = _command(commands, "train", "Trains a scene from photographs and COLMAP's sparse points.")
+    _dataset(command)
+    _run(command)
+    command.add_argument("--method", default="3dgs", help="3dgs, or a method that learns masks on the way: svr, svr-self, svr-a, svr-b, maskgs (default: 3dgs)")
+    command.add_argument("--iterations", type=_count, default=TRAIN_ITERATIONS, help=f"default: {TRAIN_ITERATIONS}")
+    command.add_argument("--recovery", type=_count, metavar="N", help=f"steps after pruning (default: {RECOVERY} for methods that prune, else 0)")
+    command.add_argument("--densify-until", type=_count, default=15_000, metavar="N", help="last iteration of densification (default: 15000)")
+    command.add_argument("--sh-degree", type=int, choices=range(4), default=3)
+    command.add_argument("--out", type=Path, required=True, metavar="FILE")
+
+
+def _prune(commands):
+    command = _command(commands, "prune", "Prunes trained scenes and recovers their quality.")
+    command.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="splat files, or folders holding a splat and its COLMAP dataset, or folders of such")
+    _dataset(command, required=False)
+    _run(command)
+    command.add_argument("--method", default="svr", help="svr, svr-self, svr-a, svr-b, maskgs, opacity, contribution, 3dgs (default: svr)")
+    command.add_argument("--iterations", type=_count, default=PRUNE_ITERATIONS, metavar="N", help=f"steps of mask learning (default: {PRUNE_ITERATIONS})")
+    command.add_argument("--recovery", type=_count, default=RECOVERY, metavar="N", help=f"steps after it (default: {RECOVERY})")
+    size = command.add_mutually_exclusive_group()
+    size.add_argument("--target", type=_share, metavar="SHARE", help="share of the Gaussians to keep, e.g. 0.25")
+    size.add_argument("--target-count", type=_count, metavar="N", help="number of Gaussians to keep")
+    command.add_argument("--out", type=Path, metavar="FILE|DIR", help="a file for one scene, a folder for several (default: beside each scene)")
+    command.add_argument("--report", type=Path, metavar="DIR", help="write an HTML page there (one folder a scene if there are several)")
+    command.add_argument("--overwrite", action="store_true", help="with several scenes: also those whose output exists")
+
+
+def _eval(commands):
+    command = _command(commands, "eval", "Measures a scene against photographs.")
+    command.add_argument("scene", type=Path)
+    _dataset(command)
+    command.add_argument("--split", choices=("test", "train", "all"), default="test")
+
+
+def _compare(commands):
+    command = _command(commands, "compare", "Two scenes side by side: pictures, differences, spatial masks, figures.")
+    command.add_argument("a", type=Path, metavar="A")
+    command.add_argument("b", type=Path, metavar="B")
+    _dataset(command)
+    command.add_argument("--out", type=Path, required=True, metavar="DIR")
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} is negative")
+    return value
+
+
+def _weight(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not a weight of 0 or more")
+    return value
+
+
+def _share(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a share between 0 and 1")
+    return value
+
+
+def _colour(text: str) -> tuple[float, float, float]:
+    parts = tuple(float(part) for part in text.split(","))
+    if len(parts) != 3 or not all(0 <= part <= 1 for part in parts):
+        raise argparse.ArgumentTypeError(f"{text} is not three numbers of 0..1 with commas between")
+    return parts

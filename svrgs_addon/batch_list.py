@@ -1,0 +1,71 @@
+"""From what the user names to a list of scenes: splat files, scene folders, folders of scene folders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from .errors import SceneError
+
+SUFFIX = ".ply"
+PRUNED = "_pruned"
+
+
+@dataclass(frozen=True)
+class Item:
+    """One scene to prune."""
+
+    name: str
+    scene: Path
+    colmap: Path | None  # its dataset; None: not found
+    out: Path
+
+
+def expand(paths: list[Path], colmap: Path | None, out: Path | None) -> list[Item]:
+    """Every scene under `paths`, in order.
+
+    A folder with a splat is one scene, its dataset the folder itself; a folder without is searched one level down.
+    colmap: the dataset of every scene, instead. out: a file for a single scene, else a folder; default: beside each.
+    Raises SceneError if a path does not exist or holds no scene.
+    """
+    found = [pair for path in paths for pair in _scenes(path)]
+    names = [name for name, _ in found]
+    if len(set(names)) < len(names) and out is not None:
+        raise SceneError(f"two scenes are called '{next(n for n in names if names.count(n) > 1)}': prune them into separate folders")
+    single = len(found) == 1 and not paths[0].is_dir()
+    return [Item(name, scene, colmap or _dataset(scene), _output(name, scene, out, single)) for name, scene in found]
+
+
+def _scenes(path: Path) -> list[tuple[str, Path]]:
+    if not path.is_dir():
+        return [(path.stem, path)]
+    own = _splat_in(path)
+    if own:
+        return [(path.name, own)]
+    below = [(folder.name, splat) for folder in sorted(path.iterdir()) if folder.is_dir() and (splat := _splat_in(folder))]
+    if not below:
+        raise SceneError(f"{path}: holds no splat: neither a {SUFFIX} file nor folders with one")
+    return below
+
+
+def _splat_in(folder: Path) -> Path | None:
+    """The folder's splat: its only .ply that is no output of ours, or the last of a 3DGS run's point_cloud folder."""
+    files = [p for p in sorted(folder.glob("*" + SUFFIX)) if not p.stem.endswith(PRUNED) and not p.name.startswith(".")]
+    if len(files) > 1:
+        raise SceneError(f"{folder}: holds {len(files)} splats ({files[0].name}, {files[1].name}, ...): name the one to prune")
+    trained = folder.glob("point_cloud/iteration_*/point_cloud" + SUFFIX)
+    return files[0] if files else max(trained, key=lambda p: int(p.parent.name.rpartition("_")[2]), default=None)
+
+
+def _dataset(scene: Path) -> Path | None:
+    """The nearest folder above the splat that looks like a COLMAP dataset."""
+    for folder in list(scene.absolute().parents)[:3]:
+        if (folder / "sparse").is_dir() or any((folder / f"cameras{suffix}").exists() for suffix in (".bin", ".txt")):
+            return folder
+    return None
+
+
+def _output(name: str, scene: Path, out: Path | None, single: bool) -> Path:
+    if out is None:
+        return scene.with_name(f"{scene.stem}{PRUNED}{SUFFIX}")
+    return out if single and not out.is_dir() else out / f"{name}{SUFFIX}"

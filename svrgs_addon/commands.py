@@ -1,0 +1,155 @@
+"""What each command does: options in, files and a result out."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from . import batch_list, splat_files
+from .arguments import RECOVERY
+from .errors import SceneError
+
+Options = argparse.Namespace
+
+
+def info(options: Options) -> int:
+    facts = splat_files.describe(options.scene)
+    return _print(facts, options, "\n".join(f"{name:12} {value}" for name, value in facts.items()))
+
+
+def render(options: Options) -> int:
+    from .render_views import render_views
+
+    saved = render_views(options)
+    return _print({"files": [str(path) for path in saved]}, options, "\n".join(f"Saved: '{path}'" for path in saved))
+
+
+def train(options: Options) -> int:
+    from . import jobs
+    from .finetune.settings import Densify, method_named, train_settings
+    from .progress import StopRequest
+
+    learns = method_named(options.method).learns_masks
+    if method_named(options.method).score:
+        raise SceneError(f"method '{options.method}' prunes trained scenes; train with 3dgs or a method that learns masks")
+    recovery = options.recovery if options.recovery is not None else RECOVERY * learns
+    settings = train_settings(
+        options.method, options.iterations, recovery, lambda_f=options.lambda_f, seed=options.seed, full=not options.visible_mask,
+        background=options.background, densify=Densify(until=options.densify_until),
+    )  # fmt: skip
+    jobs.check_writable(options.out)
+    dataset = _load(options, options.colmap, need_points=True)
+    with StopRequest() as stop:
+        result = jobs.train(dataset, settings, _job(options, options.out, None, stop), options.sh_degree)
+    return _print(result, options, _figures(result))
+
+
+def prune(options: Options) -> int:
+    items = batch_list.expand(options.scenes, options.colmap, options.out)
+    if len(items) == 1:
+        return _print(result := _prune_one(options, items[0], options.report), options, _figures(result))
+    failed = 0
+    for item in items:
+        line = {"scene": str(item.scene), "out": str(item.out)}
+        if item.out.exists() and not options.overwrite:
+            line["skipped"] = "the output exists"
+        else:
+            try:
+                line = _prune_one(options, item, options.report and options.report / item.name)
+            except SceneError as error:
+                line["error"], failed = str(error), failed + 1
+        print(json.dumps(_plain(line)), flush=True)
+    return 1 if failed else 0
+
+
+def _prune_one(options: Options, item: batch_list.Item, report: Path | None) -> dict:
+    from . import jobs
+    from .finetune.settings import prune_settings
+    from .progress import StopRequest
+
+    if item.colmap is None:
+        raise SceneError(f"{item.scene}: pruning needs the photographs it was trained on; give --colmap DIR")
+    settings = prune_settings(
+        options.method, options.iterations, options.recovery, lambda_f=options.lambda_f, seed=options.seed,
+        full=not options.visible_mask, background=options.background, target=_target(options, item.scene),
+    )  # fmt: skip
+    jobs.check_writable(item.out)
+    dataset = _load(options, item.colmap)
+    with StopRequest() as stop:
+        return jobs.prune(item.scene, dataset, settings, _job(options, item.out, report, stop))
+
+
+def _target(options: Options, scene: Path) -> int:
+    if options.target_count is not None:
+        return options.target_count
+    return max(1, round(options.target * splat_files.describe(scene)["count"])) if options.target else 0
+
+
+def evaluate(options: Options) -> int:
+    from .evaluate import evaluate as measure
+    from .evaluate import refuse_unseen, split_indices
+    from .metrics import load_lpips
+    from .native import Rasterizer
+
+    scene = splat_files.load_scene(options.scene).scene
+    dataset = _load(options, options.colmap)
+    refuse_unseen(scene, dataset.cameras, str(options.scene))
+    lpips, reason = load_lpips(options.lpips_weights)
+    result = measure(scene, dataset, split_indices(dataset, options.split), Rasterizer(), lpips)
+    result["bytes"] = options.scene.stat().st_size
+    return _print(result, options, _figures(result, reason))
+
+
+def compare(options: Options) -> int:
+    from .compare import compare as run
+
+    result = run(options.a, options.b, _load(options, options.colmap), options.out, options.lpips_weights)
+    return _print(result, options, "\n".join(f"{name}: {_figures(result[name])}" for name in ("a", "b")) + f"\n{result['report']}")
+
+
+COMMANDS: dict[str, Callable[[Options], int]] = {"info": info, "render": render, "train": train, "prune": prune, "eval": evaluate, "compare": compare}
+
+
+def _load(options: Options, colmap: Path, need_points: bool = False):
+    from .dataset import load_dataset
+
+    return load_dataset(colmap, options.images, holdout=options.holdout, background=options.background, need_points=need_points)
+
+
+def _job(options: Options, out: Path, report: Path | None, stop):
+    from .jobs import JobOptions
+    from .progress import Reporter
+
+    return JobOptions(out, report, options.resume, options.engine, options.lpips_weights, Reporter(options.quiet), stop)
+
+
+def _figures(result: dict, lpips_missing: str = "") -> str:
+    """The figures of a result as people read them."""
+    parts = [f"{result['count']:,} Gaussians", f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
+    if result.get("lpips") is not None:
+        parts.append(f"LPIPS {result['lpips']:.4f}")
+    parts += [f"{result['bytes'] / 1e6:.1f} MB", f"{result['ms_per_frame']:.1f} ms per frame"]
+    before = result.get("before")
+    lines = ([f"before  {_figures(before)}"] if before else []) + [("after   " if before else "") + ", ".join(parts)]
+    if before:
+        lines.append(f"kept {result['count'] / before['count']:.1%} of the Gaussians at {result['psnr'] - before['psnr']:+.2f} dB")
+    if "seconds" in result:
+        lines.append(f"{result['seconds']:.0f} s; saved {result['out']}")
+    return "\n".join(lines + ([f"LPIPS left out: {lpips_missing}"] if lpips_missing else []))
+
+
+def _print(result: dict, options: Options, text: str) -> int:
+    print(json.dumps(_plain(result)) if options.json else text, flush=True)
+    return 0
+
+
+def _plain(value):
+    """JSON has no infinity and no NaN: they become null."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

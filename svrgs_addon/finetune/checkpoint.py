@@ -1,0 +1,91 @@
+"""Checkpoints: arrays.npz first, manifest.json last. A folder without a manifest that fits its arrays is not a checkpoint."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from ..atomic import atomic_write
+from ..errors import FormatError
+from .densify import Statistics
+from .loop import Curves, Run
+from .model import Model
+
+SCHEMA = 1
+KEPT = 2  # newest checkpoints kept
+_PARTS = ("values", "first", "second")
+
+
+def save(run: Run, folder: Path, identity: str) -> Path:
+    """Writes the run's state to folder/<iteration>, then forgets all but the newest two. identity: settings and inputs."""
+    target = folder / f"{run.iteration:07d}"
+    arrays = {f"{part}.{name}": array for part in _PARTS for name, array in getattr(run.model, part).items()}
+    arrays |= {"origin": run.model.origin, "statistics.total": run.statistics.total, "statistics.views": run.statistics.views}
+    with atomic_write(target / "arrays.npz") as file:
+        np.savez(file, **arrays)
+    manifest = {
+        "schema": SCHEMA,
+        "identity": identity,
+        "sha256": _digest(target / "arrays.npz"),
+        "iteration": run.iteration,
+        "initial_count": run.initial_count,
+        "loss": run.loss,
+        "nonfinite": run.nonfinite,
+        "seconds": run.seconds,
+        "curves": asdict(run.curves),
+    }
+    with atomic_write(target / "manifest.json") as file:
+        file.write(json.dumps(manifest).encode())
+    for old in _folders(folder)[:-KEPT]:
+        shutil.rmtree(old, ignore_errors=True)
+    return target
+
+
+def restore(run: Run, folder: Path, identity: str) -> bool:
+    """Puts the newest whole checkpoint's state into the run. False: there is none. FormatError: it is of another run."""
+    for candidate in reversed(_folders(folder)):
+        manifest = _manifest(candidate)
+        if manifest is None:
+            logging.warning("%s is not a whole checkpoint: trying the one before", candidate)
+            continue
+        if manifest["identity"] != identity:
+            raise FormatError(f"{candidate}: was written by a run with other settings or inputs; delete {folder} to start anew")
+        _apply(run, candidate, manifest)
+        return True
+    return False
+
+
+def _apply(run: Run, folder: Path, manifest: dict):
+    with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
+        parts = {part: {name.split(".", 1)[1]: arrays[name] for name in arrays if name.startswith(part + ".")} for part in _PARTS}
+        run.model = Model(**parts, origin=arrays["origin"])
+        run.statistics = Statistics(run.model.count)
+        run.statistics.total, run.statistics.views = arrays["statistics.total"], arrays["statistics.views"]
+    run.iteration, run.initial_count = manifest["iteration"], manifest["initial_count"]
+    run.loss, run.nonfinite, run.seconds = manifest["loss"], manifest["nonfinite"], manifest["seconds"]
+    run.curves = Curves(**manifest["curves"])
+
+
+def _folders(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("[0-9]" * 7) if path.is_dir())
+
+
+def _manifest(folder: Path) -> dict | None:
+    try:
+        manifest = json.loads((folder / "manifest.json").read_bytes())
+        if manifest["schema"] == SCHEMA and manifest["sha256"] == _digest(folder / "arrays.npz"):
+            return manifest
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    return None
+
+
+def _digest(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,245 @@
+"""Whole jobs: train from sparse points, prune a trained scene. Each checks everything it needs before it starts to work."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from . import __version__, report
+from .atomic import check_writable
+from .dataset import Dataset
+from .errors import SceneError
+from .evaluate import evaluate, mean_psnr, refuse_unseen, render_options, shown
+from .finetune import checkpoint, loop, masks, scores
+from .finetune.engine import NativeEngine
+from .finetune.model import MASK, Model, scene_from_points
+from .finetune.settings import Settings, method_named
+from .images import to_float
+from .metrics import load_lpips, psnr
+from .native import Rasterizer, RenderOptions
+from .plots import Series
+from .scene import Scene
+from .splat_files import invisible, load_scene, write_scene
+
+CURVE_VIEWS = 4  # test views behind the PSNR curve
+REPORT_VIEWS = 3
+CHECKPOINT_SECONDS = 120.0
+
+
+@dataclass(frozen=True)
+class JobOptions:
+    """What a job does beside its settings."""
+
+    out: Path
+    report: Path | None = None
+    resume: bool = False
+    engine: str = "native"
+    lpips_weights: Path | None = None
+    observe: Callable[[loop.Progress], None] = lambda _: None
+    stop: Callable[[], bool] = lambda: False
+
+    @property
+    def folder(self) -> Path:
+        """Where checkpoints lie while the job is not finished."""
+        return self.out.with_name(self.out.name + ".job")
+
+
+def train(dataset: Dataset, settings: Settings, options: JobOptions, sh_degree: int = 3) -> dict:
+    """3DGS (with masks, where the method learns them) from the dataset's sparse points; returns the JSON result."""
+    check_outputs(options)
+    started = time.perf_counter()
+    start = scene_from_points(dataset.points, dataset.point_colors, sh_degree)
+    run, scene = fine_tune(start, dataset, settings, options)
+    after = measured(scene, dataset, options)
+    result = {**after, "out": str(options.out), "method": settings.method, "lambda_f": settings.lambda_f or None, **run_facts(run, started)}
+    return result
+
+
+def prune(scene_path: Path, dataset: Dataset, settings: Settings, options: JobOptions) -> dict:
+    """Prunes and recovers a trained scene; writes it, and the report if asked; returns the JSON result."""
+    check_outputs(options)
+    if options.out.resolve() == scene_path.resolve():
+        raise SceneError(f"{options.out}: is the input itself; choose another output, the original is never overwritten")
+    started = time.perf_counter()
+    source = load_scene(scene_path).scene
+    refuse_unseen(source, dataset.cameras, str(scene_path))
+    before = measured(source, dataset, options, scene_path)
+    evaluated = time.perf_counter() - started
+    start = first_cut(source, dataset, settings)
+    run, scene = fine_tune(start, dataset, settings, options)
+    after = measured(scene, dataset, options)
+    result = {
+        **after,
+        "scene": str(scene_path),
+        "out": str(options.out),
+        "method": settings.method,
+        "lambda_f": settings.lambda_f or None,
+        "before": before,
+        "after": after,
+        "invisible": int(invisible(source).sum()),
+        **run_facts(run, started),
+    }
+    result["seconds_by_phase"] = {"evaluate before": evaluated, **result["seconds_by_phase"]}
+    if options.report:
+        write_report(options, scene_path.stem, source, scene, dataset, run, result)
+    return result
+
+
+def check_outputs(options: JobOptions):
+    """Finds out before the work whether its results can be written. Raises SceneError."""
+    check_writable(options.out)
+    check_writable(options.folder / "manifest.json")
+    if options.report:
+        check_writable(options.report / "index.html")
+    load_lpips(options.lpips_weights)
+
+
+def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
+    """Drops what reaches no pixel (exact), and for score methods all but the target count."""
+    scene = scene.select(~invisible(scene))
+    score = method_named(settings.method).score
+    if not score:
+        return scene
+    if not settings.target:
+        raise SceneError(f"method '{settings.method}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
+    if score == "opacity":
+        ranked = scene.opacity_logits
+    else:
+        cameras = [dataset.cameras[i] for i in dataset.train_indices]
+        ranked, _, _ = scores.contribution(scene, cameras, Rasterizer(), render_options(scene, settings.background))
+    return scene.select(scores.top(ranked, settings.target))
+
+
+def make_engine(name: str):
+    if name == "native":
+        return NativeEngine()
+    from .finetune.torch_engine import TorchEngine
+
+    return TorchEngine()
+
+
+def fine_tune(start: Scene, dataset: Dataset, settings: Settings, options: JobOptions) -> tuple[loop.Run, Scene]:
+    """Runs all phases with checkpoints, writes options.out, and forgets the checkpoints."""
+    if settings.total and not dataset.train_indices:
+        raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
+    run = loop.Run(Model.of(start), dataset, settings, make_engine(options.engine), start.antialiased)
+    identity = run_identity(start, dataset, settings)
+    if options.resume:
+        checkpoint.restore(run, options.folder, identity)
+    saved = time.monotonic()
+
+    def observe(progress: loop.Progress):
+        nonlocal saved
+        options.observe(progress)
+        if time.monotonic() - saved > CHECKPOINT_SECONDS:
+            checkpoint.save(run, options.folder, identity)
+            saved = time.monotonic()
+
+    loop.run_to_end(run, observe, options.stop, lambda: checkpoint.save(run, options.folder, identity), lambda: curve_psnr(run))
+    scene = run.model.scene(start)
+    write_scene(options.out, scene)
+    shutil.rmtree(options.folder, ignore_errors=True)
+    return run, scene
+
+
+def run_identity(start: Scene, dataset: Dataset, settings: Settings) -> str:
+    """Digest of everything a resumed run must share with the one it continues."""
+    digest = hashlib.sha256(repr(settings).encode())
+    for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
+        digest.update(array)
+    for camera in dataset.cameras:
+        digest.update(repr((camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())).encode())
+    return digest.hexdigest()
+
+
+def curve_psnr(run: loop.Run) -> float | None:
+    """PSNR over a few test views of what would be left if pruning ended now."""
+    dataset, model = run.dataset, run.model
+    views = dataset.test_indices[:: max(1, len(dataset.test_indices) // CURVE_VIEWS)][:CURVE_VIEWS]
+    if not views:
+        return None
+    kept = masks.decided(model).astype(np.uint8) if model.learns_masks else None
+    options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
+    return mean_psnr(model, dataset, views, run.engine.rasterizer, options, kept)
+
+
+def measured(scene: Scene, dataset: Dataset, options: JobOptions, path: Path | None = None) -> dict:
+    """The keys of `svrgs eval` for a scene that lies in `path` (default: the output)."""
+    lpips, _ = load_lpips(options.lpips_weights)
+    views = dataset.test_indices or dataset.train_indices
+    return {**evaluate(scene, dataset, views, Rasterizer(), lpips), "bytes": (path or options.out).stat().st_size}
+
+
+def run_facts(run: loop.Run, started: float) -> dict:
+    tuned = sum(run.seconds.values())
+    return {
+        "seconds": time.perf_counter() - started,
+        "seconds_by_phase": dict(run.seconds),
+        "iterations": run.iteration,
+        "iterations_per_second": run.iteration / tuned if tuned else None,
+        "peak_memory_bytes": peak_memory(),
+        "nonfinite_gradients": run.nonfinite,
+        "seed": run.settings.seed,
+    }
+
+
+def peak_memory() -> int | None:
+    """Largest resident size of this process so far, bytes; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def write_report(options: JobOptions, name: str, before: Scene, after: Scene, dataset: Dataset, run: loop.Run, result: dict):
+    """The HTML page of a pruning job."""
+    curves, phases, start = run.curves, [], 0
+    for phase in run.settings.phases:
+        phases.append(report.Phase(phase.name, run.seconds.get(phase.name, 0.0), start))
+        start += phase.steps
+    series = [Series("Gaussians", curves.iteration, curves.count, from_zero=True), Series("Loss", curves.iteration, curves.loss)]
+    if any(value is not None for value in curves.psnr):
+        series.insert(1, Series("PSNR", curves.iteration, curves.psnr, "dB"))
+    page = report.Report(
+        scene=name,
+        before=result["before"],
+        after=result["after"],
+        method=result["method"],
+        lambda_f=result["lambda_f"],
+        lpips_missing=load_lpips(options.lpips_weights)[1],
+        phases=tuple(phases),
+        iterations_per_second=result["iterations_per_second"],
+        peak_memory_bytes=result["peak_memory_bytes"],
+        seed=result["seed"],
+        versions={"SVR-GS": __version__, "Python": platform.python_version(), "NumPy": np.__version__, "SIMD": Rasterizer().level},
+        curves=tuple(series) if curves.iteration else (),
+        views=tuple(report_views(before, after, dataset)),
+    )
+    report.write_report(options.report, page)
+
+
+def report_views(before: Scene, after: Scene, dataset: Dataset, count: int = REPORT_VIEWS):
+    """Pictures of a few test views, spread over the dataset."""
+    views = dataset.test_indices or dataset.train_indices
+    rasterizer = Rasterizer()
+    for i in views[:: max(1, len(views) // count)][:count]:
+        pictures = []
+        for scene in (before, after):
+            options = render_options(scene, dataset.background, "svr")
+            images = rasterizer.forward(scene, dataset.cameras[i], options, outputs=("rgb", "mask"))
+            pictures.append((shown(images["rgb"]), images["mask"]))
+        photo = to_float(dataset.image(i))
+        (rgb_before, mask_before), (rgb_after, mask_after) = pictures
+        yield report.View(
+            dataset.cameras[i].name, rgb_before, rgb_after, photo, mask_before, mask_after, psnr(rgb_before, photo), psnr(rgb_after, photo)
+        )

@@ -1,0 +1,91 @@
+"""`svrgs render`: one file a view and output, VIEW.OUTPUT.EXT."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from .atomic import atomic_write, check_writable
+from .camera import Camera
+from .dataset import load_cameras_json, load_dataset
+from .errors import SceneError
+from .evaluate import render_options
+from .images import write_image
+from .native import Rasterizer
+from .pictures import mask_to_rgb, to_uint8
+from .splat_files import load_scene
+
+OUTPUTS = ("rgb", "mask", "depth", "alpha")
+
+
+def render_views(options: argparse.Namespace) -> list[Path]:
+    """Renders options.outputs of options.views; returns the files written. All masks are 1, F walks each ray to its end."""
+    outputs = _outputs(options.outputs)
+    check_writable(options.out / "view.png")
+    scene = load_scene(options.scene).scene
+    chosen = choose(_cameras(options), options.views)
+    rasterizer = Rasterizer()
+    settings = render_options(scene, options.background, "svr" if "mask" in outputs else "none")
+    saved = []
+    for camera in chosen:
+        images = rasterizer.forward(scene, camera, settings, outputs=outputs)
+        saved += [_save(options.out, camera, name, images[name], options.format) for name in outputs]
+    return saved
+
+
+def _outputs(text: str) -> tuple[str, ...]:
+    names = tuple(part.strip() for part in text.split(","))
+    unknown = [name for name in names if name not in OUTPUTS]
+    if unknown:
+        raise SceneError(f"output '{unknown[0]}' is unknown; choose from {', '.join(OUTPUTS)}")
+    return names
+
+
+def _cameras(options: argparse.Namespace) -> list[Camera]:
+    if options.cameras:
+        return sorted(load_cameras_json(options.cameras), key=lambda camera: camera.name)
+    return load_dataset(options.colmap, cameras_only=True).cameras
+
+
+def choose(cameras: list[Camera], views: str) -> list[Camera]:
+    """Cameras by 'all', 'test' (every 8th), 'train', or a comma-separated list of image names, stems, or positions."""
+    if not cameras:
+        raise SceneError("there are no cameras to render from")
+    if views in ("all", "test", "train"):
+        return [c for i, c in enumerate(cameras) if views == "all" or (i % 8 == 0) == (views == "test")]
+    by_name = {key: camera for camera in cameras for key in (stem(camera.name), camera.name)}
+    chosen = []
+    for part in views.split(","):
+        if part in by_name:
+            chosen.append(by_name[part])
+        elif part.isdigit() and int(part) < len(cameras):
+            chosen.append(cameras[int(part)])
+        else:
+            raise SceneError(f"there is no view '{part}'; views are called like '{cameras[0].name}' or numbered 0 to {len(cameras) - 1}")
+    return chosen
+
+
+def stem(name: str) -> str:
+    """The image name without its extension; folders stay."""
+    return str(PurePosixPath(name).with_suffix(""))
+
+
+def _save(folder: Path, camera: Camera, output: str, image: np.ndarray, extension: str) -> Path:
+    path = folder / f"{stem(camera.name)}.{output}.{extension}"
+    if extension == "npy":
+        with atomic_write(path) as file:
+            np.save(file, image)
+    else:
+        write_image(path, image if extension == "exr" else _as_picture(output, image))
+    return path
+
+
+def _as_picture(output: str, image: np.ndarray) -> np.ndarray:
+    """8 bits to look at: F in the mask's colours, depth from black (0) to white (the farthest)."""
+    if output == "mask":
+        return mask_to_rgb(image)
+    if output == "depth":
+        return to_uint8(image / max(float(image.max()), 1e-12))
+    return to_uint8(image)

@@ -1,0 +1,72 @@
+"""Splat files by their suffix, with what reading had to mend."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .errors import FormatError, SceneError
+from .formats import clamp_extremes, drop_nonfinite, read_ply, unusable, write_ply
+from .scene import Scene
+
+INVISIBLE_LOGIT = float(np.log(1 / 254))  # opacity 1/255: fainter Gaussians reach no pixel in any view
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A scene fit for rendering, and how many Gaussians were dropped or mended to make it so."""
+
+    scene: Scene
+    dropped: int
+    clamped: int
+
+
+def read_scene(path: str | Path) -> Scene:
+    """The scene as it lies in the file. Raises FormatError, SceneError."""
+    path = Path(path)
+    if not path.exists():
+        raise SceneError(f"{path}: there is no such file")
+    if path.suffix.lower() != ".ply":
+        raise FormatError(f"{path}: '{path.suffix}' files are not read; give a 3DGS .ply")
+    return read_ply(path)
+
+
+def load_scene(path: str | Path) -> Loaded:
+    """read_scene, without Gaussians that are not finite and with extreme values clamped; both are logged."""
+    scene, dropped = drop_nonfinite(read_scene(path))
+    scene, clamped = clamp_extremes(scene)
+    if dropped or clamped:
+        logging.warning("%s: %d Gaussians with values that are not finite were dropped, %d with extreme values were clamped", path, dropped, clamped)
+    if not scene.count:
+        raise SceneError(f"{path}: has no usable Gaussian")
+    return Loaded(scene, dropped, clamped)
+
+
+def write_scene(path: str | Path, scene: Scene):
+    write_ply(path, scene)
+
+
+def invisible(scene: Scene) -> np.ndarray:
+    """(N,) bool: too faint to reach any pixel, opacity < 1/255."""
+    return scene.opacity_logits < INVISIBLE_LOGIT
+
+
+def describe(path: str | Path) -> dict:
+    """What is in a file: keys count, sh_degree, format, bytes, invisible, nonfinite, antialiased, bounds, attributes."""
+    scene = read_scene(path)
+    bad = unusable(scene)
+    means = scene.means[~bad]
+    return {
+        "count": scene.count,
+        "sh_degree": scene.sh_degree,
+        "format": "ply",
+        "bytes": Path(path).stat().st_size,
+        "invisible": int((invisible(scene) & ~bad).sum()),
+        "nonfinite": int(bad.sum()),
+        "antialiased": scene.antialiased,
+        "bounds": [means.min(axis=0).tolist(), means.max(axis=0).tolist()] if len(means) else None,
+        "attributes": sorted(scene.attributes),
+    }
