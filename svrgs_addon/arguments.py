@@ -92,6 +92,7 @@ def _prune(commands):
     command.add_argument("--out", type=Path, metavar="FILE|DIR", help="a file for one scene, a folder for several (default: beside each scene)")
     command.add_argument("--report", type=Path, metavar="DIR", help="write an HTML page there (one folder a scene if there are several)")
     command.add_argument("--overwrite", action="store_true", help="with several scenes: also those whose output exists")
+    command.add_argument("--batch", action="store_true", help="treat a single scene like several: a JSON line each, finished ones skipped")
 
 
 def _eval(commands):

@@ -7,29 +7,37 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Callable
 
 from .arguments import parser
 from .errors import Cancelled, NativeError, SplatError
+
+STOPPED = 130
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command; returns the exit status."""
     logging.basicConfig(format="svrgs: %(message)s", level=logging.WARNING)
     options = parser().parse_args(arguments)
-    try:
-        from . import commands, native
 
-        if options.threads:
-            native.set_threads(options.threads)
+    def run() -> int:
+        from . import commands
+
         return commands.COMMANDS[options.command](options)
+
+    return guarded(run, lambda sentence: print(f"svrgs: {sentence}", file=sys.stderr))
+
+
+def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
+    """The exit status of run(); an error becomes one sentence for tell() and its status."""
+    try:
+        return run()
     except SplatError as error:
-        return _fail(str(error), 2)
+        tell(str(error))
+        return 2
     except (Cancelled, KeyboardInterrupt):
-        return _fail("stopped; what was written so far is whole, --resume goes on from the last checkpoint", 130)
+        tell("stopped; --resume goes on from the last checkpoint")
+        return STOPPED
     except (NativeError, MemoryError, OSError) as error:
-        return _fail(str(error) or type(error).__name__, 1)
-
-
-def _fail(sentence: str, status: int) -> int:
-    print(f"svrgs: {sentence}", file=sys.stderr)
-    return status
+        tell(str(error) or type(error).__name__)
+        return 1

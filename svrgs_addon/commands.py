@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from dataclasses import replace
 from collections.abc import Callable
 from pathlib import Path
 
 from . import batch_list, splat_files
 from .arguments import RECOVERY
-from .errors import SceneError
+from .cli import STOPPED
+from .errors import Cancelled, SceneError
+from .worker import run_in_child
 
 Options = argparse.Namespace
 
@@ -23,6 +26,7 @@ def info(options: Options) -> int:
 def render(options: Options) -> int:
     from .render_views import render_views
 
+    _set_threads(options)
     saved = render_views(options)
     return _print({"files": [str(path) for path in saved]}, options, "\n".join(f"Saved: '{path}'" for path in saved))
 
@@ -32,6 +36,7 @@ def train(options: Options) -> int:
     from .finetune.settings import Densify, method_named, train_settings
     from .progress import StopRequest
 
+    _set_threads(options)
     learns = method_named(options.method).learns_masks
     if method_named(options.method).score:
         raise SceneError(f"method '{options.method}' prunes trained scenes; train with 3dgs or a method that learns masks")
@@ -40,52 +45,63 @@ def train(options: Options) -> int:
         options.method, options.iterations, recovery, lambda_f=options.lambda_f, seed=options.seed, full=not options.visible_mask,
         background=options.background, densify=Densify(until=options.densify_until),
     )  # fmt: skip
-    jobs.check_writable(options.out)
-    dataset = _load(options, options.colmap, need_points=True)
+    job = _job(options)
+    jobs.check_outputs(job)
+    dataset = _load(options, need_points=True)
     with StopRequest() as stop:
-        result = jobs.train(dataset, settings, _job(options, options.out, None, stop), options.sh_degree)
+        result = jobs.train(dataset, settings, replace(job, stop=stop), options.sh_degree)
     return _print(result, options, _figures(result))
 
 
 def prune(options: Options) -> int:
     items = batch_list.expand(options.scenes, options.colmap, options.out)
-    if len(items) == 1:
-        return _print(result := _prune_one(options, items[0], options.report), options, _figures(result))
-    failed = 0
+    if len(items) == 1 and not options.batch:
+        result = prune_one(argparse.Namespace(**_item_options(options, items[0], options.report)))
+        return _print(result, options, _figures(result))
+    failed = False
     for item in items:
         line = {"scene": str(item.scene), "out": str(item.out)}
         if item.out.exists() and not options.overwrite:
             line["skipped"] = "the output exists"
         else:
-            try:
-                line = _prune_one(options, item, options.report and options.report / item.name)
-            except SceneError as error:
-                line["error"], failed = str(error), failed + 1
-        print(json.dumps(_plain(line)), flush=True)
+            status, result = run_in_child(_item_options(options, item, options.report and options.report / item.name))
+            line, failed = {**line, **result}, failed or status != 0
+            if status == STOPPED:
+                raise Cancelled
+        print(json.dumps(plain(line)), flush=True)
     return 1 if failed else 0
 
 
-def _prune_one(options: Options, item: batch_list.Item, report: Path | None) -> dict:
+def _item_options(options: Options, item: batch_list.Item, report: Path | None) -> dict:
+    """The options of one scene's job."""
+    rest = {name: value for name, value in vars(options).items() if name not in ("scenes", "command")}
+    return {**rest, "scene": item.scene, "colmap": item.colmap, "out": item.out, "report": report}
+
+
+def prune_one(options: Options) -> dict:
+    """One scene: options.scene, .colmap, .out, .report beside those of the command line; returns the JSON result."""
     from . import jobs
     from .finetune.settings import prune_settings
     from .progress import StopRequest
 
-    if item.colmap is None:
-        raise SceneError(f"{item.scene}: pruning needs the photographs it was trained on; give --colmap DIR")
+    _set_threads(options)
+    if options.colmap is None:
+        raise SceneError(f"{options.scene}: pruning needs the photographs it was trained on; give --colmap DIR")
     settings = prune_settings(
         options.method, options.iterations, options.recovery, lambda_f=options.lambda_f, seed=options.seed,
-        full=not options.visible_mask, background=options.background, target=_target(options, item.scene),
+        full=not options.visible_mask, background=tuple(options.background), target=_target(options),
     )  # fmt: skip
-    jobs.check_writable(item.out)
-    dataset = _load(options, item.colmap)
+    job = _job(options, options.report)
+    jobs.check_outputs(job)
+    dataset = _load(options)
     with StopRequest() as stop:
-        return jobs.prune(item.scene, dataset, settings, _job(options, item.out, report, stop))
+        return jobs.prune(options.scene, dataset, settings, replace(job, stop=stop))
 
 
-def _target(options: Options, scene: Path) -> int:
+def _target(options: Options) -> int:
     if options.target_count is not None:
         return options.target_count
-    return max(1, round(options.target * splat_files.describe(scene)["count"])) if options.target else 0
+    return max(1, round(options.target * splat_files.describe(options.scene)["count"])) if options.target else 0
 
 
 def evaluate(options: Options) -> int:
@@ -94,8 +110,9 @@ def evaluate(options: Options) -> int:
     from .metrics import load_lpips
     from .native import Rasterizer
 
+    _set_threads(options)
     scene = splat_files.load_scene(options.scene).scene
-    dataset = _load(options, options.colmap)
+    dataset = _load(options)
     refuse_unseen(scene, dataset.cameras, str(options.scene))
     lpips, reason = load_lpips(options.lpips_weights)
     result = measure(scene, dataset, split_indices(dataset, options.split), Rasterizer(), lpips)
@@ -106,24 +123,31 @@ def evaluate(options: Options) -> int:
 def compare(options: Options) -> int:
     from .compare import compare as run
 
-    result = run(options.a, options.b, _load(options, options.colmap), options.out, options.lpips_weights)
+    _set_threads(options)
+    result = run(options.a, options.b, _load(options), options.out, options.lpips_weights)
     return _print(result, options, "\n".join(f"{name}: {_figures(result[name])}" for name in ("a", "b")) + f"\n{result['report']}")
 
 
 COMMANDS: dict[str, Callable[[Options], int]] = {"info": info, "render": render, "train": train, "prune": prune, "eval": evaluate, "compare": compare}
 
 
-def _load(options: Options, colmap: Path, need_points: bool = False):
+def _load(options: Options, need_points: bool = False):
     from .dataset import load_dataset
 
-    return load_dataset(colmap, options.images, holdout=options.holdout, background=options.background, need_points=need_points)
+    return load_dataset(options.colmap, options.images, holdout=options.holdout, background=tuple(options.background), need_points=need_points)
 
 
-def _job(options: Options, out: Path, report: Path | None, stop):
+def _job(options: Options, report: Path | None = None):
     from .jobs import JobOptions
     from .progress import Reporter
 
-    return JobOptions(out, report, options.resume, options.engine, options.lpips_weights, Reporter(options.quiet), stop)
+    return JobOptions(options.out, report, options.resume, options.engine, options.lpips_weights, Reporter(options.quiet))
+
+
+def _set_threads(options: Options):
+    from . import native
+
+    native.set_threads(options.threads)
 
 
 def _figures(result: dict, lpips_missing: str = "") -> str:
@@ -142,14 +166,14 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
 
 
 def _print(result: dict, options: Options, text: str) -> int:
-    print(json.dumps(_plain(result)) if options.json else text, flush=True)
+    print(json.dumps(plain(result)) if options.json else text, flush=True)
     return 0
 
 
-def _plain(value):
+def plain(value):
     """JSON has no infinity and no NaN: they become null."""
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
+        return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

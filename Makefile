@@ -1,0 +1,36 @@
+# make setup   virtual environment, pinned packages, native core; .venv/bin/svrgs stands ready
+# make demo    generates a scene, trains it, prunes it, leaves a report
+# make test    all tests
+PYTHON ?= python3.11
+VENV := .venv
+PY := $(VENV)/bin/python
+DEMO := build/demo
+# What Blender as a module links against; installed where it does not load yet.
+BLENDER_LIBRARIES := libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1 libegl1 libxxf86vm1 libgomp1
+
+.PHONY: setup native demo test clean
+
+setup: $(VENV)/.ready native
+
+$(VENV)/.ready: requirements.txt requirements-dev.txt pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check -r requirements-dev.txt
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	$(PY) -c "import bpy" 2>/dev/null || { $$(test "$$(id -u)" = 0 || echo sudo) sh -c 'apt-get update -qq && apt-get install -y -qq --no-install-recommends $(BLENDER_LIBRARIES)' && $(PY) -c "import bpy"; }
+	touch $@
+
+native:
+	$(MAKE) --no-print-directory -C native
+
+demo: setup
+	$(PY) -m tests.demo_scene $(DEMO)/scene
+	$(VENV)/bin/svrgs train --colmap $(DEMO)/scene --iterations 2500 --densify-until 1500 --out $(DEMO)/trained.ply
+	$(VENV)/bin/svrgs prune $(DEMO)/trained.ply --colmap $(DEMO)/scene --iterations 1500 --recovery 1500 --out $(DEMO)/pruned.ply --report $(DEMO)/report
+	@echo "report: $(DEMO)/report/index.html"
+
+test: setup
+	$(PY) -m pytest
+
+clean:
+	$(MAKE) -C native clean
+	rm -rf build $(VENV)
