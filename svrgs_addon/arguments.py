@@ -54,7 +54,7 @@ def _dataset(command, required: bool = True):
     command.add_argument("--images", metavar="NAME", help="image folder inside the dataset, e.g. images_4 (default: images)")
     command.add_argument("--holdout", type=_count, default=8, metavar="N", help="every N-th view is for testing; 0: none (default: 8)")
     command.add_argument("--background", type=_colour, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="behind transparent pixels, 0..1 each (default: black)")
-    command.add_argument("--lpips-weights", type=Path, metavar="FILE", help="VGG LPIPS weights; without them LPIPS is left out")
+    command.add_argument("--lpips-weights", type=_weights_file, metavar="FILE", help="VGG LPIPS weights; without them LPIPS is left out")
 
 
 def _run(command):
@@ -88,7 +88,7 @@ def _prune(commands):
     command.add_argument("--recovery", type=_count, default=RECOVERY, metavar="N", help=f"steps after it (default: {RECOVERY})")
     size = command.add_mutually_exclusive_group()
     size.add_argument("--target", type=_share, metavar="SHARE", help="share of the Gaussians to keep, e.g. 0.25")
-    size.add_argument("--target-count", type=_count, metavar="N", help="number of Gaussians to keep")
+    size.add_argument("--target-count", type=_positive, metavar="N", help="number of Gaussians to keep")
     command.add_argument("--out", type=Path, metavar="FILE|DIR", help="a file for one scene, a folder for several (default: beside each scene)")
     command.add_argument("--report", type=Path, metavar="DIR", help="write an HTML page there (one folder a scene if there are several)")
     command.add_argument("--overwrite", action="store_true", help="with several scenes: also those whose output exists")
@@ -111,28 +111,38 @@ def _compare(commands):
 
 
 def _count(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text} is negative")
-    return value
+    return _parsed(int, text, lambda value: value >= 0, "a whole number of 0 or more")
+
+
+def _positive(text: str) -> int:
+    return _parsed(int, text, lambda value: value > 0, "a whole number of 1 or more")
 
 
 def _weight(text: str) -> float:
-    value = float(text)
-    if not 0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a weight of 0 or more")
-    return value
+    return _parsed(float, text, lambda value: 0 <= value < float("inf"), "a weight of 0 or more")
 
 
 def _share(text: str) -> float:
-    value = float(text)
-    if not 0 < value <= 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a share between 0 and 1")
-    return value
+    return _parsed(float, text, lambda value: 0 < value <= 1, "a share above 0 and up to 1")
 
 
 def _colour(text: str) -> tuple[float, float, float]:
-    parts = tuple(float(part) for part in text.split(","))
-    if len(parts) != 3 or not all(0 <= part <= 1 for part in parts):
-        raise argparse.ArgumentTypeError(f"{text} is not three numbers of 0..1 with commas between")
-    return parts
+    def three(text: str) -> tuple[float, ...]:
+        return tuple(float(part) for part in text.split(","))
+
+    return _parsed(three, text, lambda parts: len(parts) == 3 and all(0 <= part <= 1 for part in parts), "three numbers of 0..1 with commas between")
+
+
+def _weights_file(text: str) -> Path:
+    return _parsed(Path, text, Path.is_file, "a file that exists")
+
+
+def _parsed(kind, text: str, good, wanted: str):
+    """kind(text), or a usage error that says what was wanted."""
+    try:
+        value = kind(text)
+    except ValueError:
+        value = None
+    if value is None or not good(value):
+        raise argparse.ArgumentTypeError(f"'{text}' is not {wanted}")
+    return value

@@ -6,6 +6,7 @@ libraries need cannot clash with Blender's, and a crash cannot take Blender down
 """
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -18,11 +19,15 @@ def main() -> int:
     above = str(Path(__file__).resolve().parents[1])
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (above, os.environ.get("PYTHONPATH"))))}
     child = subprocess.Popen([sys.executable, "-m", "svrgs_addon", *words], env=environment)
-    while True:
-        try:
-            return child.wait()
-        except KeyboardInterrupt:  # the child got it too and finishes its step
-            continue
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop(child))
+    return child.wait()
+
+
+def stop(child: subprocess.Popen):
+    """Asks for a clean stop. A terminal's Ctrl-C reaches the child too, which does no harm; on Windows it is the only way."""
+    if os.name == "posix":
+        child.terminate()
 
 
 if __name__ == "__main__":

@@ -21,16 +21,17 @@ class Item:
     out: Path
 
 
-def expand(paths: list[Path], colmap: Path | None, out: Path | None) -> list[Item]:
+def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Path | None = None) -> list[Item]:
     """Every scene under `paths`, in order.
 
     A folder with a splat is one scene, its dataset the folder itself; a folder without is searched one level down.
     colmap: the dataset of every scene, instead. out: a file for a single scene, else a folder; default: beside each.
+    report: the folder of the reports, which have the scenes' names too.
     Raises SceneError if a path does not exist or holds no scene.
     """
     found = [pair for path in paths for pair in _scenes(path)]
     names = [name for name, _ in found]
-    if len(set(names)) < len(names) and out is not None:
+    if len(set(names)) < len(names) and (out or report):
         raise SceneError(f"two scenes are called '{next(n for n in names if names.count(n) > 1)}': prune them into separate folders")
     single = len(found) == 1 and not paths[0].is_dir()
     return [Item(name, scene, colmap or _dataset(scene), _output(name, scene, out, single)) for name, scene in found]
@@ -49,12 +50,15 @@ def _scenes(path: Path) -> list[tuple[str, Path]]:
 
 
 def _splat_in(folder: Path) -> Path | None:
-    """The folder's splat: its only .ply that is no output of ours, or the last of a 3DGS run's point_cloud folder."""
+    """The folder's splat: the last of a 3DGS run's point_cloud folder, or else its only .ply that is no output of ours."""
+    trained = {p: p.parent.name.removeprefix("iteration_") for p in folder.glob("point_cloud/iteration_*/point_cloud" + SUFFIX)}
+    numbered = [p for p, number in trained.items() if number.isdecimal()]
+    if numbered:  # beside it such a run keeps its sparse points, input.ply
+        return max(numbered, key=lambda p: int(trained[p]))
     files = [p for p in sorted(folder.glob("*" + SUFFIX)) if not p.stem.endswith(PRUNED) and not p.name.startswith(".")]
     if len(files) > 1:
         raise SceneError(f"{folder}: holds {len(files)} splats ({files[0].name}, {files[1].name}, ...): name the one to prune")
-    trained = folder.glob("point_cloud/iteration_*/point_cloud" + SUFFIX)
-    return files[0] if files else max(trained, key=lambda p: int(p.parent.name.rpartition("_")[2]), default=None)
+    return files[0] if files else None
 
 
 def _dataset(scene: Path) -> Path | None:

@@ -35,9 +35,12 @@ def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
     except SplatError as error:
         tell(str(error))
         return 2
-    except (Cancelled, KeyboardInterrupt):
+    except Cancelled:
         tell("stopped; --resume goes on from the last checkpoint")
         return STOPPED
+    except KeyboardInterrupt:
+        tell("interrupted")
+        return STOPPED
     except (NativeError, MemoryError, OSError) as error:
-        tell(str(error) or type(error).__name__)
+        tell(str(error) or "out of memory")
         return 1

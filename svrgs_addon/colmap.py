@@ -11,8 +11,11 @@ import copy
 import functools
 import os
 import shutil
+import signal
 import struct
+import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -118,10 +121,13 @@ def check_name(name: str) -> None:
 
 
 def import_pycolmap() -> ModuleType:
+    before = None if "pycolmap" in sys.modules else signal.getsignal(signal.SIGTERM)
     try:
         import pycolmap
     except ImportError as error:
         raise SceneError("reading COLMAP models needs the Python package pycolmap, which is missing") from error
+    if before is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, before)  # the import put one there that prints a stack trace
     return pycolmap
 
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from dataclasses import replace
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from . import batch_list, splat_files
 from .arguments import RECOVERY
 from .cli import STOPPED
 from .errors import Cancelled, SceneError
+from .finetune.settings import Densify, method_named, prune_settings, train_settings
 from .worker import run_in_child
 
 Options = argparse.Namespace
@@ -33,7 +34,6 @@ def render(options: Options) -> int:
 
 def train(options: Options) -> int:
     from . import jobs
-    from .finetune.settings import Densify, method_named, train_settings
     from .progress import StopRequest
 
     _set_threads(options)
@@ -54,21 +54,22 @@ def train(options: Options) -> int:
 
 
 def prune(options: Options) -> int:
-    items = batch_list.expand(options.scenes, options.colmap, options.out)
+    method_named(options.method)  # one that does not exist is a matter of the command, not of each scene
+    items = batch_list.expand(options.scenes, options.colmap, options.out, options.report)
     if len(items) == 1 and not options.batch:
         result = prune_one(argparse.Namespace(**_item_options(options, items[0], options.report)))
         return _print(result, options, _figures(result))
-    failed = False
+    failed = stopped = False
     for item in items:
         line = {"scene": str(item.scene), "out": str(item.out)}
         if item.out.exists() and not options.overwrite:
             line["skipped"] = "the output exists"
         else:
             status, result = run_in_child(_item_options(options, item, options.report and options.report / item.name))
-            line, failed = {**line, **result}, failed or status != 0
-            if status == STOPPED:
-                raise Cancelled
+            line, failed, stopped = {**line, **result}, failed or status != 0, status == STOPPED
         print(json.dumps(plain(line)), flush=True)
+        if stopped:
+            raise Cancelled
     return 1 if failed else 0
 
 
@@ -81,7 +82,6 @@ def _item_options(options: Options, item: batch_list.Item, report: Path | None) 
 def prune_one(options: Options) -> dict:
     """One scene: options.scene, .colmap, .out, .report beside those of the command line; returns the JSON result."""
     from . import jobs
-    from .finetune.settings import prune_settings
     from .progress import StopRequest
 
     _set_threads(options)

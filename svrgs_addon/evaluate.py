@@ -19,6 +19,7 @@ from .scene import Scene
 
 VISIBLE_CAMERAS = 32  # at most so many cameras are asked whether they see the scene
 VISIBLE_POINTS = 100_000
+VISIBLE_REACH = 100.0  # times the distance of the outermost camera from the cameras' mean
 
 
 def shown(rgb: np.ndarray) -> np.ndarray:
@@ -73,12 +74,14 @@ def evaluate(scene: Scene, dataset: Dataset, indices: Sequence[int], rasterizer:
 
 
 def refuse_unseen(scene: Scene, cameras: Sequence[Camera], name: str):
-    """Raises SceneError if no camera has a single Gaussian's centre in view: the files do not belong together."""
+    """Raises SceneError if no camera has a single Gaussian's centre in view and not absurdly far: the files do not belong together."""
+    centres = np.array([camera.position for camera in cameras])
+    reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf  # one camera tells no scale
     points = scene.means[:: max(1, scene.count // VISIBLE_POINTS)].astype(np.float64)
     for camera in cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]:
         x, y, z = camera.K @ (camera.viewmat[:3, :3] @ points.T + camera.viewmat[:3, 3:])
         with np.errstate(divide="ignore", invalid="ignore"):
-            inside = (z > 0) & (x >= 0) & (x < z * camera.width) & (y >= 0) & (y < z * camera.height)
+            inside = (z > 0) & (z < reach) & (x >= 0) & (x < z * camera.width) & (y >= 0) & (y < z * camera.height)
         if inside.any():
             return
-    raise SceneError(f"{name}: none of its Gaussians lies in view of any camera; is it in the frame of this COLMAP model?")
+    raise SceneError(f"{name}: none of its Gaussians lies near and in view of any camera; is it in the frame of this COLMAP model?")

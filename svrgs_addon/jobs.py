@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import platform
-import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -55,6 +54,7 @@ class JobOptions:
 def train(dataset: Dataset, settings: Settings, options: JobOptions, sh_degree: int = 3) -> dict:
     """3DGS (with masks, where the method learns them) from the dataset's sparse points; returns the JSON result."""
     check_outputs(options)
+    check_request(dataset, settings)
     started = time.perf_counter()
     start = scene_from_points(dataset.points, dataset.point_colors, sh_degree)
     run, scene = fine_tune(start, dataset, settings, options)
@@ -68,6 +68,7 @@ def prune(scene_path: Path, dataset: Dataset, settings: Settings, options: JobOp
     check_outputs(options)
     if options.out.resolve() == scene_path.resolve():
         raise SceneError(f"{options.out}: is the input itself; choose another output, the original is never overwritten")
+    check_request(dataset, settings)
     started = time.perf_counter()
     source = load_scene(scene_path).scene
     refuse_unseen(source, dataset.cameras, str(scene_path))
@@ -95,11 +96,24 @@ def prune(scene_path: Path, dataset: Dataset, settings: Settings, options: JobOp
 
 def check_outputs(options: JobOptions):
     """Finds out before the work whether its results can be written. Raises SceneError."""
+    if options.out.suffix.lower() != ".ply":
+        raise SceneError(f"{options.out}: scenes are written as .ply")
     check_writable(options.out)
     check_writable(options.folder / "manifest.json")
     if options.report:
         check_writable(options.report / "index.html")
     load_lpips(options.lpips_weights)
+
+
+def check_request(dataset: Dataset, settings: Settings):
+    """Finds out before the work whether dataset and settings allow it. Raises SceneError."""
+    if settings.total and not dataset.train_indices:
+        raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
+    ranks = bool(method_named(settings.method).score)
+    if ranks and not settings.target:
+        raise SceneError(f"method '{settings.method}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
+    if settings.target and not ranks and not any(phase.masks for phase in settings.phases):
+        raise SceneError(f"method '{settings.method}' without iterations of mask learning prunes nothing, so it cannot reach a target")
 
 
 def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
@@ -108,8 +122,6 @@ def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
     score = method_named(settings.method).score
     if not score:
         return scene
-    if not settings.target:
-        raise SceneError(f"method '{settings.method}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
     if score == "opacity":
         ranked = scene.opacity_logits
     else:
@@ -128,12 +140,12 @@ def make_engine(name: str):
 
 def fine_tune(start: Scene, dataset: Dataset, settings: Settings, options: JobOptions) -> tuple[loop.Run, Scene]:
     """Runs all phases with checkpoints, writes options.out, and forgets the checkpoints."""
-    if settings.total and not dataset.train_indices:
-        raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
     run = loop.Run(Model.of(start), dataset, settings, make_engine(options.engine), start.antialiased)
-    identity = run_identity(start, dataset, settings)
+    identity = run_identity(start, dataset, settings, options.engine)
     if options.resume:
         checkpoint.restore(run, options.folder, identity)
+    else:
+        checkpoint.forget(options.folder)
     saved = time.monotonic()
 
     def observe(progress: loop.Progress):
@@ -146,13 +158,13 @@ def fine_tune(start: Scene, dataset: Dataset, settings: Settings, options: JobOp
     loop.run_to_end(run, observe, options.stop, lambda: checkpoint.save(run, options.folder, identity), lambda: curve_psnr(run))
     scene = run.model.scene(start)
     write_scene(options.out, scene)
-    shutil.rmtree(options.folder, ignore_errors=True)
+    checkpoint.forget(options.folder)
     return run, scene
 
 
-def run_identity(start: Scene, dataset: Dataset, settings: Settings) -> str:
+def run_identity(start: Scene, dataset: Dataset, settings: Settings, engine: str) -> str:
     """Digest of everything a resumed run must share with the one it continues."""
-    digest = hashlib.sha256(repr(settings).encode())
+    digest = hashlib.sha256(repr((settings, engine, dataset.train_indices)).encode())
     for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
         digest.update(array)
     for camera in dataset.cameras:

@@ -21,6 +21,7 @@ LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
 MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
 COUNTS = ("hits", "kept")
+LOSS_IMAGES = ("rgb", "depth", "alpha", "mask")  # those a gradient may come from
 GRADS = ("means", "log_scales", "quats", "opacity_logits", "sh", "masks", "means2d")
 _LIBRARY = {"win32": "svrgs.dll", "darwin": "libsvrgs.dylib"}.get(sys.platform, "libsvrgs.so")
 _CANCELLED, _TOO_LARGE = 3, 4
@@ -148,7 +149,6 @@ class Rasterizer:
         degree = min(options.sh_degree, int(arrays.sh_coefficients**0.5) - 1)
         native = _Options(degree, options.antialiased, options.full, MASK_KINDS[options.mask_kind], options.mask_to_shape,
                           options.eps_a, options.max_pairs, self.cancel.ctypes.data)
-        self._view = (scene, masks)
         self._shape = (camera.height, camera.width, arrays.sh_coefficients)
         _call("svrgs_forward", self._context, c.byref(arrays), c.byref(_camera(camera, options.background)), c.byref(native), c.byref(pointers))
         return images
@@ -171,6 +171,8 @@ class Rasterizer:
         image_grads: {'rgb' | 'depth' | 'alpha' | 'mask': dL/dimage}; wanted: names from GRADS, the others are not computed.
         Returns {name: (V, ...)}, valid until the next backward.
         """
+        if unknown := {*image_grads} - {*LOSS_IMAGES} | {*wanted} - {*GRADS}:
+            raise ValueError(f"no gradient of {', '.join(sorted(unknown))}: from {', '.join(LOSS_IMAGES)}, to {', '.join(GRADS)}")
         height, width, coefficients = self._shape
         grads_in = _ImageGrads(**{name: _check(g, f"d{name}", _image_shape(name, height, width), self.dtype) for name, g in image_grads.items()})
         count = len(self.visible())
@@ -182,13 +184,15 @@ class Rasterizer:
 
     def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray):
         """Adds the last view to per-Gaussian statistics (N,): sum of alpha T float64, max alpha T float32, pixels int64."""
-        n = (self._view[0].means.shape[0],)
+        if self._view is None:
+            raise NativeError("there is no rendered view to score: call forward first")
+        n = (len(self._view[0]),)
         _call("svrgs_scores", self._context, c.c_void_p(_check_out(sum_, "sum", n, np.float64)),
               c.c_void_p(_check_out(max_, "max", n, np.float32)), c.c_void_p(_check_out(hits, "hits", n, np.int64)))
 
     def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
         """(mean |image - target|, SSIM, dL/dimage or None) of (H, W, 3) images; L = l1_weight L1 + ssim_weight (1 - SSIM)."""
-        shape = image.shape
+        shape = np.shape(image)
         grad = self._buffer("loss", shape) if want_grad else None
         values = (c.c_double * 2)()
         _call("svrgs_loss", self._context, c.c_void_p(_check(image, "image", (*shape[:2], 3), self.dtype)),
@@ -201,23 +205,28 @@ class Rasterizer:
 
         lr: one rate, or one per column of a flattened row; step counts from 1 (bias correction). Returns the number of rows skipped because their gradient was not finite.
         """
-        width = int(np.prod(param.shape[1:], dtype=np.int64))
+        shape = np.shape(param)
+        width = int(np.prod(shape[1:], dtype=np.int64))
         rows = len(param) if ids is None else len(ids)
         rates = np.ascontiguousarray(np.broadcast_to(np.asarray(lr, np.float64), (width,)))
         settings = _Adam(rates.ctypes.data, *betas, eps, 1 - betas[0] ** step, 1 - betas[1] ** step)
         bad = c.c_int64()
-        addresses = [_check_out(a, name, param.shape, self.dtype) for name, a in (("param", param), ("m", m), ("v", v))]
-        addresses.append(_check(grad, "grad", (rows, *param.shape[1:]), self.dtype))
+        addresses = [_check_out(a, name, shape, self.dtype) for name, a in (("param", param), ("m", m), ("v", v))]
+        addresses.append(_check(grad, "grad", (rows, *shape[1:]), self.dtype))
         addresses.append(_check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
+        if ids is not None and rows and ids.max() >= len(param):
+            raise ValueError(f"ids name row {ids.max()}; there are {len(param)}")
         _call("svrgs_adam", c.c_int32(LEVELS[self.level]), c.byref(settings), *map(c.c_void_p, addresses), c.c_int64(rows), c.c_int32(width), c.byref(bad))
         return bad.value
 
     def _scene(self, scene, masks):
-        n, k = scene.means.shape[0], scene.sh.shape[1]
+        arrays = {name: getattr(scene, name) for name in GRADS[:5]}
+        n, k = len(arrays["means"]), np.shape(arrays["sh"])[1] if np.ndim(arrays["sh"]) == 3 else 1
         shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3)}
-        pointers = {name: _check(getattr(scene, name), name, shape, self.dtype) for name, shape in shapes.items()}
+        pointers = {name: _check(arrays[name], name, shape, self.dtype) for name, shape in shapes.items()}
         if masks is not None:
             pointers["masks"] = _check(masks, "masks", (n,), np.uint8)
+        self._view = (*arrays.values(), masks)
         return _Scene(count=n, sh_coefficients=k, **pointers)
 
     def _images(self, camera: Camera, outputs):
@@ -252,7 +261,7 @@ def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, 
 
     slope = dM/dlogit by the straight-through rule, sigma(d + l)(1 - sigma(d + l)) (MaskGaussian, one-logit form).
     """
-    n = logits.shape
+    n = np.shape(logits)[:1]
     masks, slope = np.empty(n, np.uint8), np.empty(n, np.float32)
     _call("svrgs_sample_masks", c.c_void_p(_check(logits, "logits", (*n,), np.float32)), c.c_int64(len(logits)), c.c_uint64(seed),
           c.c_uint64(step), c.c_void_p(masks.ctypes.data), c.c_void_p(slope.ctypes.data))

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
 import sys
 import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from .finetune.loop import Progress
+if TYPE_CHECKING:
+    from .finetune.loop import Progress
 
 BAR_WIDTH = 24
 TERMINAL_PAUSE, LOG_PAUSE = 0.2, 10.0  # seconds between updates
@@ -44,10 +49,14 @@ def describe(p: Progress) -> str:
 
 
 class StopRequest:
-    """Within the block, Ctrl-C and SIGTERM ask for a clean stop; a second Ctrl-C interrupts at once."""
+    """Within the block, Ctrl-C and SIGTERM ask for a clean stop; a second Ctrl-C interrupts at once.
 
-    def __init__(self):
+    tell is called when the first request arrives, within the signal's handler.
+    """
+
+    def __init__(self, tell: Callable[[], None] | None = None):
         self.asked = False
+        self._tell = tell or _announce
 
     def __enter__(self) -> StopRequest:
         self._old = {s: signal.signal(s, self._ask) for s in (signal.SIGINT, signal.SIGTERM)}
@@ -60,7 +69,14 @@ class StopRequest:
     def __call__(self) -> bool:
         return self.asked
 
-    def _ask(self, *_):
+    def _ask(self, number: int, _frame):
+        if not self.asked:
+            self._tell()
         self.asked = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        print("\nstopping after this step; press Ctrl-C again to stop at once", file=sys.stderr, flush=True)
+        if number == signal.SIGINT:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _announce():
+    with contextlib.suppress(OSError):
+        os.write(2, b"\nstopping after this step; press Ctrl-C again to stop at once\n")  # not print, which may be what was interrupted

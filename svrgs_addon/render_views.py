@@ -9,7 +9,7 @@ import numpy as np
 
 from .atomic import atomic_write, check_writable
 from .camera import Camera
-from .dataset import load_cameras_json, load_dataset
+from .dataset import HOLDOUT, load_cameras_json, load_dataset
 from .errors import SceneError
 from .evaluate import render_options
 from .images import write_image
@@ -26,6 +26,7 @@ def render_views(options: argparse.Namespace) -> list[Path]:
     check_writable(options.out / "view.png")
     scene = load_scene(options.scene).scene
     chosen = choose(_cameras(options), options.views)
+    refuse_same_names(chosen)
     rasterizer = Rasterizer()
     settings = render_options(scene, options.background, "svr" if "mask" in outputs else "none")
     saved = []
@@ -54,22 +55,35 @@ def choose(cameras: list[Camera], views: str) -> list[Camera]:
     if not cameras:
         raise SceneError("there are no cameras to render from")
     if views in ("all", "test", "train"):
-        return [c for i, c in enumerate(cameras) if views == "all" or (i % 8 == 0) == (views == "test")]
+        chosen = [c for i, c in enumerate(cameras) if views == "all" or (i % HOLDOUT == 0) == (views == "test")]
+        if not chosen:
+            raise SceneError(f"there are no {views} views among the {len(cameras)}")
+        return chosen
     by_name = {key: camera for camera in cameras for key in (stem(camera.name), camera.name)}
     chosen = []
     for part in views.split(","):
         if part in by_name:
             chosen.append(by_name[part])
-        elif part.isdigit() and int(part) < len(cameras):
+        elif part.isdecimal() and int(part) < len(cameras):
             chosen.append(cameras[int(part)])
         else:
             raise SceneError(f"there is no view '{part}'; views are called like '{cameras[0].name}' or numbered 0 to {len(cameras) - 1}")
     return chosen
 
 
+def refuse_same_names(cameras: list[Camera]):
+    """Raises SceneError where one view's files would replace another's."""
+    by_stem: dict[str, Camera] = {}
+    for camera in cameras:
+        other = by_stem.setdefault(stem(camera.name), camera)
+        if other is not camera:
+            raise SceneError(f"views '{other.name}' and '{camera.name}' would be written to the same files; render them one at a time, into separate folders")
+
+
 def stem(name: str) -> str:
-    """The image name without its extension; folders stay."""
-    return str(PurePosixPath(name).with_suffix(""))
+    """The image name without its extension; folders stay, and so does a number after a dot."""
+    path = PurePosixPath(name)
+    return str(path if path.suffix[1:].isdecimal() else path.with_suffix(""))
 
 
 def _save(folder: Path, camera: Camera, output: str, image: np.ndarray, extension: str) -> Path:

@@ -9,36 +9,46 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
+
+from .cli import STOPPED, guarded
+from .progress import StopRequest
 
 PATHS = ("scene", "colmap", "out", "report", "lpips_weights")
 
 
 def run_in_child(options: dict) -> tuple[int, dict]:
-    """Runs one job; options: those of `svrgs prune` plus scene, colmap, out, report. Returns (exit status, result)."""
+    """Runs one job; options: those of `svrgs prune` plus scene, colmap, out, report. Returns (exit status, result).
+
+    The status is STOPPED where a stop was asked for, even if the job was so near its end that its result is whole.
+    """
     above = str(Path(__file__).parents[1])
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (above, os.environ.get("PYTHONPATH"))))}
     request = json.dumps({name: str(value) if isinstance(value, Path) else value for name, value in options.items()})
-    before = signal.signal(signal.SIGINT, _wait_for_child)
+    command = [sys.executable, "-m", "svrgs_addon.worker"]
+    with subprocess.Popen(command, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as child:
+        with StopRequest(lambda: _stop(child)) as stop:
+            try:
+                output, _ = child.communicate(request)
+            except BaseException:  # a second Ctrl-C
+                child.kill()
+                raise
+    status = STOPPED if stop.asked else child.returncode
     try:
-        child = subprocess.run([sys.executable, "-m", "svrgs_addon.worker"], input=request, text=True, stdout=subprocess.PIPE, env=environment)
-    finally:
-        signal.signal(signal.SIGINT, before)
-    try:
-        return child.returncode, json.loads(child.stdout.splitlines()[-1])
+        return status, json.loads(output.splitlines()[-1])
     except (IndexError, ValueError):
-        return child.returncode or 1, {"error": f"the job ended without a result (exit status {child.returncode})"}
+        return status or 1, {"error": f"the job ended without a result (exit status {child.returncode})"}
 
 
-def _wait_for_child(*_):
-    """Ctrl-C reaches the child as well, which stops cleanly. (A handler of ours, unlike SIG_IGN, is not inherited.)"""
+def _stop(child: subprocess.Popen):
+    """Asks for a clean stop. A terminal's Ctrl-C reaches the child too, which does no harm; on Windows it is the only way."""
+    if os.name == "posix":
+        child.terminate()
 
 
 def main() -> int:
-    from .cli import guarded
     from .commands import plain, prune_one
 
     request = json.load(sys.stdin)

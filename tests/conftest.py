@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -15,3 +17,45 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("the data folder beside the repository (../shared/data) is absent")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory):
+    """A tiny dataset and its splat, a tiny_dataset.Tiny; for reading only."""
+    pytest.importorskip("pycolmap")
+    pytest.importorskip("OpenImageIO")
+    import tiny_dataset
+
+    return tiny_dataset.write_tiny(tmp_path_factory.mktemp("tiny"))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left behind."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict:
+        """stdout, which must be one line with one JSON object."""
+        assert self.status == 0, self.err
+        assert self.out.count("\n") == 1 and self.out.endswith("\n")
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def svrgs(capfd):
+    """Runs a command line in this process; returns its Outcome."""
+    from svrgs_addon import cli
+
+    def run(*words: object) -> Outcome:
+        capfd.readouterr()
+        try:
+            status = cli.main([str(word) for word in words])
+        except SystemExit as stop:  # usage errors, --help
+            status = stop.code
+        return Outcome(status, *capfd.readouterr())
+
+    return run

@@ -17,30 +17,48 @@ inline bool row_finite(const R* row, int width) {
 
 constexpr int kAdamWidth = 64;  // widest row, values
 
-// Rows [begin, end) of one tensor, W rows at a time through a contiguous copy. Returns how many rows were not finite.
-int64_t adam_rows(const svrgs_adam_settings& a, R* param, R* m, R* v, const R* grad, const uint32_t* ids, int64_t begin, int64_t end, int width) {
-  R buffer[4][W * kAdamWidth], rate[W * kAdamWidth];
-  int64_t rows[W], bad = 0;
-  for (int i = 0; i < W * width; ++i) rate[i] = static_cast<R>(a.lr[i % width] / a.bias1);
-  for (int64_t r = begin; r < end;) {
-    int n = 0;
-    for (; n < W && r < end; ++r) {
-      if (!row_finite(grad + r * width, width)) {
-        ++bad;
-        continue;
-      }
-      rows[n] = (ids ? static_cast<int64_t>(ids[r]) : r) * width;
-      const R* source[4] = {param + rows[n], m + rows[n], v + rows[n], grad + r * width};
-      for (int k = 0; k < 4; ++k) __builtin_memcpy(buffer[k] + n * width, source[k], sizeof(R) * width);
-      ++n;
-    }
-    for (int i = n * width; i < W * width; ++i)
-      for (int k = 0; k < 4; ++k) buffer[k][i] = 0;
-    for (int i = 0; i < n * width; i += W) adam_lanes(a, rate + i, buffer[0] + i, buffer[1] + i, buffer[2] + i, buffer[3] + i);
-    for (int i = 0; i < n; ++i) {
-      R* target[3] = {param + rows[i], m + rows[i], v + rows[i]};
-      for (int k = 0; k < 3; ++k) __builtin_memcpy(target[k], buffer[k] + i * width, sizeof(R) * width);
+struct AdamTensors {
+  R *param, *m, *v;
+  const R* grad;
+  const uint32_t* ids;
+  int width;
+  int64_t row(int64_t r) const { return (ids ? static_cast<int64_t>(ids[r]) : r) * width; }
+};
+
+// W rows through a contiguous copy: narrow rows fill whole vectors too.
+inline void adam_narrow(const svrgs_adam_settings& a, const AdamTensors& t, const R* rate, const int64_t* from, int n) {
+  R buffer[4][W * kAdamWidth] = {};
+  for (int i = 0; i < n; ++i) {
+    const int64_t at = t.row(from[i]);
+    const R* source[4] = {t.param + at, t.m + at, t.v + at, t.grad + from[i] * t.width};
+    for (int k = 0; k < 4; ++k) __builtin_memcpy(buffer[k] + i * t.width, source[k], sizeof(R) * t.width);
+  }
+  for (int i = 0; i < n * t.width; i += W) adam_lanes(a, rate + i, buffer[0] + i, buffer[1] + i, buffer[2] + i, buffer[3] + i);
+  for (int i = 0; i < n; ++i) {
+    const int64_t at = t.row(from[i]);
+    R* target[3] = {t.param + at, t.m + at, t.v + at};
+    for (int k = 0; k < 3; ++k) __builtin_memcpy(target[k], buffer[k] + i * t.width, sizeof(R) * t.width);
+  }
+}
+
+// Rows [begin, end) of one tensor. Returns how many had a gradient that is not finite, and were left alone.
+int64_t adam_rows(const svrgs_adam_settings& a, const AdamTensors& t, int64_t begin, int64_t end) {
+  R rate[W * kAdamWidth];
+  int64_t waiting[W], bad = 0;
+  int n = 0;
+  for (int i = 0; i < W * t.width; ++i) rate[i] = static_cast<R>(a.lr[i % t.width] / a.bias1);
+  for (int64_t r = begin; r < end; ++r) {
+    const R* grad = t.grad + r * t.width;
+    if (!row_finite(grad, t.width)) {
+      ++bad;
+    } else if (t.width % W == 0) {
+      const int64_t at = t.row(r);
+      for (int k = 0; k < t.width; k += W) adam_lanes(a, rate + k, t.param + at + k, t.m + at + k, t.v + at + k, grad + k);
+    } else {
+      waiting[n++] = r;
+      if (n == W) adam_narrow(a, t, rate, waiting, n), n = 0;
     }
   }
+  if (n) adam_narrow(a, t, rate, waiting, n);
   return bad;
 }

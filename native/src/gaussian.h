@@ -2,7 +2,7 @@
 // Equations: 3DGS Eq. 5-6 (covariance, EWA projection), with the full K and the 3DGS clamp of x/z, y/z.
 
 struct Batch {  // raw parameters of W Gaussians, transposed
-  V mean[3], log_scale[3], quat[4], opacity_logit;
+  V mean[3], log_scale[3], quat[4], opacity_logit;  // mean: from the camera centre, subtracted in double
 };
 
 inline Batch load_batch(const Frame& f, const uint32_t* ids) {
@@ -11,7 +11,7 @@ inline Batch load_batch(const Frame& f, const uint32_t* ids) {
   Batch b;
   for (int i = 0; i < W; ++i) {
     const int64_t g = ids[i];
-    for (int k = 0; k < 3; ++k) b.mean[k][i] = means[3 * g + k], b.log_scale[k][i] = scales[3 * g + k];
+    for (int k = 0; k < 3; ++k) b.mean[k][i] = static_cast<R>(means[3 * g + k] - f.position[k]), b.log_scale[k][i] = scales[3 * g + k];
     for (int k = 0; k < 4; ++k) b.quat[k][i] = quats[4 * g + k];
     b.opacity_logit[i] = logits[g];
   }
@@ -44,7 +44,7 @@ inline V view(const Frame& f, int row, int column) { return splat(static_cast<R>
 inline Projected project(const Frame& f, const Batch& b) {
   Projected p;
   for (int i = 0; i < 3; ++i)
-    p.c[i] = fma(view(f, i, 0), b.mean[0], fma(view(f, i, 1), b.mean[1], fma(view(f, i, 2), b.mean[2], view(f, i, 3))));
+    p.c[i] = fma(view(f, i, 0), b.mean[0], fma(view(f, i, 1), b.mean[1], view(f, i, 2) * b.mean[2]));
   const V inv_z = splat(1) / p.c[2], fx = splat(R(f.fx)), fy = splat(R(f.fy));
   const V rx = p.c[0] * inv_z, ry = p.c[1] * inv_z;
   const R margin_x = R(kFrustumMargin * f.width / (2 * f.fx)), margin_y = R(kFrustumMargin * f.height / (2 * f.fy));
@@ -130,8 +130,8 @@ inline ParameterGrads project_vjp(const Frame& f, const Projected& p, const Scre
   ParameterGrads out;
   const V inv_z = splat(1) / p.c[2], inv_det = splat(1) / p.det, fx = splat(R(f.fx)), fy = splat(R(f.fy));
   out.opacity_logit = g.v * (splat(1) - p.opacity);
-  out.mean2d[0] = (p.cyy * g.vx - p.cxy * g.vy) * inv_det;  // Q (sum v d)
-  out.mean2d[1] = (p.cxx * g.vy - p.cxy * g.vx) * inv_det;
+  out.mean2d[0] = p.cyy * inv_det * g.vx - p.cxy * inv_det * g.vy;  // Q (sum v d)
+  out.mean2d[1] = p.cxx * inv_det * g.vy - p.cxy * inv_det * g.vx;
 
   V d_factor[2][3], d_screen[2][3], d_rotation[3][3];
   factor_vjp(f, p, g, d_factor);
@@ -167,7 +167,7 @@ inline ParameterGrads project_vjp(const Frame& f, const Projected& p, const Scre
   d_rx *= p.free_x, d_ry *= p.free_y;
   d_rx = fma(out.mean2d[0], fx, d_rx), d_ry = fma(out.mean2d[1], fy, d_ry);  // centre = (fx x/z + cx, fy y/z + cy)
   d_c[0] = d_rx * inv_z, d_c[1] = d_ry * inv_z;
-  d_c[2] -= (d_rx * p.c[0] + d_ry * p.c[1]) * inv_z * inv_z;
+  d_c[2] -= (d_rx * (p.c[0] * inv_z) + d_ry * (p.c[1] * inv_z)) * inv_z;
   for (int j = 0; j < 3; ++j) out.mean[j] = view(f, 0, j) * d_c[0] + view(f, 1, j) * d_c[1] + view(f, 2, j) * d_c[2];
   return out;
 }

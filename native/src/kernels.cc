@@ -37,7 +37,8 @@ void loss_pass(const LossArguments& a, int y, void* scratch, bool second_pass) {
 
 int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* m, void* v, const void* grad, const uint32_t* ids,
                   int64_t begin, int64_t end, int width) {
-  return adam_rows(a, static_cast<R*>(param), static_cast<R*>(m), static_cast<R*>(v), static_cast<const R*>(grad), ids, begin, end, width);
+  const AdamTensors t = {static_cast<R*>(param), static_cast<R*>(m), static_cast<R*>(v), static_cast<const R*>(grad), ids, width};
+  return adam_rows(a, t, begin, end);
 }
 }  // namespace svrgs::SVRGS_LEVEL
 

@@ -36,7 +36,7 @@ inline bool in_front(const Frame& f, int64_t g, double& x, double& y) {
   const R* mean = static_cast<const R*>(f.means) + 3 * g;
   const double* m = f.viewmat;
   const double z = m[8] * mean[0] + m[9] * mean[1] + m[10] * mean[2] + m[11];
-  if (!(z > kNear) || !(z < 1e30)) return false;
+  if (!(z > kNear) || !(z < kFar)) return false;
   if (!(static_cast<const R*>(f.opacity_logits)[g] >= logit_of_cut())) return false;
   x = f.fx * (m[0] * mean[0] + m[1] * mean[1] + m[2] * mean[2] + m[3]) / z + f.cx;
   y = f.fy * (m[4] * mean[0] + m[5] * mean[1] + m[6] * mean[2] + m[7]) / z + f.cy;
@@ -45,7 +45,7 @@ inline bool in_front(const Frame& f, int64_t g, double& x, double& y) {
 
 inline void colour_splats(const Frame& f, const Batch& b, const uint32_t* ids, Splat<R>* out, int count) {
   V basis[16];
-  const Direction dir = direction(f, b.mean);
+  const Direction dir = direction(b.mean);
   sh_basis(f.sh_degree, dir.d, basis);
   const int used = (f.sh_degree + 1) * (f.sh_degree + 1);
   const R* sh = static_cast<const R*>(f.sh);
@@ -54,15 +54,20 @@ inline void colour_splats(const Frame& f, const Batch& b, const uint32_t* ids, S
     R c[3] = {R(0.5), R(0.5), R(0.5)};
     for (int k = 0; k < used; ++k)
       for (int j = 0; j < 3; ++j) c[j] += basis[k][i] * row[3 * k + j];
-    for (int j = 0; j < 3; ++j) out[i].rgb[j] = c[j] > 0 ? c[j] : R(0);
+    for (int j = 0; j < 3; ++j) out[i].rgb[j] = c[j] < 0 && c[j] >= R(-kColourMax) ? R(0) : c[j];
   }
 }
 
 inline bool finite(R x) { return std::fabs(x) <= std::numeric_limits<R>::max(); }
+inline bool sane(R colour) { return std::fabs(colour) <= R(kColourMax); }
+
+inline bool usable(const Batch& b, const Projected& p, int i) {
+  return finite(b.log_scale[0][i] + b.log_scale[1][i] + b.log_scale[2][i]) && p.inv_norm[i] < R(kQuatMax) && p.inv_norm[i] > R(1 / kQuatMax);
+}
 
 inline bool usable(const Splat<R>& s, double x, double y) {
   return threshold(s) > kReachMargin * R(0.5) && s.l11 > 0 && s.l22 > 0 && finite(s.l11) && finite(s.l12) && finite(s.l22) &&
-         finite(s.inv_l11) && finite(s.y_extreme) && finite(s.rgb[0]) && finite(s.rgb[1]) && finite(s.rgb[2]) &&
+         finite(s.inv_l11) && finite(s.y_extreme) && sane(s.rgb[0]) && sane(s.rgb[1]) && sane(s.rgb[2]) &&
          std::fabs(x) < 1e9 && std::fabs(y) < 1e9;
 }
 
@@ -93,7 +98,7 @@ inline int64_t flush(const Frame& f, Pending& pending, uint32_t* ids, uint32_t* 
   int64_t kept = 0;
   for (int i = 0; i < n; ++i) {
     PixelBox box;
-    if (!usable(batch[i], pending.x[i], pending.y[i]) || !pixel_box(f, batch[i], box)) continue;
+    if (!usable(b, p, i) || !usable(batch[i], pending.x[i], pending.y[i]) || !pixel_box(f, batch[i], box)) continue;
     const uint32_t g = pending.ids[i];
     static_cast<Splat<R>*>(f.splats)[g] = batch[i];
     f.tiles[g] = tile_rows(box);

@@ -133,14 +133,11 @@ inline void accumulate_block(const Frame& f, const Wanted& want, BackwardTile& t
   }
 }
 
-inline void write_slot(const Wanted& want, const Sums& a, R* slot) {
-  if (want.shape) {
-    slot[kV] = sum(a.v), slot[kVx] = sum(a.vx), slot[kVy] = sum(a.vy);
-    slot[kVxx] = sum(a.vxx), slot[kVxy] = sum(a.vxy), slot[kVyy] = sum(a.vyy);
-  }
-  if (want.colour) slot[kSlotRed] = sum(a.red), slot[kSlotGreen] = sum(a.green), slot[kSlotBlue] = sum(a.blue);
-  if (want.mask) slot[kSlotMask] = sum(a.mask);
-  if (want.depth) slot[kSlotDepth] = sum(a.depth);
+// In the order of enum Slot.
+inline void write_slot(const Sums& a, R* slot) {
+  sum4(a.v, a.vx, a.vy, a.vxx, slot);
+  sum4(a.vxy, a.vyy, a.red, a.green, slot + 4);
+  sum4(a.blue, a.mask, a.depth, splat(0), slot + 8);
 }
 
 inline Wanted wanted(const svrgs_image_grads& in, const svrgs_grads& out) {
@@ -161,14 +158,20 @@ void backward_tile_as(const Frame& f, const svrgs_image_grads& in, const svrgs_g
   want.spatial = want.spatial && f.mask_kind != kMaskNone;
   BackwardTile t;
   start_backward(f, in, tile, t);
-  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
-    const TileEntry entry = f.entries[e];
+  const TileEntry* const end = f.entries + f.tile_begin[tile + 1];
+  for (const TileEntry* e = f.entries + f.tile_begin[tile]; e < end; ++e) {
+    const TileEntry entry = *e;
+    if (e + kAhead < end) {
+      prefetch_splat(f, e + kAhead, end);
+      __builtin_prefetch(f.hits + e[kAhead].slot);
+      __builtin_prefetch(slots + static_cast<int64_t>(e[kAhead].slot) * kSlotWidth, 1);
+    }
     uint32_t todo = f.hits[entry.slot];
     if (!todo) continue;
     const Local l = localise(f, entry.splat, o.x, o.y);
     Sums a = {};
     for (; todo; todo &= todo - 1) accumulate_block<scenario>(f, want, t, l, lanes, __builtin_ctz(todo), a);
-    write_slot(want, a, slots + static_cast<int64_t>(entry.slot) * kSlotWidth);
+    write_slot(a, slots + static_cast<int64_t>(entry.slot) * kSlotWidth);
   }
 }
 

@@ -59,6 +59,12 @@ inline Hit evaluate(const Local& l, const Lanes& lanes, int block, int h) {
   return r;
 }
 
+constexpr int kAhead = 8;  // list entries fetched before they are needed: the list is in order, the splats are not
+
+inline void prefetch_splat(const Frame& f, const TileEntry* entry, const TileEntry* end) {
+  if (entry < end) __builtin_prefetch(static_cast<const Splat<R>*>(f.splats) + entry->splat);
+}
+
 struct TileOrigin {
   int x, y;  // tile coordinates
 };
@@ -170,10 +176,12 @@ void forward_tile_as(const Frame& f, int64_t tile) {
   const TileOrigin o = tile_origin(f, tile);
   ForwardTile t;
   start_tile(f, o, lanes, t);
-  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
-    const TileEntry entry = f.entries[e];
+  const TileEntry* const end = f.entries + f.tile_begin[tile + 1];
+  for (const TileEntry* e = f.entries + f.tile_begin[tile]; e < end; ++e) {
+    const TileEntry entry = *e;
     uint32_t visit = 0;
     if (f.full || t.open) {
+      prefetch_splat(f, e + kAhead, end);
       const Local l = localise(f, entry.splat, o.x, o.y);
       for (uint32_t todo = reached_blocks(l, lanes) & (f.full ? t.inside : t.open); todo; todo &= todo - 1) {
         const int b = __builtin_ctz(todo);

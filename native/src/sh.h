@@ -9,11 +9,11 @@ struct Direction {
   V d[3], inv_length;
 };
 
-inline Direction direction(const Frame& f, const V mean[3]) {
+inline Direction direction(const V mean[3]) {
   Direction out;
   V length2 = splat(0);
   for (int k = 0; k < 3; ++k) {
-    out.d[k] = mean[k] - splat(static_cast<R>(f.position[k]));
+    out.d[k] = mean[k];
     length2 = fma(out.d[k], out.d[k], length2);
   }
   out.inv_length = splat(1) / sqrt(max(length2, splat(R(1e-30))));

@@ -35,6 +35,7 @@ inline V min(V a, V b) { return _mm512_min_ps(a, b); }
 inline V max(V a, V b) { return _mm512_max_ps(a, b); }
 inline V sqrt(V a) { return _mm512_sqrt_ps(a); }
 inline R sum(V v) { return _mm512_reduce_add_ps(v); }
+inline __m256 fold(V v) { return _mm256_add_ps(_mm512_castps512_ps256(v), _mm512_extractf32x8_ps(v, 1)); }
 inline R largest(V v) { return _mm512_reduce_max_ps(v); }
 #else
 using M = I;
@@ -80,6 +81,19 @@ inline R largest(V v) {
   for (int i = 1; i < W; ++i) best = v[i] > best ? v[i] : best;
   return best;
 }
+#endif
+
+// The sums of four vectors, to out[0..3].
+#if defined(__AVX2__)
+#if !defined(__AVX512F__)
+inline __m256 fold(V v) { return v; }
+#endif
+inline void sum4(V a, V b, V c, V d, R* out) {
+  const __m256 s = _mm256_hadd_ps(_mm256_hadd_ps(fold(a), fold(b)), _mm256_hadd_ps(fold(c), fold(d)));
+  _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(s), _mm256_extractf128_ps(s, 1)));
+}
+#else
+inline void sum4(V a, V b, V c, V d, R* out) { out[0] = sum(a), out[1] = sum(b), out[2] = sum(c), out[3] = sum(d); }
 #endif
 
 inline V clamp(V x, V low, V high) { return min(max(x, low), high); }

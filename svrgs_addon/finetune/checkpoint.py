@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -53,12 +54,21 @@ def restore(run: Run, folder: Path, identity: str) -> bool:
         manifest = _manifest(candidate)
         if manifest is None:
             logging.warning("%s is not a whole checkpoint: trying the one before", candidate)
+            shutil.rmtree(candidate, ignore_errors=True)  # it must not outlive, as the newest, those written from here on
             continue
         if manifest["identity"] != identity:
             raise FormatError(f"{candidate}: was written by a run with other settings or inputs; delete {folder} to start anew")
         _apply(run, candidate, manifest)
         return True
     return False
+
+
+def forget(folder: Path):
+    """Removes every checkpoint, and the folder if nothing else is in it."""
+    for old in _folders(folder):
+        shutil.rmtree(old, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        folder.rmdir()
 
 
 def _apply(run: Run, folder: Path, manifest: dict):

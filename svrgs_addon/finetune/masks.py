@@ -29,11 +29,9 @@ def ever_drawn(model: Model, seed: int, step: int, draws: int) -> np.ndarray:
 
 
 def decided(model: Model, target: int = 0) -> np.ndarray:
-    """(N,) bool, the deterministic end of mask learning: p > 0.5, or the `target` most probable."""
+    """(N,) bool, the deterministic end of mask learning: p > 0.5, or the `target` most probable (all, where fewer are left)."""
     logits = model.values[MASK]
-    if not target or target >= model.count:
-        return logits > 0
-    return top(logits, target)
+    return top(logits, target) if target else logits > 0
 
 
 def refuse_emptying(keep: np.ndarray, before: int):

@@ -103,7 +103,7 @@ class TorchEngine:
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
         loss.backward()
         ids = row_ids(self.rasterizer)
-        result = StepResult(l1.item(), similarity.item(), mask_loss.item(), self.rasterizer.visible())
+        result = StepResult(l1.item(), similarity.item(), mask_loss.item(), self.rasterizer.visible().copy())
         if step.want_means2d:
             result.means2d = means2d.grad[ids].numpy()
         if step.update:

@@ -1,0 +1,78 @@
+"""A tiny dataset that fits together: photographs drawn from a scene, their COLMAP model, and a splat "trained" on them.
+
+The splat is that scene with every Gaussian doubled and a few that no view can show: there is something to prune.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+import scenes
+from svrgs_addon.camera import Camera
+from svrgs_addon.formats import write_ply
+from svrgs_addon.images import write_image
+from svrgs_addon.native import Rasterizer
+from svrgs_addon.scene import Scene
+
+WIDTH, HEIGHT, VIEWS = 64, 48, 12
+SEEN, FAINT = 120, 10
+COUNT = 2 * SEEN + FAINT  # Gaussians of the splat
+
+
+@dataclass(frozen=True)
+class Tiny:
+    """Where the parts lie."""
+
+    folder: Path  # dataset: images/, sparse/0/
+    splat: Path  # COUNT Gaussians, FAINT of them invisible
+    truth: Scene  # the photographs are its renders
+    cameras: list[Camera]  # in name order
+
+
+def write_tiny(folder: Path, seed: int = 0) -> Tiny:
+    """Writes folder/images, folder/sparse/0 and folder/scene.ply. Same seed, same bytes."""
+    truth = scenes.random_scene(SEEN, seed, 1, spread=0.4, scale=0.15, opacity=2.0)
+    cameras = views()
+    rasterizer = Rasterizer()
+    for camera in cameras:
+        write_image(folder / "images" / camera.name, rasterizer.forward(truth, camera)["rgb"])
+    write_colmap(folder / "sparse" / "0", cameras, truth.means)
+    write_ply(folder / "scene.ply", redundant(truth, seed))
+    return Tiny(folder, folder / "scene.ply", truth, cameras)
+
+
+def views(count: int = VIEWS) -> list[Camera]:
+    """A ring around the origin, at two heights."""
+    angles = 2 * np.pi * np.arange(count) / count
+    eyes = [(3 * np.sin(angle), -0.8 * (i % 2), -3 * np.cos(angle)) for i, angle in enumerate(angles)]
+    return [replace(scenes.camera(WIDTH, HEIGHT, eye=eye), name=f"{i:02}.png") for i, eye in enumerate(eyes)]
+
+
+def write_colmap(folder: Path, cameras: list[Camera], points: np.ndarray, model: str = "PINHOLE"):
+    """A binary COLMAP model of views that share one camera."""
+    result = pycolmap.Reconstruction()
+    first = cameras[0]
+    params = [first.K[0, 0], first.K[1, 1], first.K[0, 2], first.K[1, 2]] if model == "PINHOLE" else [first.width, first.height]
+    camera = pycolmap.Camera(camera_id=1, model=model, width=first.width, height=first.height, params=params)
+    result.add_camera_with_trivial_rig(camera)
+    for number, view in enumerate(cameras, 1):
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(view.viewmat[:3, :3]), view.viewmat[:3, 3])
+        result.add_image_with_trivial_frame(pycolmap.Image(name=view.name, camera_id=1, image_id=number), pose)
+    for point in points.astype(np.float64):
+        result.add_point3D(point, pycolmap.Track(), np.array([200, 150, 100], np.uint8))
+    folder.mkdir(parents=True, exist_ok=True)
+    result.write_binary(folder)
+
+
+def redundant(scene: Scene, seed: int) -> Scene:
+    """Every Gaussian twice, a little apart and fainter, and FAINT more below the visible opacity."""
+    rng = np.random.default_rng([seed, 1])
+    doubled = scene.select(np.r_[np.arange(scene.count).repeat(2), np.arange(FAINT)])
+    means = doubled.means + rng.normal(0, 0.02, doubled.means.shape).astype(np.float32)
+    logits = doubled.opacity_logits - np.float32(1)
+    logits[-FAINT:] = -8
+    return replace(doubled, means=means, opacity_logits=logits)
