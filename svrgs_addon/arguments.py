@@ -8,6 +8,7 @@ from pathlib import Path
 from . import __version__
 
 TRAIN_ITERATIONS, PRUNE_ITERATIONS, RECOVERY = 30_000, 3_000, 5_000
+MIN_CONTRIBUTION = 0.02
 
 
 class Parser(argparse.ArgumentParser):
@@ -60,9 +61,9 @@ def _dataset(command, required: bool = True):
 def _run(command):
     command.add_argument("--seed", type=_count, default=0)
     command.add_argument("--engine", choices=("native", "torch"), default="native")
-    command.add_argument("--lambda-f", type=_weight, metavar="L", help="weight of the spatial mask (default: 1e-4)")
+    command.add_argument("--lambda-f", type=_weight, metavar="L", help="weight of the spatial mask (default: 1e-4; of svr-a 1e-2)")
     command.add_argument("--visible-mask", action="store_true", help="F stops with the colours instead of walking each ray to its end")
-    command.add_argument("--resume", action="store_true", help="go on from the last checkpoint of the same job")
+    command.add_argument("--resume", action="store_true", help="go on from the last checkpoint of the same job; without it, a job starts anew and forgets them")
     command.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
 
@@ -70,7 +71,7 @@ def _train(commands):
     command = _command(commands, "train", "Trains a scene from photographs and COLMAP's sparse points.")
     _dataset(command)
     _run(command)
-    command.add_argument("--method", default="3dgs", help="3dgs, or a method that learns masks on the way: svr, svr-self, svr-a, svr-b, maskgs (default: 3dgs)")
+    command.add_argument("--method", default="3dgs", help="3dgs, or one that learns masks on the way: svr, svr-self, svr-a, svr-b, maskgs (default: 3dgs)")
     command.add_argument("--iterations", type=_count, default=TRAIN_ITERATIONS, help=f"default: {TRAIN_ITERATIONS}")
     command.add_argument("--recovery", type=_count, metavar="N", help=f"steps after pruning (default: {RECOVERY} for methods that prune, else 0)")
     command.add_argument("--densify-until", type=_count, default=15_000, metavar="N", help="last iteration of densification (default: 15000)")
@@ -80,12 +81,16 @@ def _train(commands):
 
 def _prune(commands):
     command = _command(commands, "prune", "Prunes trained scenes and recovers their quality.")
-    command.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="splat files, or folders holding a splat and its COLMAP dataset, or folders of such")
+    command.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="splat files, folders of a splat and its COLMAP dataset, or folders of such")
     _dataset(command, required=False)
     _run(command)
     command.add_argument("--method", default="svr", help="svr, svr-self, svr-a, svr-b, maskgs, opacity, contribution, 3dgs (default: svr)")
     command.add_argument("--iterations", type=_count, default=PRUNE_ITERATIONS, metavar="N", help=f"steps of mask learning (default: {PRUNE_ITERATIONS})")
     command.add_argument("--recovery", type=_count, default=RECOVERY, metavar="N", help=f"steps after it (default: {RECOVERY})")
+    command.add_argument(
+        "--min-contribution", type=_small_share, metavar="A",
+        help=f"first drop what never covers this much of a pixel in a training view (default: {MIN_CONTRIBUTION} where masks are learned, else 0)",
+    )  # fmt: skip
     size = command.add_mutually_exclusive_group()
     size.add_argument("--target", type=_share, metavar="SHARE", help="share of the Gaussians to keep, e.g. 0.25")
     size.add_argument("--target-count", type=_positive, metavar="N", help="number of Gaussians to keep")
@@ -124,6 +129,10 @@ def _weight(text: str) -> float:
 
 def _share(text: str) -> float:
     return _parsed(float, text, lambda value: 0 < value <= 1, "a share above 0 and up to 1")
+
+
+def _small_share(text: str) -> float:
+    return _parsed(float, text, lambda value: 0 <= value < 1, "a share of 0 or more, below 1")
 
 
 def _colour(text: str) -> tuple[float, float, float]:

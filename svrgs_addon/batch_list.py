@@ -25,25 +25,31 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
     """Every scene under `paths`, in order.
 
     A folder with a splat is one scene, its dataset the folder itself; a folder without is searched one level down.
-    colmap: the dataset of every scene, instead. out: a file for a single scene, else a folder; default: beside each.
+    colmap: the dataset of every scene, instead. out: a folder, or for a single scene a file; default: beside each.
     report: the folder of the reports, which have the scenes' names too.
     Raises SceneError if a path does not exist or holds no scene.
     """
-    found = [pair for path in paths for pair in _scenes(path)]
+    found = [pair for path in paths for pair in _scenes(path, out)]
     names = [name for name, _ in found]
     if len(set(names)) < len(names) and (out or report):
         raise SceneError(f"two scenes are called '{next(n for n in names if names.count(n) > 1)}': prune them into separate folders")
-    single = len(found) == 1 and not paths[0].is_dir()
-    return [Item(name, scene, colmap or _dataset(scene), _output(name, scene, out, single)) for name, scene in found]
+    alone = len(found) == 1 and not paths[0].is_dir()
+    to_file = out is not None and not out.is_dir() and (out.suffix.lower() == SUFFIX or (alone and out.suffix != ""))
+    if to_file and len(found) > 1:
+        raise SceneError(f"{out}: is the name of a file, but there are {len(found)} scenes; give a folder")
+    return [Item(name, scene, colmap or _dataset(scene), out if to_file else _output(name, scene, out)) for name, scene in found]
 
 
-def _scenes(path: Path) -> list[tuple[str, Path]]:
+def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
     if not path.is_dir():
         return [(path.stem, path)]
+    outputs = out and out.resolve()
+    if path.resolve() == outputs:
+        raise SceneError(f"{path}: is to hold scenes and outputs alike; choose another folder for the outputs")
     own = _splat_in(path)
     if own:
         return [(path.name, own)]
-    below = [(folder.name, splat) for folder in sorted(path.iterdir()) if folder.is_dir() and (splat := _splat_in(folder))]
+    below = [(folder.name, splat) for folder in sorted(path.iterdir()) if folder.is_dir() and folder.resolve() != outputs and (splat := _splat_in(folder))]
     if not below:
         raise SceneError(f"{path}: holds no splat: neither a {SUFFIX} file nor folders with one")
     return below
@@ -69,7 +75,5 @@ def _dataset(scene: Path) -> Path | None:
     return None
 
 
-def _output(name: str, scene: Path, out: Path | None, single: bool) -> Path:
-    if out is None:
-        return scene.with_name(f"{scene.stem}{PRUNED}{SUFFIX}")
-    return out if single and not out.is_dir() else out / f"{name}{SUFFIX}"
+def _output(name: str, scene: Path, folder: Path | None) -> Path:
+    return scene.with_name(f"{scene.stem}{PRUNED}{SUFFIX}") if folder is None else folder / f"{name}{SUFFIX}"

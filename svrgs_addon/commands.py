@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from . import batch_list, splat_files
-from .arguments import RECOVERY
+from .arguments import MIN_CONTRIBUTION, RECOVERY
 from .cli import STOPPED
 from .errors import Cancelled, SceneError
 from .finetune.settings import Densify, method_named, prune_settings, train_settings
@@ -90,12 +90,21 @@ def prune_one(options: Options) -> dict:
     settings = prune_settings(
         options.method, options.iterations, options.recovery, lambda_f=options.lambda_f, seed=options.seed,
         full=not options.visible_mask, background=tuple(options.background), target=_target(options),
+        min_contribution=_min_contribution(options),
     )  # fmt: skip
     job = _job(options, options.report)
     jobs.check_outputs(job)
     dataset = _load(options)
     with StopRequest() as stop:
         return jobs.prune(options.scene, dataset, settings, replace(job, stop=stop))
+
+
+def _min_contribution(options: Options) -> float:
+    from .finetune.settings import method_named
+
+    if options.min_contribution is not None:
+        return options.min_contribution
+    return MIN_CONTRIBUTION if method_named(options.method).learns_masks else 0.0
 
 
 def _target(options: Options) -> int:

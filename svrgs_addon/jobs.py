@@ -19,7 +19,7 @@ from .errors import SceneError
 from .evaluate import evaluate, mean_psnr, refuse_unseen, render_options, shown
 from .finetune import checkpoint, loop, masks, scores
 from .finetune.engine import NativeEngine
-from .finetune.model import MASK, Model, scene_from_points
+from .finetune.model import Model, scene_from_points
 from .finetune.settings import Settings, method_named
 from .images import to_float
 from .metrics import load_lpips, psnr
@@ -85,7 +85,7 @@ def prune(scene_path: Path, dataset: Dataset, settings: Settings, options: JobOp
         "lambda_f": settings.lambda_f or None,
         "before": before,
         "after": after,
-        "invisible": int(invisible(source).sum()),
+        "first_cut": source.count - start.count,
         **run_facts(run, started),
     }
     result["seconds_by_phase"] = {"evaluate before": evaluated, **result["seconds_by_phase"]}
@@ -117,17 +117,20 @@ def check_request(dataset: Dataset, settings: Settings):
 
 
 def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
-    """Drops what reaches no pixel (exact), and for score methods all but the target count."""
+    """Drops what no view misses: opacity < 1/255, which is exact, and alpha T below settings.min_contribution in every
+    training view. Score methods drop all but the target count.
+    """
     scene = scene.select(~invisible(scene))
     score = method_named(settings.method).score
-    if not score:
-        return scene
     if score == "opacity":
-        ranked = scene.opacity_logits
-    else:
-        cameras = [dataset.cameras[i] for i in dataset.train_indices]
-        ranked, _, _ = scores.contribution(scene, cameras, Rasterizer(), render_options(scene, settings.background))
-    return scene.select(scores.top(ranked, settings.target))
+        return scene.select(scores.top(scene.opacity_logits, settings.target))
+    if not score and not settings.min_contribution:
+        return scene
+    cameras = [dataset.cameras[i] for i in dataset.train_indices]
+    sums, peaks, _ = scores.contribution(scene, cameras, Rasterizer(), render_options(scene, settings.background))
+    keep = scores.top(sums, settings.target) if score else peaks >= settings.min_contribution
+    masks.refuse_emptying(keep, scene.count)
+    return scene.select(keep)
 
 
 def make_engine(name: str):

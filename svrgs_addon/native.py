@@ -18,7 +18,7 @@ from .errors import Cancelled, NativeError
 
 INTERFACE_VERSION = 1
 LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
-MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4}
+MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
 COUNTS = ("hits", "kept")
 LOSS_IMAGES = ("rgb", "depth", "alpha", "mask")  # those a gradient may come from
@@ -154,10 +154,10 @@ class Rasterizer:
         return images
 
     def visible(self) -> np.ndarray:
-        """Ids of the Gaussians of the last view that can touch a pixel, (V,) uint32, ascending; valid until the next forward."""
+        """Ids of the Gaussians of the last view that can touch a pixel, (V,) uint32, ascending."""
         ids, count = c.POINTER(c.c_uint32)(), c.c_int64()
         _call("svrgs_visible", self._context, c.byref(ids), c.byref(count))
-        return np.ctypeslib.as_array(ids, (count.value,)) if count.value else np.empty(0, np.uint32)
+        return np.ctypeslib.as_array(ids, (count.value,)).copy() if count.value else np.empty(0, np.uint32)
 
     def pairs(self) -> int:
         """(Gaussian, tile) pairs of the last view."""

@@ -70,11 +70,11 @@ class StopRequest:
         return self.asked
 
     def _ask(self, number: int, _frame):
-        if not self.asked:
-            self._tell()
-        self.asked = True
+        told, self.asked = self.asked, True
         if number == signal.SIGINT:
             signal.signal(signal.SIGINT, signal.default_int_handler)
+        if not told:
+            self._tell()
 
 
 def _announce():

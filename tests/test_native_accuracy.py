@@ -25,6 +25,7 @@ from native_helpers import (
     typed,
 )
 from reference import gradients as ray
+from reference import rasterize as ref
 
 KINDS = ("svr", "self", "a", "b")
 SIZES = {  # around tile edges, and many tiles in a row
@@ -362,3 +363,28 @@ def test_antialiasing_is_an_option_not_a_property_of_the_scene():
     sharp = [render("float64", s, camera)["rgb"] for s in (scene, replace(scene, antialiased=True))]
     np.testing.assert_array_equal(*sharp)
     assert np.abs(render("float64", scene, camera, antialiased=True)["rgb"] - sharp[0]).max() > 1e-2
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_even_scales_the_mask_gradient_of_f_to_one_footprint(level):
+    """EVEN: dL/dM from F times 256 pixels over the Gaussian's own 1/255 ellipse; the colours' share is not touched."""
+    scene, camera = scenes.random_scene(60, seed=9, scale=0.2, opacity=1.0), scenes.CAMERAS["plain"]
+    masks = scenes.random_masks(60, seed=2)
+    weights = image_weights(camera, seed=4)
+    from_f = {"mask": weights["mask"]}
+    grads = {}
+    for kind in ("svr", "even"):
+        for name, parts in (("F", from_f), ("rgb", {"rgb": weights["rgb"]})):
+            render(level, scene, camera, masks, mask_kind=kind)
+            grads[kind, name] = backward(level, parts, 60, ("masks",))["masks"]
+    splats = ref.project(
+        **scenes.leaves(scene, requires_grad=False), viewmat=torch.as_tensor(camera.viewmat), K=torch.as_tensor(camera.K),
+        width=camera.width, height=camera.height, degree=3, antialiased=False,
+    )  # fmt: skip
+    xx, xy, yy = splats.conic.T
+    area = np.full(60, np.inf)
+    area[splats.index] = 2 * np.pi * torch.log(255 * splats.opacity) / torch.sqrt(xx * yy - xy**2)
+    seen = grads["svr", "F"] != 0
+    np.testing.assert_allclose(grads["even", "F"][seen], (grads["svr", "F"] * 256 / np.maximum(area, 1))[seen], rtol=1e-3)
+    np.testing.assert_array_equal(grads["even", "rgb"], grads["svr", "rgb"])
+    assert seen.sum() > 30

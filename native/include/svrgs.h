@@ -34,8 +34,13 @@ enum svrgs_status { SVRGS_OK = 0, SVRGS_INVALID = 1, SVRGS_NO_MEMORY = 2, SVRGS_
 enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4 };
 
 /* How the spatial mask F and its gradient are formed (paper Eq. 5 and 9, scenarios A and B; SELF: F as in SVR, gradient
-   from the self term alone, 1 - alpha_i T_i). NONE skips F and all of its counting. */
-enum svrgs_mask_kind { SVRGS_MASK_NONE = 0, SVRGS_MASK_SVR = 1, SVRGS_MASK_SELF = 2, SVRGS_MASK_A = 3, SVRGS_MASK_B = 4 };
+   from the self term alone, 1 - alpha_i T_i; EVEN: F and dF/dM as in SVR, but a Gaussian's sum over its pixels is scaled
+   to SVRGS_EVEN_AREA pixels of footprint, so that large and small ones are pushed alike). NONE skips F and all of its
+   counting. */
+enum svrgs_mask_kind {
+  SVRGS_MASK_NONE = 0, SVRGS_MASK_SVR = 1, SVRGS_MASK_SELF = 2, SVRGS_MASK_A = 3, SVRGS_MASK_B = 4, SVRGS_MASK_EVEN = 5
+};
+#define SVRGS_EVEN_AREA 256
 
 typedef struct svrgs_context svrgs_context; /* buffers of one renderer; use from one thread at a time */
 

@@ -85,7 +85,7 @@ void check(const svrgs_camera& c) {
 
 void check(const svrgs_options& o, const svrgs_scene& s) {
   require(o.sh_degree >= 0 && o.sh_degree <= 3 && (o.sh_degree + 1) * (o.sh_degree + 1) <= s.sh_coefficients, "sh_degree is not stored in the scene");
-  require(o.mask_kind >= SVRGS_MASK_NONE && o.mask_kind <= SVRGS_MASK_B, "mask_kind is unknown");
+  require(o.mask_kind >= SVRGS_MASK_NONE && o.mask_kind <= SVRGS_MASK_EVEN, "mask_kind is unknown");
   require(o.mask_kind != SVRGS_MASK_A || o.eps_a > 0, "eps_a must be positive");
 }
 

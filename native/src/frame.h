@@ -37,9 +37,9 @@ struct TileEntry {
 enum Field { kRed, kGreen, kBlue, kDepth, kFinalT, kFullT, kCount, kDropped, kSum0, kSum1, kSum2, kSum3, kFields };
 
 constexpr int kSlotWidth = 12;  // reals per (Gaussian, tile) slot of the backward pass
-enum Slot { kV, kVx, kVy, kVxx, kVxy, kVyy, kSlotRed, kSlotGreen, kSlotBlue, kSlotMask, kSlotDepth };
+enum Slot { kV, kVx, kVy, kVxx, kVxy, kVyy, kSlotRed, kSlotGreen, kSlotBlue, kSlotMask, kSlotDepth, kSlotSpatial };
 
-enum MaskKind { kMaskNone = 0, kMaskSvr = 1, kMaskSelf = 2, kMaskA = 3, kMaskB = 4 };
+enum MaskKind { kMaskNone = 0, kMaskSvr = 1, kMaskSelf = 2, kMaskA = 3, kMaskB = 4, kMaskEven = 5 };
 
 struct Frame {
   // scene

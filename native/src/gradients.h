@@ -42,6 +42,13 @@ inline void sh_vjp(const Frame& f, const Batch& b, const uint32_t* ids, int n, c
   for (int k = 0; k < 3; ++k) mean[k] += (d[k] - along * dir.d[k]) * dir.inv_length;
 }
 
+// What dL/dM from F is multiplied by: 1, or for EVEN the fixed footprint over the Gaussian's own (its 1/255 ellipse).
+inline R spatial_weight(const Frame& f, const Splat<R>& s) {
+  if (f.mask_kind != kMaskEven) return 1;
+  const R area = R(3.141592653589793) * (s.log2_opacity + R(kLog2Of255)) / (s.l11 * s.l22);
+  return R(SVRGS_EVEN_AREA) / std::max(area, R(1));
+}
+
 inline void scatter(void* rows, int64_t first, int n, int width, const V* values) {
   if (!rows) return;
   R* out = static_cast<R*>(rows) + first * width;
@@ -58,6 +65,7 @@ inline void gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads
     const SlotSums sums = sum_slots(f, slots, ids[i]);
     for (int k = 0; k < kSlotWidth; ++k) s[k][i] = sums.value[k];
     const Splat<R>& splat = static_cast<const Splat<R>*>(f.splats)[ids[i]];
+    s[kSlotMask][i] += spatial_weight(f, splat) * sums.value[kSlotSpatial];
     for (int c = 0; c < 3; ++c) colour.rgb[c][i] = splat.rgb[c] > 0 ? sums.value[kSlotRed + c] : R(0);
   }
   if (want.mask) scatter(out.masks, first, n, 1, &s[kSlotMask]);

@@ -1,6 +1,6 @@
 // Stage 1: cull, project, colour. The only visibility gate: comparisons are written so that NaN fails them.
 
-inline R logit_of_cut() { return R(-5.541263545158426); }  // opacity 1/255
+inline R logit_of_cut() { return R(-5.5413); }  // just below the logit of opacity 1/255; the alpha test decides
 
 // Smallest box of pixel rows and columns [begin, end) the 1/255 ellipse can reach; false if none.
 struct PixelBox {

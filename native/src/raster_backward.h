@@ -56,7 +56,7 @@ inline void start_backward(const Frame& f, const svrgs_image_grads& g, int64_t t
 }
 
 struct Sums {
-  V v, vx, vy, vxx, vxy, vyy, red, green, blue, mask, depth;
+  V v, vx, vy, vxx, vxy, vyy, red, green, blue, mask, depth, spatial;  // mask: from the colours; spatial: from F
 };
 
 struct Wanted {
@@ -123,7 +123,7 @@ inline void accumulate_block(const Frame& f, const Wanted& want, BackwardTile& t
     if (want.spatial) {
       const M counted = f.full ? e.hit : live;
       const SpatialGrads d = spatial_vjp<scenario>(f, t, b, h, e.alpha, T, inv, s.mask, counted);
-      a.mask += keep(counted, d.mask);
+      a.spatial += keep(counted, d.mask);
       if (f.mask_to_shape) v += keep(both(counted, e.free), e.alpha * d.alpha);
     }
     if (!want.shape) continue;
@@ -137,7 +137,7 @@ inline void accumulate_block(const Frame& f, const Wanted& want, BackwardTile& t
 inline void write_slot(const Sums& a, R* slot) {
   sum4(a.v, a.vx, a.vy, a.vxx, slot);
   sum4(a.vxy, a.vyy, a.red, a.green, slot + 4);
-  sum4(a.blue, a.mask, a.depth, splat(0), slot + 8);
+  sum4(a.blue, a.mask, a.depth, a.spatial, slot + 8);
 }
 
 inline Wanted wanted(const svrgs_image_grads& in, const svrgs_grads& out) {

@@ -5,7 +5,7 @@ An engine is anything with `step(model, step) -> StepResult`; torch_engine.py is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,6 +34,16 @@ class Step:
     update: bool = True  # False: gradients only (3DGS takes no optimiser step where it densifies)
     want_means2d: bool = False
 
+    @property
+    def spatial(self) -> bool:
+        """Whether F is rendered and penalised."""
+        return self.lambda_f > 0 and self.masks is not None
+
+    @property
+    def global_loss(self) -> float:
+        """(mean M)^2 (MaskGaussian)."""
+        return float(self.masks.mean()) ** 2 if self.masks is not None else 0.0
+
 
 @dataclass
 class StepResult:
@@ -44,11 +54,12 @@ class StepResult:
     mask_loss: float  # mean F^2
     visible: np.ndarray  # (V,) uint32
     means2d: np.ndarray | None = None  # (V, 2) dL/d(projected centre), pixels
+    global_loss: float = 0.0  # (mean M)^2
     nonfinite: int = 0  # rows skipped because their gradient was not finite
-    grads: dict = field(default_factory=dict)
 
     def loss(self, step: Step) -> float:
-        return step.l1_weight * self.l1 + step.ssim_weight * (1 - self.ssim) + step.lambda_f * self.mask_loss
+        image = step.l1_weight * self.l1 + step.ssim_weight * (1 - self.ssim)
+        return image + step.lambda_f * self.mask_loss + step.lambda_m * self.global_loss
 
 
 def mask_loss_grad(mask: np.ndarray, weight: float) -> tuple[float, np.ndarray]:
@@ -70,16 +81,15 @@ class NativeEngine:
 
     def step(self, model: Model, step: Step) -> StepResult:
         r = self.rasterizer
-        spatial = step.lambda_f > 0 and step.masks is not None
-        outputs = ("rgb", "mask") if spatial else ("rgb",)
+        outputs = ("rgb", "mask") if step.spatial else ("rgb",)
         images = r.forward(model, step.camera, step.options, step.masks, outputs)
         l1, ssim, d_rgb = r.loss(images["rgb"], step.target, step.l1_weight, step.ssim_weight)
         image_grads, mask_loss = {"rgb": d_rgb}, 0.0
-        if spatial:
+        if step.spatial:
             mask_loss, image_grads["mask"] = mask_loss_grad(images["mask"], step.lambda_f)
         wanted = PARAMETERS + (("masks",) if step.masks is not None else ()) + (("means2d",) if step.want_means2d else ())
         grads = r.backward(image_grads, wanted)
-        result = StepResult(l1, ssim, mask_loss, r.visible(), grads.get("means2d"), grads=grads)
+        result = StepResult(l1, ssim, mask_loss, r.visible(), grads.get("means2d"), step.global_loss)
         if step.update:
             result.nonfinite = self._update(model, step, grads, result.visible)
         return result

@@ -21,7 +21,8 @@ class Method:
 METHODS = {
     "svr": Method("svr", True, lambda_f=1e-4),
     "svr-self": Method("self", True, lambda_f=1e-4),  # the paper's prose: dF/dM from the self term alone
-    "svr-a": Method("a", True, lambda_f=1e-4),
+    "svr-even": Method("even", True, lambda_f=1e-4),  # each Gaussian's push scaled to one footprint, so that size does not matter
+    "svr-a": Method("a", True, lambda_f=1e-2),  # F_A is a share, at most 1: the same push needs a larger weight
     "svr-b": Method("b", True, lambda_f=1e-4),
     "maskgs": Method(learns_masks=True, lambda_m=5e-4),
     "3dgs": Method(),
@@ -106,6 +107,7 @@ class Settings:
     draws: int = 10
     l1_weight: float = 0.8
     ssim_weight: float = 0.2
+    min_contribution: float = 0.0  # before all else, drop what never reaches this alpha T in a training view
     target: int = 0  # Gaussians to keep at the end of the mask phase; 0: whatever survives
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 

@@ -103,7 +103,7 @@ class TorchEngine:
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
         loss.backward()
         ids = row_ids(self.rasterizer)
-        result = StepResult(l1.item(), similarity.item(), mask_loss.item(), self.rasterizer.visible().copy())
+        result = StepResult(l1.item(), similarity.item(), mask_loss.item(), self.rasterizer.visible(), global_loss=step.global_loss)
         if step.want_means2d:
             result.means2d = means2d.grad[ids].numpy()
         if step.update:
@@ -123,8 +123,7 @@ class TorchEngine:
         return total, l1, similarity, mask_loss
 
     def _render(self, step: Step, leaves: dict[str, Tensor], masks: Tensor | None, means2d: Tensor) -> dict[str, Tensor]:
-        spatial = step.lambda_f > 0 and masks is not None
-        outputs = ("rgb", "mask") if spatial else ("rgb",)
+        outputs = ("rgb", "mask") if step.spatial else ("rgb",)
         sh = torch.cat([leaves["sh"], leaves["sh_rest"]], dim=1)
         parameters = [sh if name == "sh" else leaves[name] for name in PARAMETERS]
         images = Rasterize.apply(self.rasterizer, step, outputs, *parameters, masks, means2d)
