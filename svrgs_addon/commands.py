@@ -100,8 +100,6 @@ def prune_one(options: Options) -> dict:
 
 
 def _min_contribution(options: Options) -> float:
-    from .finetune.settings import method_named
-
     if options.min_contribution is not None:
         return options.min_contribution
     return MIN_CONTRIBUTION if method_named(options.method).learns_masks else 0.0

@@ -107,7 +107,7 @@ def check_outputs(options: JobOptions):
 
 def check_request(dataset: Dataset, settings: Settings):
     """Finds out before the work whether dataset and settings allow it. Raises SceneError."""
-    if settings.total and not dataset.train_indices:
+    if not dataset.train_indices:
         raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
     ranks = bool(method_named(settings.method).score)
     if ranks and not settings.target:
@@ -118,7 +118,7 @@ def check_request(dataset: Dataset, settings: Settings):
 
 def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
     """Drops what no view misses: opacity < 1/255, which is exact, and alpha T below settings.min_contribution in every
-    training view. Score methods drop all but the target count.
+    training view, as far as a target count allows. Score methods drop all but the target count.
     """
     scene = scene.select(~invisible(scene))
     score = method_named(settings.method).score
@@ -128,7 +128,7 @@ def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
         return scene
     cameras = [dataset.cameras[i] for i in dataset.train_indices]
     sums, peaks, _ = scores.contribution(scene, cameras, Rasterizer(), render_options(scene, settings.background))
-    keep = scores.top(sums, settings.target) if score else peaks >= settings.min_contribution
+    keep = scores.top(sums, settings.target) if score else (peaks >= settings.min_contribution) | scores.top(peaks, settings.target)
     masks.refuse_emptying(keep, scene.count)
     return scene.select(keep)
 

@@ -38,4 +38,4 @@ def refuse_emptying(keep: np.ndarray, before: int):
     """Raises SceneError where `keep` would leave (next to) nothing of a scene of `before` Gaussians."""
     left = int(keep.sum())
     if left < max(1, before * MIN_SHARE):
-        raise SceneError(f"pruning would leave {left} of {before:,} Gaussians: use a smaller lambda-f, or a target count")
+        raise SceneError(f"pruning would leave {left} of {before:,} Gaussians: use a smaller lambda-f or min-contribution, or a target count")
