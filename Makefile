@@ -7,16 +7,19 @@ PY := $(VENV)/bin/python
 DEMO := build/demo
 # What Blender as a module links against; installed where it does not load yet.
 BLENDER_LIBRARIES := libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1 libegl1 libxxf86vm1 libgomp1
+SUDO := $(shell test "$$(id -u)" = 0 || echo sudo)
+INSTALL := $(SUDO) apt-get update -qq && $(SUDO) apt-get install -y -qq --no-install-recommends
+PIP := $(PY) -m pip install --quiet --disable-pip-version-check
 
 .PHONY: setup native demo test clean
 
 setup: $(VENV)/.ready native
 
 $(VENV)/.ready: requirements.txt requirements-dev.txt pyproject.toml
-	$(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install --quiet --disable-pip-version-check -r requirements-dev.txt
-	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --editable .
-	$(PY) -c "import bpy" 2>/dev/null || { $$(test "$$(id -u)" = 0 || echo sudo) sh -c 'apt-get update -qq && apt-get install -y -qq --no-install-recommends $(BLENDER_LIBRARIES)' && $(PY) -c "import bpy"; }
+	$(PYTHON) -m venv $(VENV) || { $(INSTALL) $(PYTHON)-venv && $(PYTHON) -m venv $(VENV); }
+	$(PIP) -r requirements-dev.txt
+	$(PIP) --no-deps --editable .
+	$(PY) -c "import bpy" 2>/dev/null || { $(INSTALL) $(BLENDER_LIBRARIES) && $(PY) -c "import bpy"; }
 	touch $@
 
 native:

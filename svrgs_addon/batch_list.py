@@ -56,15 +56,16 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
 
 
 def _splat_in(folder: Path) -> Path | None:
-    """The folder's splat: the last of a 3DGS run's point_cloud folder, or else its only .ply that is no output of ours."""
+    """The folder's splat: the last of a 3DGS run's point_cloud folder, or else its only .ply that is no output of ours.
+
+    The folder itself where there are several: reading it fails with a sentence, and the other scenes go on.
+    """
     trained = {p: p.parent.name.removeprefix("iteration_") for p in folder.glob("point_cloud/iteration_*/point_cloud" + SUFFIX)}
     numbered = [p for p, number in trained.items() if number.isdecimal()]
     if numbered:  # beside it such a run keeps its sparse points, input.ply
         return max(numbered, key=lambda p: int(trained[p]))
     files = [p for p in sorted(folder.glob("*" + SUFFIX)) if not p.stem.endswith(PRUNED) and not p.name.startswith(".")]
-    if len(files) > 1:
-        raise SceneError(f"{folder}: holds {len(files)} splats ({files[0].name}, {files[1].name}, ...): name the one to prune")
-    return files[0] if files else None
+    return folder if len(files) > 1 else files[0] if files else None
 
 
 def _dataset(scene: Path) -> Path | None:

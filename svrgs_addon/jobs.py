@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import platform
 import sys
@@ -55,12 +56,13 @@ def train(dataset: Dataset, settings: Settings, options: JobOptions, sh_degree: 
     """3DGS (with masks, where the method learns them) from the dataset's sparse points; returns the JSON result."""
     check_outputs(options)
     check_request(dataset, settings)
-    started = time.perf_counter()
-    start = scene_from_points(dataset.points, dataset.point_colors, sh_degree)
-    run, scene = fine_tune(start, dataset, settings, options)
-    after = measured(scene, dataset, options)
-    result = {**after, "out": str(options.out), "method": settings.method, "lambda_f": settings.lambda_f or None, **run_facts(run, started)}
-    return result
+    clock = Clock()
+    with clock.phase("initialise"):
+        start = scene_from_points(dataset.points, dataset.point_colors, sh_degree)
+    run, scene = fine_tune(start, dataset, settings, options, clock)
+    with clock.phase("evaluate"):
+        after = measured(scene, dataset, options)
+    return {**after, **run_facts(run, options, clock)}
 
 
 def prune(scene_path: Path, dataset: Dataset, settings: Settings, options: JobOptions) -> dict:
@@ -69,29 +71,40 @@ def prune(scene_path: Path, dataset: Dataset, settings: Settings, options: JobOp
     if options.out.resolve() == scene_path.resolve():
         raise SceneError(f"{options.out}: is the input itself; choose another output, the original is never overwritten")
     check_request(dataset, settings)
-    started = time.perf_counter()
-    source = load_scene(scene_path).scene
-    refuse_unseen(source, dataset.cameras, str(scene_path))
-    before = measured(source, dataset, options, scene_path)
-    evaluated = time.perf_counter() - started
-    start = first_cut(source, dataset, settings)
-    run, scene = fine_tune(start, dataset, settings, options)
-    after = measured(scene, dataset, options)
-    result = {
-        **after,
-        "scene": str(scene_path),
-        "out": str(options.out),
-        "method": settings.method,
-        "lambda_f": settings.lambda_f or None,
-        "before": before,
-        "after": after,
-        "first_cut": source.count - start.count,
-        **run_facts(run, started),
-    }
-    result["seconds_by_phase"] = {"evaluate before": evaluated, **result["seconds_by_phase"]}
+    clock = Clock()
+    with clock.phase("read"):
+        source = load_scene(scene_path).scene
+        refuse_unseen(source, dataset.cameras, str(scene_path))
+    with clock.phase("evaluate before"):
+        before = measured(source, dataset, options, scene_path)
+    with clock.phase("first cut"):
+        start = first_cut(source, dataset, settings)
+    run, scene = fine_tune(start, dataset, settings, options, clock)
+    with clock.phase("evaluate after"):
+        after = measured(scene, dataset, options)
+    result = {**after, "scene": str(scene_path), "before": before, "after": after, "first_cut": source.count - start.count}
+    result |= run_facts(run, options, clock)
     if options.report:
         write_report(options, scene_path.stem, source, scene, dataset, run, result)
     return result
+
+
+class Clock:
+    """Seconds by phase, in the order they were spent."""
+
+    def __init__(self):
+        self.started = time.perf_counter()
+        self.phases: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def phase(self, name: str):
+        begun = time.perf_counter()
+        yield
+        self.phases[name] = time.perf_counter() - begun
+
+    @property
+    def total(self) -> float:
+        return time.perf_counter() - self.started
 
 
 def check_outputs(options: JobOptions):
@@ -141,8 +154,8 @@ def make_engine(name: str):
     return TorchEngine()
 
 
-def fine_tune(start: Scene, dataset: Dataset, settings: Settings, options: JobOptions) -> tuple[loop.Run, Scene]:
-    """Runs all phases with checkpoints, writes options.out, and forgets the checkpoints."""
+def fine_tune(start: Scene, dataset: Dataset, settings: Settings, options: JobOptions, clock: Clock) -> tuple[loop.Run, Scene]:
+    """Runs all phases with checkpoints, writes options.out, and forgets the checkpoints; each phase's seconds go to the clock."""
     run = loop.Run(Model.of(start), dataset, settings, make_engine(options.engine), start.antialiased)
     identity = run_identity(start, dataset, settings, options.engine)
     if options.resume:
@@ -159,8 +172,10 @@ def fine_tune(start: Scene, dataset: Dataset, settings: Settings, options: JobOp
             saved = time.monotonic()
 
     loop.run_to_end(run, observe, options.stop, lambda: checkpoint.save(run, options.folder, identity), lambda: curve_psnr(run))
+    clock.phases |= run.seconds
     scene = run.model.scene(start)
-    write_scene(options.out, scene)
+    with clock.phase("write"):
+        write_scene(options.out, scene)
     checkpoint.forget(options.folder)
     return run, scene
 
@@ -193,16 +208,20 @@ def measured(scene: Scene, dataset: Dataset, options: JobOptions, path: Path | N
     return {**evaluate(scene, dataset, views, Rasterizer(), lpips), "bytes": (path or options.out).stat().st_size}
 
 
-def run_facts(run: loop.Run, started: float) -> dict:
-    tuned = sum(run.seconds.values())
+def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
+    """What the JSON result says of a run beside the scene's quality."""
+    settings, tuned = run.settings, sum(run.seconds.values())
     return {
-        "seconds": time.perf_counter() - started,
-        "seconds_by_phase": dict(run.seconds),
+        "out": str(options.out),
+        "method": settings.method,
+        "lambda_f": settings.lambda_f if method_named(settings.method).mask_kind != "none" else None,
+        "seconds": clock.total,
+        "seconds_by_phase": clock.phases,
         "iterations": run.iteration,
         "iterations_per_second": run.iteration / tuned if tuned else None,
         "peak_memory_bytes": peak_memory(),
         "nonfinite_gradients": run.nonfinite,
-        "seed": run.settings.seed,
+        "seed": settings.seed,
     }
 
 
@@ -218,10 +237,11 @@ def peak_memory() -> int | None:
 
 def write_report(options: JobOptions, name: str, before: Scene, after: Scene, dataset: Dataset, run: loop.Run, result: dict):
     """The HTML page of a pruning job."""
-    curves, phases, start = run.curves, [], 0
+    curves, starts, start = run.curves, {}, 0
     for phase in run.settings.phases:
-        phases.append(report.Phase(phase.name, run.seconds.get(phase.name, 0.0), start))
+        starts[phase.name] = start
         start += phase.steps
+    phases = [report.Phase(phase, seconds, starts.get(phase)) for phase, seconds in result["seconds_by_phase"].items()]
     series = [Series("Gaussians", curves.iteration, curves.count, from_zero=True), Series("Loss", curves.iteration, curves.loss)]
     if any(value is not None for value in curves.psnr):
         series.insert(1, Series("PSNR", curves.iteration, curves.psnr, "dB"))

@@ -53,7 +53,8 @@ def _library() -> c.CDLL:
     library = c.CDLL(str(path))
     library.svrgs_last_error.restype = c.c_char_p
     if library.svrgs_interface_version() != INTERFACE_VERSION:
-        raise NativeError(f"{path} has interface version {library.svrgs_interface_version()}, this code needs {INTERFACE_VERSION}: rebuild it with 'make setup'")
+        found = library.svrgs_interface_version()
+        raise NativeError(f"{path} has interface version {found}, this code needs {INTERFACE_VERSION}: rebuild it with 'make setup'")
     return library
 
 
@@ -203,7 +204,8 @@ class Rasterizer:
     def adam(self, param, m, v, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
         """One Adam step on rows `ids` (uint32, or None: all) of param, m, v (N, ...), given grad (rows, ...).
 
-        lr: one rate, or one per column of a flattened row; step counts from 1 (bias correction). Returns the number of rows skipped because their gradient was not finite.
+        lr: one rate, or one per column of a flattened row; step counts from 1 (bias correction). Returns the number of rows
+        skipped because their gradient was not finite.
         """
         shape = np.shape(param)
         width = int(np.prod(shape[1:], dtype=np.int64))

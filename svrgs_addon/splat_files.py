@@ -29,6 +29,8 @@ def read_scene(path: str | Path) -> Scene:
     path = Path(path)
     if not path.exists():
         raise SceneError(f"{path}: there is no such file")
+    if path.is_dir():
+        raise SceneError(f"{path}: is a folder, or holds several splats: name the .ply to use")
     if path.suffix.lower() != ".ply":
         raise FormatError(f"{path}: '{path.suffix}' files are not read; give a 3DGS .ply")
     return read_ply(path)

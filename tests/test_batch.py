@@ -20,6 +20,7 @@ from svrgs_addon import worker
 from svrgs_addon.batch_list import Item, expand
 from svrgs_addon.errors import SceneError
 from svrgs_addon.formats import read_ply
+from svrgs_addon.splat_files import read_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 BATCH = ROOT / "svrgs_addon" / "batch.py"
@@ -195,10 +196,12 @@ def test_an_output_file_is_for_one_scene(tmp_path):
         expand([tmp_path / "a", tmp_path / "b"], None, tmp_path / "small.ply")
 
 
-def test_several_splats_in_a_folder(tmp_path):
-    touch(tmp_path / "a/x.ply", tmp_path / "a/y.ply")
-    with pytest.raises(SceneError, match=r"holds 2 splats \(x.ply, y.ply, ...\): name the one to prune"):
-        expand([tmp_path], None, None)
+def test_several_splats_in_a_folder_fail_alone(tmp_path):
+    touch(tmp_path / "a/x.ply", tmp_path / "a/y.ply", tmp_path / "b/scene.ply")
+    several, one = expand([tmp_path], None, None)
+    assert one.scene == tmp_path / "b/scene.ply"
+    with pytest.raises(SceneError, match=r"a: is a folder, or holds several splats: name the \.ply to use"):
+        read_scene(several.scene)
 
 
 @pytest.mark.parametrize("where", [{"out": Path("out")}, {"out": None, "report": Path("report")}])

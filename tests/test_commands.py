@@ -400,6 +400,7 @@ REFUSED = [  # what is broken, the command, what the sentence says
     (nothing, f"{TRAIN} --method dropout", ("method 'dropout' is unknown",)),
     (nothing, f"{TRAIN} --method opacity", ("prunes trained scenes",)),
     *((nothing, f"{PRUNE} --lambda-f={value}", ("--lambda-f", f"'{value}' is not a weight")) for value in ("-1", "nan", "inf", "much")),
+    (nothing, f"{PRUNE} --method maskgs --lambda-f 1e-4", ("method 'maskgs' has no spatial mask",)),
     *((nothing, f"{PRUNE} --target {value}", ("--target", f"'{value}' is not a share")) for value in ("0", "1.5", "half")),
     (nothing, f"{PRUNE} --target 0.5 --target-count 9", ("not allowed with",)),
     (nothing, f"{PRUNE} --target-count 0", ("--target-count",)),
@@ -423,7 +424,7 @@ REFUSED = [  # what is broken, the command, what the sentence says
     (nothing, f"prune {{work}}/none.ply --out {{work}}/o.ply {DATA}", ("there is no such file",)),
     (nothing, f"prune {{data}}/sparse --out {{work}}/o.ply {DATA}", ("holds no splat",)),
     (nothing, "info {work}/none.ply", ("there is no such file",)),
-    (nothing, "info {work}", ("are not read",)),
+    (nothing, "info {work}", ("is a folder",)),
     (nothing, "paint", ("invalid choice",)),
     (nothing, "", ("COMMAND",)),
 ]

@@ -571,9 +571,10 @@ def test_a_loss_that_is_not_finite_ends_the_run_with_the_view_named():
     run.close()
 
 
-def test_observers_see_each_step_and_curves_gain_points():
+def test_observers_see_each_step_and_curves_gain_points(monkeypatch):
+    monkeypatch.setattr(loop, "CURVE_POINTS", 6)
     run, seen = training(), []
-    run_to_end(run, seen.append, lambda: False, lambda: None, lambda: 12.5, points=6)
+    run_to_end(run, seen.append, lambda: False, lambda: None, lambda: 12.5)
     assert [p.iteration for p in seen] == list(range(1, 61)) and seen[-1].seconds_left == 0
     assert [p.phase for p in seen] == ["train"] * 45 + ["recover"] * 15
     assert run.curves.iteration == [10, 20, 30, 40, 50, 60] and run.curves.psnr == [12.5] * 6

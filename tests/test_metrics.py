@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.metrics import flip, flip_map, load_lpips, psnr, ssim
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from svrgs_addon.errors import SceneError
 from svrgs_addon.pictures import data_uri, difference_image, mask_to_rgb, png_bytes
 from svrgs_addon.plots import Series, line_chart

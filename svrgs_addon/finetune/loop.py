@@ -19,6 +19,7 @@ from .model import Model
 from .settings import Phase, Settings, method_named
 
 SMOOTHING = 0.05  # of the loss shown
+CURVE_POINTS = 40
 
 
 @dataclass
@@ -186,13 +187,16 @@ def as_real(image: np.ndarray, dtype) -> np.ndarray:
     return np.ascontiguousarray(image, dtype)
 
 
-def run_to_end(run: Run, observe: Callable[[Progress], None], stop: Callable[[], bool], checkpoint: Callable[[], None], measure: Callable[[], float | None], points: int = 40):
-    """Advances until finished. Every total/points iterations the curves gain a point. On stop(): checkpoint, Cancelled.
-
-    observe is called after each step; measure returns a PSNR for the curves, or None.
-    """
+def run_to_end(
+    run: Run,
+    observe: Callable[[Progress], None],  # called after each step
+    stop: Callable[[], bool],
+    checkpoint: Callable[[], None],
+    measure: Callable[[], float | None],  # a PSNR for the curves
+):
+    """Advances until finished; the curves gain CURVE_POINTS points on the way. On stop(): checkpoint, then Cancelled."""
     total, begun, first = run.settings.total, time.perf_counter(), run.iteration
-    every = max(1, total // points)
+    every = max(1, total // CURVE_POINTS)
     try:
         while not run.finished:
             name = run.phase()[0].name

@@ -129,7 +129,9 @@ def recovery_phase(steps: int, position_first: float = 5e-6) -> Phase:
 
 def weights(method: str, lambda_f: float | None) -> dict:
     m = method_named(method)
-    return {"method": method, "lambda_f": m.lambda_f if lambda_f is None or not m.lambda_f else lambda_f, "lambda_m": m.lambda_m}
+    if lambda_f is not None and m.mask_kind == "none":
+        raise SceneError(f"method '{method}' has no spatial mask to weigh: leave lambda-f out, or use an svr method")
+    return {"method": method, "lambda_f": m.lambda_f if lambda_f is None else lambda_f, "lambda_m": m.lambda_m}
 
 
 def train_settings(method: str, iterations: int, recovery: int, *, lambda_f: float | None = None, densify: Densify = Densify(), **rest) -> Settings:
