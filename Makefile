@@ -28,7 +28,7 @@ native:
 demo: setup
 	$(PY) -m tests.demo_scene $(DEMO)/scene
 	$(VENV)/bin/svrgs train --colmap $(DEMO)/scene --iterations 2500 --densify-until 1500 --out $(DEMO)/trained.ply
-	$(VENV)/bin/svrgs prune $(DEMO)/trained.ply --colmap $(DEMO)/scene --iterations 1500 --recovery 1500 --out $(DEMO)/pruned.ply --report $(DEMO)/report
+	$(VENV)/bin/svrgs prune $(DEMO)/trained.ply --colmap $(DEMO)/scene --recovery 2500 --out $(DEMO)/pruned.ply --report $(DEMO)/report
 	@echo "report: $(DEMO)/report/index.html"
 
 test: setup

@@ -55,6 +55,7 @@ def _dataset(command, required: bool = True):
     command.add_argument("--images", metavar="NAME", help="image folder inside the dataset, e.g. images_4 (default: images)")
     command.add_argument("--holdout", type=_count, default=8, metavar="N", help="every N-th view is for testing; 0: none (default: 8)")
     command.add_argument("--background", type=_colour, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="behind transparent pixels, 0..1 each (default: black)")
+    command.add_argument("--image-memory", type=_gigabytes, default=4.0, metavar="GB", help="photographs beyond this are read anew for each view (default: 4)")
     command.add_argument("--lpips-weights", type=_weights_file, metavar="FILE", help="VGG LPIPS weights; without them LPIPS is left out")
 
 
@@ -125,6 +126,10 @@ def _positive(text: str) -> int:
 
 def _weight(text: str) -> float:
     return _parsed(float, text, lambda value: 0 <= value < float("inf"), "a weight of 0 or more")
+
+
+def _gigabytes(text: str) -> float:
+    return _parsed(float, text, lambda value: 0 <= value < float("inf"), "a number of gigabytes")
 
 
 def _share(text: str) -> float:

@@ -125,7 +125,7 @@ def import_pycolmap() -> ModuleType:
     try:
         import pycolmap
     except ImportError as error:
-        raise SceneError("reading COLMAP models needs the Python package pycolmap, which is missing") from error
+        raise SceneError(f"reading COLMAP models needs the package pycolmap: run {sys.executable} -m pip install pycolmap") from error
     if before is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, before)  # the import put one there that prints a stack trace
     return pycolmap

@@ -141,7 +141,10 @@ COMMANDS: dict[str, Callable[[Options], int]] = {"info": info, "render": render,
 def _load(options: Options, need_points: bool = False):
     from .dataset import load_dataset
 
-    return load_dataset(options.colmap, options.images, holdout=options.holdout, background=tuple(options.background), need_points=need_points)
+    return load_dataset(
+        options.colmap, options.images, holdout=options.holdout, background=tuple(options.background), need_points=need_points,
+        memory_budget=int(options.image_memory * 1e9),
+    )  # fmt: skip
 
 
 def _job(options: Options, report: Path | None = None):

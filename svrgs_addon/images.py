@@ -6,6 +6,7 @@ OpenImageIO is imported inside functions only, so that commands that need no pic
 from __future__ import annotations
 
 import os
+import sys
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -106,7 +107,7 @@ def _library() -> ModuleType:
     try:
         import OpenImageIO
     except ImportError as error:
-        raise SceneError("reading and writing images needs the Python package OpenImageIO, which is missing") from error
+        raise SceneError(f"reading and writing images needs the package OpenImageIO: run {sys.executable} -m pip install OpenImageIO") from error
     return OpenImageIO
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 
 from ..errors import SceneError
@@ -93,7 +95,7 @@ def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3
     try:
         from scipy.spatial import cKDTree
     except ImportError:
-        raise SceneError("training from sparse points needs scipy: install it into this Python") from None
+        raise SceneError(f"training from sparse points needs the package scipy: run {sys.executable} -m pip install scipy") from None
     n = len(points)
     if n <= NEIGHBOURS:
         raise SceneError(f"{n} sparse points are too few to start training from: at least {NEIGHBOURS + 1} are needed")
