@@ -44,7 +44,7 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, lpips_weights: Path |
 
 def _save(out: Path, view: report.View) -> Path:
     top = max(float(np.percentile(view.mask_before, report.MASK_PERCENTILE)), 1e-6)
-    parts = [to_uint8(view.before), to_uint8(view.after), to_uint8(difference_image(view.before, view.after))]
+    parts = [to_uint8(view.before), to_uint8(view.after), difference_image(view.before, view.after)]
     parts += [mask_to_rgb(mask, top) for mask in (view.mask_before, view.mask_after)]
     path = out / f"{stem(view.name)}.png"
     write_image(path, np.concatenate(parts, axis=1))

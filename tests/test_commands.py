@@ -288,7 +288,8 @@ def test_compare(tiny, svrgs, tmp_path):
     assert result["report"] == str(tmp_path / "out/index.html")
     strip = read_image(tmp_path / "out/00.png")
     assert strip.shape == (tiny_dataset.HEIGHT, 5 * tiny_dataset.WIDTH, 3)
-    b = strip[:, tiny_dataset.WIDTH : 2 * tiny_dataset.WIDTH]
+    a, b, difference = (strip[:, k * tiny_dataset.WIDTH : (k + 1) * tiny_dataset.WIDTH] for k in range(3))
+    assert np.abs(difference - np.clip(4 * np.abs(a - b), 0, 1)).max() <= 5 / 255
     assert np.abs(b - read_image(tiny.folder / "images/00.png")).max() <= 1 / 255 + 1e-6
     page = (tmp_path / "out/index.html").read_text()
     assert "scene.ply" in page and "truth.ply" in page and "data:image/" in page
