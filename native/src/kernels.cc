@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <limits>
 #include <type_traits>
-#if defined(__AVX2__)
+#if SVRGS_LANES >= 8
 #include <immintrin.h>
 #endif
 

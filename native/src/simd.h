@@ -19,7 +19,7 @@ inline V load(const R* p) {
 }
 inline void store(R* p, V v) { __builtin_memcpy(p, &v, sizeof v); }
 
-#if defined(__AVX512F__)
+#if SVRGS_LANES == 16
 using M = __mmask16;
 inline M less(V a, V b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
 inline M at_least(V a, V b) { return _mm512_cmp_ps_mask(a, b, _CMP_GE_OQ); }
@@ -47,7 +47,7 @@ inline V keep(M m, V v) { return (V)((I)v & m); }
 inline V add_if(M m, V a, V b) { return a + keep(m, b); }
 inline V min(V a, V b) { return a < b ? a : b; }  // b where a is NaN, as the processor's own instruction does
 inline V max(V a, V b) { return a > b ? a : b; }
-#if defined(__AVX2__)
+#if SVRGS_LANES >= 8
 inline bool any(M m) { return !_mm256_testz_si256((__m256i)m, (__m256i)m); }
 inline uint32_t bits(M m) { return static_cast<uint32_t>(_mm256_movemask_ps((__m256)m)); }
 inline V fma(V a, V b, V c) { return _mm256_fmadd_ps(a, b, c); }
@@ -84,8 +84,8 @@ inline R largest(V v) {
 #endif
 
 // The sums of four vectors, to out[0..3].
-#if defined(__AVX2__)
-#if !defined(__AVX512F__)
+#if SVRGS_LANES >= 8
+#if SVRGS_LANES == 8
 inline __m256 fold(V v) { return v; }
 #endif
 inline void sum4(V a, V b, V c, V d, R* out) {
