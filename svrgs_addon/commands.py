@@ -149,9 +149,11 @@ def _load(options: Options, need_points: bool = False):
 
 def _job(options: Options, report: Path | None = None):
     from .jobs import JobOptions
+    from .metrics import load_lpips
     from .progress import Reporter
 
-    return JobOptions(options.out, report, options.resume, options.engine, options.lpips_weights, Reporter(options.quiet))
+    lpips, missing = load_lpips(options.lpips_weights)
+    return JobOptions(options.out, report, options.resume, options.engine, lpips, missing, Reporter(options.quiet))
 
 
 def _set_threads(options: Options):

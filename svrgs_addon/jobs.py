@@ -23,7 +23,7 @@ from .finetune.engine import NativeEngine
 from .finetune.model import Model, scene_from_points
 from .finetune.settings import Settings, method_named
 from .images import to_float
-from .metrics import load_lpips, psnr
+from .metrics import psnr
 from .native import Rasterizer, RenderOptions
 from .plots import Series
 from .scene import Scene
@@ -42,7 +42,8 @@ class JobOptions:
     report: Path | None = None
     resume: bool = False
     engine: str = "native"
-    lpips_weights: Path | None = None
+    lpips: Callable | None = None  # (image, photograph) -> float
+    lpips_missing: str = ""  # why there is none
     observe: Callable[[loop.Progress], None] = lambda _: None
     stop: Callable[[], bool] = lambda: False
 
@@ -115,7 +116,6 @@ def check_outputs(options: JobOptions):
     check_writable(options.folder / "manifest.json")
     if options.report:
         check_writable(options.report / "index.html")
-    load_lpips(options.lpips_weights)
 
 
 def check_request(dataset: Dataset, settings: Settings):
@@ -203,9 +203,8 @@ def curve_psnr(run: loop.Run) -> float | None:
 
 def measured(scene: Scene, dataset: Dataset, options: JobOptions, path: Path | None = None) -> dict:
     """The keys of `svrgs eval` for a scene that lies in `path` (default: the output)."""
-    lpips, _ = load_lpips(options.lpips_weights)
     views = dataset.test_indices or dataset.train_indices
-    return {**evaluate(scene, dataset, views, Rasterizer(), lpips), "bytes": (path or options.out).stat().st_size}
+    return {**evaluate(scene, dataset, views, Rasterizer(), options.lpips), "bytes": (path or options.out).stat().st_size}
 
 
 def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
@@ -251,7 +250,7 @@ def write_report(options: JobOptions, name: str, before: Scene, after: Scene, da
         after=result["after"],
         method=result["method"],
         lambda_f=result["lambda_f"],
-        lpips_missing=load_lpips(options.lpips_weights)[1],
+        lpips_missing=options.lpips_missing,
         phases=tuple(phases),
         iterations_per_second=result["iterations_per_second"],
         peak_memory_bytes=result["peak_memory_bytes"],

@@ -166,11 +166,11 @@ void backward_tile_as(const Frame& f, const svrgs_image_grads& in, const svrgs_g
       __builtin_prefetch(f.hits + e[kAhead].slot);
       __builtin_prefetch(slots + static_cast<int64_t>(e[kAhead].slot) * kSlotWidth, 1);
     }
-    uint32_t todo = f.hits[entry.slot];
-    if (!todo) continue;
+    uint32_t blocks_left = f.hits[entry.slot];
+    if (!blocks_left) continue;
     const Local l = localise(f, entry.splat, o.x, o.y);
     Sums a = {};
-    for (; todo; todo &= todo - 1) accumulate_block<scenario>(f, want, t, l, lanes, __builtin_ctz(todo), a);
+    for (; blocks_left; blocks_left &= blocks_left - 1) accumulate_block<scenario>(f, want, t, l, lanes, __builtin_ctz(blocks_left), a);
     write_slot(a, slots + static_cast<int64_t>(entry.slot) * kSlotWidth);
   }
 }
@@ -194,8 +194,8 @@ void scores_tile(const Frame& f, int64_t tile, void* slots) {
     const Local l = localise(f, entry.splat, o.x, o.y);
     V total = splat(0), best = splat(0), pixels = splat(0);
     if (l.s->mask == 0) continue;
-    for (uint32_t todo = f.hits[entry.slot]; todo; todo &= todo - 1) {
-      const int b = __builtin_ctz(todo);
+    for (uint32_t blocks_left = f.hits[entry.slot]; blocks_left; blocks_left &= blocks_left - 1) {
+      const int b = __builtin_ctz(blocks_left);
       for (int h = 0; h < kSub; ++h) {
         const Hit hit = evaluate(l, lanes, b, h);
         const V weight = keep(hit.hit, hit.alpha * t.T[b][h]), next = t.T[b][h] - weight;

@@ -183,8 +183,8 @@ void forward_tile_as(const Frame& f, int64_t tile) {
     if (f.full || t.open) {
       prefetch_splat(f, e + kAhead, end);
       const Local l = localise(f, entry.splat, o.x, o.y);
-      for (uint32_t todo = reached_blocks(l, lanes) & (f.full ? t.inside : t.open); todo; todo &= todo - 1) {
-        const int b = __builtin_ctz(todo);
+      for (uint32_t blocks_left = reached_blocks(l, lanes) & (f.full ? t.inside : t.open); blocks_left; blocks_left &= blocks_left - 1) {
+        const int b = __builtin_ctz(blocks_left);
         visit |= static_cast<uint32_t>(blend_block<scenario>(f, t, l, lanes, b, t.open >> b & 1)) << b;
       }
     }
