@@ -14,12 +14,14 @@ PIP := $(PY) -m pip install --quiet --disable-pip-version-check
 .PHONY: setup native demo test clean
 
 setup: $(VENV)/.ready native
+	$(PY) -m compileall -q svrgs_addon
 
 $(VENV)/.ready: requirements.txt requirements-dev.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV) || { $(INSTALL) $(PYTHON)-venv && $(PYTHON) -m venv $(VENV); }
 	$(PIP) -r requirements-dev.txt
 	$(PIP) --no-deps --editable .
 	$(PY) -c "import bpy" 2>/dev/null || { $(INSTALL) $(BLENDER_LIBRARIES) && $(PY) -c "import bpy"; }
+	command -v valgrind >/dev/null || { $(INSTALL) valgrind; } || echo "without valgrind, tests/test_instruction_counts.py is skipped"
 	touch $@
 
 native:

@@ -20,7 +20,7 @@ def parser() -> argparse.ArgumentParser:
     root = Parser(prog="svrgs", description="Makes 3D Gaussian splat scenes several times smaller, and says what it cost.")
     root.add_argument("--version", action="version", version=__version__)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_info, _render, _train, _prune, _eval, _compare):
+    for add in (_info, _render, _train, _prune, _eval, _compare, _bench):
         add(commands)
     return root
 
@@ -64,6 +64,7 @@ def _run(command):
     command.add_argument("--engine", choices=("native", "torch"), default="native")
     command.add_argument("--lambda-f", type=_weight, metavar="L", help="weight of the spatial mask (default: 1e-4; of svr-a 1e-2)")
     command.add_argument("--visible-mask", action="store_true", help="F stops with the colours instead of walking each ray to its end")
+    command.add_argument("--views-by-loss", action="store_true", help="look at the half of the views with the lower loss every other time")
     command.add_argument("--resume", action="store_true", help="go on from the last checkpoint of the same job; without it, a job starts anew and forgets them")
     command.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
@@ -75,6 +76,7 @@ def _train(commands):
     command.add_argument("--method", default="3dgs", help="3dgs, or one that learns masks on the way: svr, svr-self, svr-a, svr-b, maskgs (default: 3dgs)")
     command.add_argument("--iterations", type=_count, default=TRAIN_ITERATIONS, help=f"default: {TRAIN_ITERATIONS}")
     command.add_argument("--recovery", type=_count, metavar="N", help=f"steps after pruning (default: {RECOVERY} for methods that prune, else 0)")
+    command.add_argument("--coarse-until", type=_count, default=0, metavar="N", help="look at photographs of half the size until this iteration (default: 0)")
     command.add_argument("--densify-until", type=_count, default=15_000, metavar="N", help="last iteration of densification (default: 15000)")
     command.add_argument("--sh-degree", type=int, choices=range(4), default=3)
     command.add_argument("--out", type=Path, required=True, metavar="FILE")
@@ -114,6 +116,20 @@ def _compare(commands):
     command.add_argument("b", type=Path, metavar="B")
     _dataset(command)
     command.add_argument("--out", type=Path, required=True, metavar="DIR")
+
+
+def _bench(commands):
+    command = _command(commands, "bench", "Measures run time against error, on generated scenes or a given one.")
+    command.add_argument("--scene", type=Path, metavar="FILE", help="a splat file instead of the generated scenes")
+    cameras = command.add_mutually_exclusive_group()
+    cameras.add_argument("--colmap", type=Path, metavar="DIR", help="look at the scene from this model's first view")
+    cameras.add_argument("--cameras", type=Path, metavar="JSON", help="look at it from the first camera of a 3DGS cameras.json")
+    command.add_argument("--repeat", type=_positive, metavar="N", help="times each stage is run (default: 9)")
+    command.add_argument("--quick", action="store_true", help="the smallest cases only, 3 times each")
+    command.add_argument("--knobs", action="store_true", help="also run time against error for every constant that trades one for the other; needs a compiler")
+    command.add_argument("--skips", action="store_true", help="also what each kind of work left undone saves")
+    command.add_argument("--scaling", action="store_true", help="also forward time against pixels and Gaussians, up to 4K and 5 million")
+    command.add_argument("--plots", type=Path, metavar="DIR", help="measure knobs and skips, and draw the charts there")
 
 
 def _count(text: str) -> int:

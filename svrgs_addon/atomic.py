@@ -29,6 +29,16 @@ def atomic_write(path: str | os.PathLike) -> Iterator[BinaryIO]:
         yield file
 
 
+def start_storing(file: BinaryIO, size: int) -> None:
+    """Have the system store the last `size` bytes already while the next ones are made: the final fsync waits less.
+
+    Linux begins to write dirty pages when told that they are not needed, and drops only clean ones.
+    """
+    if hasattr(os, "posix_fadvise"):
+        with contextlib.suppress(OSError):
+            os.posix_fadvise(file.fileno(), file.tell() - size, size, os.POSIX_FADV_DONTNEED)
+
+
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
     """As atomic_write, for libraries that write by file name: yields a temporary name with the same suffix."""

@@ -27,3 +27,10 @@ class Camera:
         """The same view at another image size; intrinsics scale by the real size ratio of each axis."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
+
+    def reduced(self, factor: int) -> Camera:
+        """The same view with factor x factor pixels in one; a rest of fewer than `factor` columns or rows is left out.
+
+        Exact: the centre k + 0.5 of a pixel is the centre of the block it stands for.
+        """
+        return replace(self, K=np.diag([1 / factor, 1 / factor, 1.0]) @ self.K, width=self.width // factor, height=self.height // factor)

@@ -1,4 +1,4 @@
-"""What each command does: options in, files and a result out."""
+"""What each command does: options in, files and a result out. A command imports what it alone needs, so that info starts at once."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from . import batch_list, splat_files
+from . import splat_files
 from .arguments import MIN_CONTRIBUTION, RECOVERY
 from .cli import STOPPED
 from .errors import Cancelled, SceneError
-from .finetune.settings import Densify, method_named, prune_settings, train_settings
-from .worker import run_in_child
+
+if TYPE_CHECKING:
+    from .batch_list import Item
 
 Options = argparse.Namespace
 
@@ -34,6 +36,7 @@ def render(options: Options) -> int:
 
 def train(options: Options) -> int:
     from . import jobs
+    from .finetune.settings import Densify, method_named, train_settings
     from .progress import StopRequest
 
     _set_threads(options)
@@ -43,7 +46,8 @@ def train(options: Options) -> int:
     recovery = options.recovery if options.recovery is not None else RECOVERY * learns
     settings = train_settings(
         options.method, options.iterations, recovery, lambda_f=options.lambda_f, seed=options.seed, full=not options.visible_mask,
-        background=options.background, densify=Densify(until=options.densify_until),
+        background=options.background, densify=Densify(until=options.densify_until), coarse_until=options.coarse_until,
+        views_by_loss=options.views_by_loss,
     )  # fmt: skip
     job = _job(options)
     jobs.check_outputs(job)
@@ -54,6 +58,10 @@ def train(options: Options) -> int:
 
 
 def prune(options: Options) -> int:
+    from . import batch_list
+    from .finetune.settings import method_named
+    from .worker import run_in_child
+
     method_named(options.method)  # one that does not exist is a matter of the command, not of each scene
     items = batch_list.expand(options.scenes, options.colmap, options.out, options.report)
     if len(items) == 1 and not options.batch:
@@ -73,7 +81,7 @@ def prune(options: Options) -> int:
     return 1 if failed else 0
 
 
-def _item_options(options: Options, item: batch_list.Item, report: Path | None) -> dict:
+def _item_options(options: Options, item: Item, report: Path | None) -> dict:
     """The options of one scene's job."""
     rest = {name: value for name, value in vars(options).items() if name not in ("scenes", "command")}
     return {**rest, "scene": item.scene, "colmap": item.colmap, "out": item.out, "report": report}
@@ -82,6 +90,7 @@ def _item_options(options: Options, item: batch_list.Item, report: Path | None) 
 def prune_one(options: Options) -> dict:
     """One scene: options.scene, .colmap, .out, .report beside those of the command line; returns the JSON result."""
     from . import jobs
+    from .finetune.settings import prune_settings
     from .progress import StopRequest
 
     _set_threads(options)
@@ -90,7 +99,7 @@ def prune_one(options: Options) -> dict:
     settings = prune_settings(
         options.method, options.iterations, options.recovery, lambda_f=options.lambda_f, seed=options.seed,
         full=not options.visible_mask, background=tuple(options.background), target=_target(options),
-        min_contribution=_min_contribution(options),
+        min_contribution=_min_contribution(options), views_by_loss=options.views_by_loss,
     )  # fmt: skip
     job = _job(options, options.report)
     jobs.check_outputs(job)
@@ -100,6 +109,8 @@ def prune_one(options: Options) -> dict:
 
 
 def _min_contribution(options: Options) -> float:
+    from .finetune.settings import method_named
+
     if options.min_contribution is not None:
         return options.min_contribution
     return MIN_CONTRIBUTION if method_named(options.method).learns_masks else 0.0
@@ -135,7 +146,17 @@ def compare(options: Options) -> int:
     return _print(result, options, "\n".join(f"{name}: {_figures(result[name])}" for name in ("a", "b")) + f"\n{result['report']}")
 
 
-COMMANDS: dict[str, Callable[[Options], int]] = {"info": info, "render": render, "train": train, "prune": prune, "eval": evaluate, "compare": compare}
+def bench(options: Options) -> int:
+    from .bench.run import bench as run
+    from .bench.text import as_text
+
+    result = run(options)
+    return _print(result, options, "" if options.json else as_text(result))
+
+
+COMMANDS: dict[str, Callable[[Options], int]] = {
+    "info": info, "render": render, "train": train, "prune": prune, "eval": evaluate, "compare": compare, "bench": bench,
+}  # fmt: skip
 
 
 def _load(options: Options, need_points: bool = False):

@@ -32,7 +32,7 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, lpips_weights: Path |
         scenes.append(scene)
         views = dataset.test_indices or dataset.train_indices
         figures.append({**evaluate(scene, dataset, views, Rasterizer(), lpips), "bytes": path.stat().st_size})
-    pictures = list(jobs.report_views(*scenes, dataset))
+    pictures = list(jobs.report_views(*(jobs.report_pictures(scene, dataset) for scene in scenes), dataset))
     files = [_save(out, view) for view in pictures]
     page = report.Report(
         scene=f"{a.name} and {b.name}", before=figures[0], after=figures[1], names=(a.name, b.name),

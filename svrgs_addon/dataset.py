@@ -9,7 +9,7 @@ import itertools
 import os
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,7 +31,7 @@ __all__ = ["Dataset", "load_cameras_json", "load_dataset"]
 HOLDOUT = 8  # every 8th image in name order is for testing, as in 3DGS
 EXTENT_MARGIN = 1.1
 MEMORY_BUDGET = 4 * 2**30
-READ_AHEAD = 4
+READ_AHEAD = 3
 READER_THREADS = 2
 MISSING_SHOWN = 3
 
@@ -73,19 +73,21 @@ class Dataset:
             image = self._kept.get(index)
         return self._read(index) if image is None else image
 
-    def stream(self, order: Iterable[int], ahead: int = READ_AHEAD) -> Iterator[tuple[int, np.ndarray]]:
-        """(index, image) for each index of `order`, which may be endless; threads read `ahead` images in advance.
+    def stream(self, order: Iterable, read: Callable | None = None, ahead: int = READ_AHEAD) -> Iterator[tuple]:
+        """(item, read(item)) for each item of `order`, which may be endless; threads read `ahead` of them in advance.
 
-        What comes out does not depend on their timing. Close the iterator, or use it up, to end the threads.
+        read: by default image(), of indices. What comes out does not depend on the threads' timing. Close the iterator, or
+        use it up, to end them.
         """
+        read = read or self.image
         order = iter(order)
         pool = ThreadPoolExecutor(READER_THREADS)
         try:
-            waiting = deque((i, pool.submit(self.image, i)) for i in itertools.islice(order, max(1, ahead)))
+            waiting = deque((item, pool.submit(read, item)) for item in itertools.islice(order, max(1, ahead)))
             while waiting:
-                index, image = waiting.popleft()
-                waiting.extend((i, pool.submit(self.image, i)) for i in itertools.islice(order, 1))
-                yield index, image.result()
+                item, result = waiting.popleft()
+                waiting.extend((item, pool.submit(read, item)) for item in itertools.islice(order, 1))
+                yield item, result.result()
         finally:
             pool.shutdown(cancel_futures=True)
 

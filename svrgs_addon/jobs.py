@@ -59,8 +59,8 @@ def train(dataset: Dataset, settings: Settings, options: JobOptions, sh_degree: 
     check_request(dataset, settings)
     clock = Clock()
     with clock.phase("initialise"):
-        start = scene_from_points(dataset.points, dataset.point_colors, sh_degree)
-    run, scene = fine_tune(start, dataset, settings, options, clock)
+        model = Model.of(scene_from_points(dataset.points, dataset.point_colors, sh_degree), copy=False)
+    run, scene = fine_tune(model, dataset, settings, options, clock)
     with clock.phase("evaluate"):
         after = measured(scene, dataset, options)
     return {**after, **run_facts(run, options, clock)}
@@ -78,15 +78,18 @@ def prune(scene_path: Path, dataset: Dataset, settings: Settings, options: JobOp
         refuse_unseen(source, dataset.cameras, str(scene_path))
     with clock.phase("evaluate before"):
         before = measured(source, dataset, options, scene_path)
+        pictures = report_pictures(source, dataset) if options.report else []
     with clock.phase("first cut"):
-        start = first_cut(source, dataset, settings)
-    run, scene = fine_tune(start, dataset, settings, options, clock)
+        model = Model.of(first_cut(source, dataset, settings), copy=False)
+        cut = source.count - model.count
+    del source  # its memory is the optimiser's from here on
+    run, scene = fine_tune(model, dataset, settings, options, clock)
     with clock.phase("evaluate after"):
         after = measured(scene, dataset, options)
-    result = {**after, "scene": str(scene_path), "before": before, "after": after, "first_cut": source.count - start.count}
+    result = {**after, "scene": str(scene_path), "before": before, "after": after, "first_cut": cut}
     result |= run_facts(run, options, clock)
     if options.report:
-        write_report(options, scene_path.stem, source, scene, dataset, run, result)
+        write_report(options, scene_path.stem, pictures, scene, dataset, run, result)
     return result
 
 
@@ -154,10 +157,10 @@ def make_engine(name: str):
     return TorchEngine()
 
 
-def fine_tune(start: Scene, dataset: Dataset, settings: Settings, options: JobOptions, clock: Clock) -> tuple[loop.Run, Scene]:
+def fine_tune(model: Model, dataset: Dataset, settings: Settings, options: JobOptions, clock: Clock) -> tuple[loop.Run, Scene]:
     """Runs all phases with checkpoints, writes options.out, and forgets the checkpoints; each phase's seconds go to the clock."""
-    run = loop.Run(Model.of(start), dataset, settings, make_engine(options.engine), start.antialiased)
-    identity = run_identity(start, dataset, settings, options.engine)
+    run = loop.Run(model, dataset, settings, make_engine(options.engine), model.beside["antialiased"])
+    identity = run_identity(model, dataset, settings, options.engine)
     if options.resume:
         checkpoint.restore(run, options.folder, identity)
     else:
@@ -173,14 +176,15 @@ def fine_tune(start: Scene, dataset: Dataset, settings: Settings, options: JobOp
 
     loop.run_to_end(run, observe, options.stop, lambda: checkpoint.save(run, options.folder, identity), lambda: curve_psnr(run))
     clock.phases |= run.seconds
-    scene = run.model.scene(start)
+    model.forget_moments()
+    scene = model.scene()
     with clock.phase("write"):
         write_scene(options.out, scene)
     checkpoint.forget(options.folder)
     return run, scene
 
 
-def run_identity(start: Scene, dataset: Dataset, settings: Settings, engine: str) -> str:
+def run_identity(start: Model, dataset: Dataset, settings: Settings, engine: str) -> str:
     """Digest of everything a resumed run must share with the one it continues."""
     digest = hashlib.sha256(repr((settings, engine, dataset.train_indices)).encode())
     for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
@@ -234,8 +238,8 @@ def peak_memory() -> int | None:
     return peak if sys.platform == "darwin" else peak * 1024
 
 
-def write_report(options: JobOptions, name: str, before: Scene, after: Scene, dataset: Dataset, run: loop.Run, result: dict):
-    """The HTML page of a pruning job."""
+def write_report(options: JobOptions, name: str, before: list, after: Scene, dataset: Dataset, run: loop.Run, result: dict):
+    """The HTML page of a pruning job. before: report_pictures() of the source scene."""
     curves, starts, start = run.curves, {}, 0
     for phase in run.settings.phases:
         starts[phase.name] = start
@@ -257,23 +261,28 @@ def write_report(options: JobOptions, name: str, before: Scene, after: Scene, da
         seed=result["seed"],
         versions={"SVR-GS": __version__, "Python": platform.python_version(), "NumPy": np.__version__, "SIMD": Rasterizer().level},
         curves=tuple(series) if curves.iteration else (),
-        views=tuple(report_views(before, after, dataset)),
+        views=tuple(report_views(before, report_pictures(after, dataset), dataset)),
     )
     report.write_report(options.report, page)
 
 
-def report_views(before: Scene, after: Scene, dataset: Dataset, count: int = REPORT_VIEWS):
-    """Pictures of a few test views, spread over the dataset."""
+def report_indices(dataset: Dataset, count: int = REPORT_VIEWS) -> list[int]:
+    """A few test views, spread over the dataset."""
     views = dataset.test_indices or dataset.train_indices
-    rasterizer = Rasterizer()
-    for i in views[:: max(1, len(views) // count)][:count]:
-        pictures = []
-        for scene in (before, after):
-            options = render_options(scene, dataset.background, "svr")
-            images = rasterizer.forward(scene, dataset.cameras[i], options, outputs=("rgb", "mask"))
-            pictures.append((shown(images["rgb"]), images["mask"]))
+    return views[:: max(1, len(views) // count)][:count]
+
+
+def report_pictures(scene: Scene, dataset: Dataset) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Colours (H, W, 3) as shown and spatial mask (H, W) of each view of the report."""
+    rasterizer, options = Rasterizer(), render_options(scene, dataset.background, "svr")
+    renders = [rasterizer.forward(scene, dataset.cameras[i], options, outputs=("rgb", "mask")) for i in report_indices(dataset)]
+    return [(shown(images["rgb"]), images["mask"]) for images in renders]
+
+
+def report_views(before: list, after: list, dataset: Dataset):
+    """The report's views, from report_pictures() of both scenes."""
+    for i, (rgb_before, mask_before), (rgb_after, mask_after) in zip(report_indices(dataset), before, after, strict=True):
         photo = to_float(dataset.image(i))
-        (rgb_before, mask_before), (rgb_after, mask_after) = pictures
         yield report.View(
             dataset.cameras[i].name, rgb_before, rgb_after, photo, mask_before, mask_after, psnr(rgb_before, photo), psnr(rgb_after, photo)
         )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes as c
 import functools
+import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,13 +17,16 @@ import numpy as np
 from .camera import Camera
 from .errors import Cancelled, NativeError
 
-INTERFACE_VERSION = 1
+INTERFACE_VERSION = 2
 LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
 MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
 COUNTS = ("hits", "kept")
 LOSS_IMAGES = ("rgb", "depth", "alpha", "mask")  # those a gradient may come from
 GRADS = ("means", "log_scales", "quats", "opacity_logits", "sh", "masks", "means2d")
+SKIPS = {"exact_tiles": 1, "block_tests": 2, "opacity_bounds": 4, "termination": 8}
+STAGES = ("project", "tiles", "sort", "blend", "raster_grads", "parameter_grads", "loss")
+LIBRARY_VARIABLE = "SVRGS_LIBRARY"  # environment: another build of the library, to measure it
 _LIBRARY = {"win32": "svrgs.dll", "darwin": "libsvrgs.dylib"}.get(sys.platform, "libsvrgs.so")
 _CANCELLED, _TOO_LARGE = 3, 4
 
@@ -38,16 +42,18 @@ _Scene = _struct("_Scene", count=c.c_int64, sh_coefficients=c.c_int32, means=_re
 _Camera = _struct("_Camera", viewmat=c.c_double * 16, fx=c.c_double, fy=c.c_double, cx=c.c_double, cy=c.c_double,
                   width=c.c_int32, height=c.c_int32, background=c.c_double * 3)
 _Options = _struct("_Options", sh_degree=c.c_int32, antialiased=c.c_int32, full=c.c_int32, mask_kind=c.c_int32,
-                   mask_to_shape=c.c_int32, eps_a=c.c_double, max_pairs=c.c_int64, cancel=c.c_void_p)
+                   mask_to_shape=c.c_int32, eps_a=c.c_double, without=c.c_int32, max_pairs=c.c_int64, cancel=c.c_void_p)
 _Images = _struct("_Images", rgb=_real, depth=_real, alpha=_real, mask=_real, hits=_real, kept=_real, transmittance=_real)
 _ImageGrads = _struct("_ImageGrads", rgb=_real, depth=_real, alpha=_real, mask=_real)
 _Grads = _struct("_Grads", **{name: _real for name in GRADS})
 _Adam = _struct("_Adam", lr=c.c_void_p, **{name: c.c_double for name in ("beta1", "beta2", "eps", "bias1", "bias2")})
+_Work = _struct("_Work", **{name: c.c_int64 for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")})
+_Machine = _struct("_Machine", fma=c.c_double, read=c.c_double, update=c.c_double)
 
 
 @functools.cache
 def _library() -> c.CDLL:
-    path = Path(__file__).with_name(_LIBRARY)
+    path = Path(os.environ.get(LIBRARY_VARIABLE) or Path(__file__).with_name(_LIBRARY))
     if not path.exists():
         raise NativeError(f"the native library {path} is missing: build it with 'make setup', or install the extension's wheel")
     library = c.CDLL(str(path))
@@ -92,6 +98,13 @@ def supported_levels() -> list[str]:
     return [name for name, code in LEVELS.items() if _library().svrgs_level_supported(code)]
 
 
+def peaks(level: str) -> dict[str, float]:
+    """What all threads reach together, measured: 'fma' (operations/s, 2 a lane), 'read' and 'update' (bytes/s from and to memory)."""
+    machine = _Machine()
+    _call("svrgs_measure_machine", c.c_int32(LEVELS[level]), c.byref(machine))
+    return {name: getattr(machine, name) for name, _ in _Machine._fields_}
+
+
 def set_threads(count: int):
     """Size of the thread pool; 0: one per core. Results do not depend on it."""
     _library().svrgs_set_threads(c.c_int32(count))
@@ -111,6 +124,7 @@ class RenderOptions:
     mask_kind: str = "none"  # one of MASK_KINDS
     mask_to_shape: bool = False
     eps_a: float = 1e-3
+    without: tuple[str, ...] = ()  # names from SKIPS, turned off: the same picture, more slowly; for measurements
     max_pairs: int = 0
     background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
 
@@ -149,7 +163,7 @@ class Rasterizer:
         images, pointers = self._images(camera, outputs)
         degree = min(options.sh_degree, int(arrays.sh_coefficients**0.5) - 1)
         native = _Options(degree, options.antialiased, options.full, MASK_KINDS[options.mask_kind], options.mask_to_shape,
-                          options.eps_a, options.max_pairs, self.cancel.ctypes.data)
+                          options.eps_a, sum(SKIPS[name] for name in options.without), options.max_pairs, self.cancel.ctypes.data)
         self._shape = (camera.height, camera.width, arrays.sh_coefficients)
         _call("svrgs_forward", self._context, c.byref(arrays), c.byref(_camera(camera, options.background)), c.byref(native), c.byref(pointers))
         return images
@@ -160,11 +174,20 @@ class Rasterizer:
         _call("svrgs_visible", self._context, c.byref(ids), c.byref(count))
         return np.ctypeslib.as_array(ids, (count.value,)).copy() if count.value else np.empty(0, np.uint32)
 
-    def pairs(self) -> int:
-        """(Gaussian, tile) pairs of the last view."""
-        pairs = c.c_int64()
-        _call("svrgs_pairs", self._context, c.byref(pairs))
-        return pairs.value
+    def work(self, count_pixels: bool = False) -> dict[str, int]:
+        """What the last view took: visible Gaussians and (Gaussian, tile) pairs; with count_pixels also used_pairs, blocks and
+        hit_blocks (4x4 pixels), evaluated, hits and contributing (Gaussian, pixel) pairs; see svrgs.h."""
+        work = _Work()
+        _call("svrgs_count_work", self._context, c.c_int32(count_pixels), c.byref(work))
+        if not count_pixels:
+            return {"visible": work.visible, "pairs": work.pairs}
+        return {name: getattr(work, name) for name, _ in _Work._fields_} | {"evaluated": 16 * work.blocks}
+
+    def stage_seconds(self) -> dict[str, float]:
+        """Durations inside the last forward (project, tiles, sort, blend), backward (two) and loss, by name from STAGES."""
+        seconds = (c.c_double * len(STAGES))()
+        _call("svrgs_stage_seconds", self._context, seconds)
+        return dict(zip(STAGES, seconds, strict=True))
 
     def backward(self, image_grads: dict, wanted=GRADS) -> dict:
         """Gradients of the last view, one row per visible Gaussian (see visible()).

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import FormatError, SceneError
-from .formats import clamp_extremes, drop_nonfinite, read_ply, unusable, write_ply
+from .formats import clamp_extremes, drop_nonfinite, read_ply, read_ply_parts, unusable, write_ply
 from .scene import Scene
 
 INVISIBLE_LOGIT = float(np.log(1 / 254))  # opacity 1/255: fainter Gaussians reach no pixel in any view
@@ -26,6 +26,11 @@ class Loaded:
 
 def read_scene(path: str | Path) -> Scene:
     """The scene as it lies in the file. Raises FormatError, SceneError."""
+    return read_ply(_splat_file(path))
+
+
+def _splat_file(path: str | Path) -> Path:
+    """`path`, if it looks like a file that can be read."""
     path = Path(path)
     if not path.exists():
         raise SceneError(f"{path}: there is no such file")
@@ -33,7 +38,7 @@ def read_scene(path: str | Path) -> Scene:
         raise SceneError(f"{path}: is a folder, or holds several splats: name the .ply to use")
     if path.suffix.lower() != ".ply":
         raise FormatError(f"{path}: '{path.suffix}' files are not read; give a 3DGS .ply")
-    return read_ply(path)
+    return path
 
 
 def load_scene(path: str | Path) -> Loaded:
@@ -57,18 +62,28 @@ def invisible(scene: Scene) -> np.ndarray:
 
 
 def describe(path: str | Path) -> dict:
-    """What is in a file: keys count, sh_degree, format, bytes, invisible, nonfinite, antialiased, bounds, attributes."""
-    scene = read_scene(path)
-    bad = unusable(scene)
-    means = scene.means[~bad]
+    """What is in a file: keys count, sh_degree, format, bytes, invisible, nonfinite, antialiased, bounds, attributes.
+
+    Never holds more than a few thousand of its Gaussians.
+    """
+    count = faint = bad = 0
+    corners = []
+    for part in read_ply_parts(_splat_file(path)):
+        good = ~unusable(part)
+        means = np.ascontiguousarray(part.means[good].T)
+        if means.size:
+            corners += [means.min(axis=1), means.max(axis=1)]
+        count += part.count
+        bad += part.count - means.shape[1]
+        faint += int((invisible(part) & good).sum())
     return {
-        "count": scene.count,
-        "sh_degree": scene.sh_degree,
+        "count": count,
+        "sh_degree": part.sh_degree,
         "format": "ply",
         "bytes": Path(path).stat().st_size,
-        "invisible": int((invisible(scene) & ~bad).sum()),
-        "nonfinite": int(bad.sum()),
-        "antialiased": scene.antialiased,
-        "bounds": [means.min(axis=0).tolist(), means.max(axis=0).tolist()] if len(means) else None,
-        "attributes": sorted(scene.attributes),
+        "invisible": faint,
+        "nonfinite": bad,
+        "antialiased": part.antialiased,
+        "bounds": [np.min(corners, axis=0).tolist(), np.max(corners, axis=0).tolist()] if corners else None,
+        "attributes": sorted(part.attributes),
     }

@@ -1,19 +1,19 @@
 """The loop and its rules: views, rates, densification, mask events, the index map, and short whole runs."""
 
-import itertools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import scenes
+from pictures import EYES, HEIGHT, WIDTH, photographed
 from svrgs_addon import native
 from svrgs_addon.dataset import Dataset
 from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.finetune import densify, loop, masks
 from svrgs_addon.finetune.engine import NativeEngine, StepResult
-from svrgs_addon.finetune.loop import Run, run_to_end, view_order
+from svrgs_addon.finetune.loop import Run, run_to_end
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model, scene_from_points
 from svrgs_addon.finetune.settings import Densify, Phase, Rates, Settings, prune_settings, recovery_phase, train_settings
 from svrgs_addon.finetune.torch_engine import TorchEngine
@@ -21,32 +21,9 @@ from svrgs_addon.metrics import psnr
 from svrgs_addon.native import Rasterizer
 from svrgs_addon.scene import SH_C0, Scene
 
-WIDTH, HEIGHT = 48, 36
-EYES = [(x, y, -4.0) for y in (-0.6, 0.6) for x in (-1.0, 0.0, 1.0)]
-
 
 def logit(p: float) -> float:
     return math.log(p / (1 - p))
-
-
-@dataclass
-class Pictures(Dataset):
-    """A dataset whose photographs are in memory."""
-
-    pictures: list[np.ndarray] = field(default_factory=list)
-
-    def image(self, index: int) -> np.ndarray:
-        return self.pictures[index]
-
-
-def photographed(scene: Scene) -> Pictures:
-    """8-bit renders of a scene from the cameras at EYES."""
-    cameras = [scenes.camera(WIDTH, HEIGHT, eye=eye) for eye in EYES]
-    rasterizer = Rasterizer()
-    renders = [rasterizer.forward(scene, camera)["rgb"] for camera in cameras]
-    pictures = [np.round(np.clip(image, 0, 1) * 255).astype(np.uint8) for image in renders]
-    nothing = np.zeros((0, 3))
-    return Pictures(cameras, nothing.astype(np.float32), nothing.astype(np.uint8), list(range(len(EYES))), [], pictures=pictures)
 
 
 def quality(scene, dataset: Dataset) -> float:
@@ -79,27 +56,9 @@ def numbered(n: int, with_masks: bool = True) -> Model:
     return model
 
 
-# --- order of the views
-
-
-def views(seed: int, start: int, count: int, n: int = 5) -> list[int]:
-    return list(itertools.islice(view_order(list(range(10, 10 + n)), seed, start), count))
-
-
-def test_every_epoch_is_a_permutation_of_its_own():
-    epochs = np.array(views(seed=0, start=0, count=40 * 5)).reshape(40, 5)
-    assert (np.sort(epochs, axis=1) == np.arange(10, 15)).all()
-    assert len({tuple(epoch) for epoch in epochs}) > 20
-    assert views(0, 0, 50) == views(0, 0, 50) != views(1, 0, 50)
-
-
-@pytest.mark.parametrize("start", [1, 4, 5, 6, 13, 25])
-def test_the_order_resumes_anywhere(start):
-    assert views(7, start, 30) == views(7, 0, start + 30)[start:]
-
-
-def test_one_view_is_shown_again_and_again():
-    assert views(0, 3, 4, n=1) == [10] * 4
+def small_run(settings: Settings) -> Run:
+    scene = scenes.random_scene(5)
+    return Run(Model.of(scene), photographed(scene), settings, None)
 
 
 # --- rates
@@ -133,16 +92,15 @@ def test_recovery_after_training_begins_where_the_position_rate_ended():
 
 def test_phases_follow_one_another_and_number_their_own_steps():
     settings = prune_settings("svr", 3, 2)
-    run = Run(Model.of(scenes.random_scene(5)), None, settings, None)
     found = []
-    for run.iteration in range(settings.total):
-        phase, number = run.phase()
+    for iteration in range(settings.total):
+        phase, number = settings.at(iteration)
         found.append((phase.name, number, phase.masks))
     assert found == [("prune", 1, True), ("prune", 2, True), ("prune", 3, True), ("recover", 1, False), ("recover", 2, False)]
 
 
 def test_the_sh_degree_rises_every_thousand_steps_of_training():
-    run = Run(Model.of(scenes.random_scene(5)), None, train_settings("svr", 30_000, 0), None)
+    run = small_run(train_settings("svr", 30_000, 0))
     (phase,) = run.settings.phases
     degrees = [run.render_options(phase, number).sh_degree for number in (1, 999, 1_000, 2_500, 3_000, 29_999)]
     assert degrees == [0, 0, 1, 2, 3, 3]
@@ -150,7 +108,7 @@ def test_the_sh_degree_rises_every_thousand_steps_of_training():
 
 def test_the_spatial_mask_is_drawn_only_while_masks_are_learned():
     settings = prune_settings("svr-a", 10, 10)
-    run = Run(Model.of(scenes.random_scene(5)), None, settings, None)
+    run = small_run(settings)
     assert [run.render_options(phase, 1).mask_kind for phase in settings.phases] == ["a", "none"]
 
 
@@ -367,6 +325,34 @@ def test_the_decision_keeps_the_probable_half():
     assert masks.decided(model).tolist() == [False, True, False, True, False]
 
 
+def test_what_has_settled_would_rarely_outlive_the_next_event():
+    """p < 0.01: ten draws miss it with a probability above 0.9."""
+    model = with_probability(0.5, 4)
+    model.mask_logits[:] = [logit(p) for p in (0.0099, 0.0101, 0.5, 1e-6)]
+    assert masks.settled(model).tolist() == [True, False, False, True]
+    gone = ~masks.ever_drawn(with_probability(masks.SETTLED, 100_000), 1, 5, 10)
+    assert gone.mean() > 0.9
+
+
+def test_the_settled_go_between_events_where_asked():
+    """Otherwise nothing changes before the event, and the others do not change at all."""
+    scene, counts = scenes.random_scene(400, sh_degree=0), []
+    for drop in (False, True):
+        phase = Phase("prune", 120, Rates(), masks=True, prune_every=1_000)
+        settings = Settings("svr", (phase,), mask_init=3.0, drop_settled=drop)
+        run = Run(Model.of(scene), photographed(scene), settings, Puller())
+        run.advance()
+        run.model.mask_logits[:7] = -5
+        while run.iteration < 119:
+            run.advance()
+            counts.append(run.model.count)
+        run.close()
+    plain, dropping = counts[:118], counts[118:]
+    assert plain == [400] * 118
+    assert dropping == [400] * 48 + [393] * 70  # at iteration 50
+    assert run.model.origin.tolist() == list(range(7, 400))
+
+
 @pytest.mark.parametrize("target", [1, 2, 7, 99, 100, 250])
 def test_a_target_is_met_exactly_by_the_most_probable(target):
     """Or all are kept where there are not so many. Ties go to the earlier row."""
@@ -445,9 +431,12 @@ def test_densification_is_a_mask_event_too():
 # --- one index map
 
 
-@pytest.mark.parametrize("index", [np.arange(12) % 3 > 0, np.array([5, 0, 11, 3])], ids=["boolean", "indices"])
-def test_rows_move_together(index):
+@pytest.mark.parametrize("kept", [[1, 2, 4, 5, 7, 8, 10, 11], [0, 5, 11], list(range(12))])
+@pytest.mark.parametrize("block", [1, 3, 100])
+def test_rows_move_together(kept, block, monkeypatch):
+    monkeypatch.setattr("svrgs_addon.finetune.model.BLOCK_ROWS", block)
     model = numbered(12)
+    index = np.isin(np.arange(12), kept)
     model.keep(index)
     model.append({name: value[1:3] * 0 - 7 for name, value in model.values.items()})
     rows = np.arange(12)[index]
@@ -463,12 +452,12 @@ def test_rows_move_together(index):
 def test_a_model_becomes_a_scene_with_the_columns_that_still_fit():
     source = replace(scenes.random_scene(9), attributes={"label": np.arange(9, dtype=np.float32)}, antialiased=True)
     model = Model.of(source)
-    model.keep(np.array([8, 2, 5]))
-    scene = model.scene(source)
-    assert scene.attributes["label"].tolist() == [8, 2, 5] and scene.antialiased
-    assert all((getattr(scene, name) == getattr(source, name)[[8, 2, 5]]).all() for name in PARAMETERS)
+    model.keep(np.isin(np.arange(9), [2, 5, 8]))
+    scene = model.scene()
+    assert scene.attributes["label"].tolist() == [2, 5, 8] and scene.antialiased
+    assert all((getattr(scene, name) == getattr(source, name)[[2, 5, 8]]).all() for name in PARAMETERS)
     model.append({name: value[:1] for name, value in model.values.items()})
-    assert model.scene(source).attributes == {} and model.scene(source).count == 4
+    assert model.scene().attributes == {} and model.scene().count == 4
 
 
 def test_masks_come_and_go_without_touching_the_rest():
@@ -586,14 +575,6 @@ def test_a_request_to_stop_leaves_a_checkpoint():
     with pytest.raises(Cancelled):
         run_to_end(run, lambda p: None, lambda: run.iteration == 9, lambda: saved.append(run.iteration), lambda: None)
     assert saved == [9] and run.iteration == 9
-
-
-def test_photographs_become_real_numbers_from_0_to_1():
-    bytes_ = np.array([[[0, 128, 255]]], np.uint8)
-    for dtype in (np.dtype(np.float32), np.dtype(np.float64)):
-        image = loop.as_real(bytes_, dtype)
-        assert image.dtype == dtype and image[0, 0] == pytest.approx([0, 128 / 255, 1], rel=1e-6)
-        assert loop.as_real(image.astype(np.float32), dtype).dtype == dtype
 
 
 # --- masks learn what is superfluous

@@ -95,6 +95,32 @@ def test_resume_of_training(data, tmp_path, iteration):
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
+@pytest.mark.parametrize("iteration", [5, 40, 75])
+def test_resume_with_reduced_photographs_and_views_by_loss(data, tmp_path, iteration):
+    train, recover = TRAINING.phases
+    settings = replace(TRAINING, phases=(replace(train, coarse_until=60), recover), views_by_loss=True, drop_settled=True)
+    jobs.train(data, settings, jobs.JobOptions(tmp_path / "whole.ply"), 1)
+    with pytest.raises(Cancelled):
+        jobs.train(data, settings, StopAt(iteration).options(tmp_path / "o.ply"), 1)
+    jobs.train(data, settings, jobs.JobOptions(tmp_path / "o.ply", resume=True), 1)
+    assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+
+
+def test_the_command_line_reaches_the_skips(tiny, svrgs, tmp_path):
+    words = ("train", "--colmap", tiny.folder, "--iterations", 30, "--sh-degree", 0, "--quiet", "--json", "--out")
+    outs = []
+    for k, more in enumerate([(), ("--coarse-until", 0), ("--coarse-until", 15), ("--views-by-loss",)]):
+        assert svrgs(*words, tmp_path / f"{k}.ply", *more).status == 0
+        outs.append((tmp_path / f"{k}.ply").read_bytes())
+    assert outs[0] == outs[1] and len(set(outs)) == 3
+
+
+def test_a_job_leaves_its_dataset_as_it_was(data, tmp_path):
+    points, colors = data.points.copy(), data.point_colors.copy()
+    jobs.train(data, TRAINING, jobs.JobOptions(tmp_path / "o.ply"), 1)
+    assert (data.points == points).all() and (data.point_colors == colors).all()
+
+
 def test_a_stop_at_the_last_step_finishes(tiny, data, whole, tmp_path):
     stop = StopAt(SETTINGS.total)
     jobs.prune(tiny.splat, data, SETTINGS, stop.options(tmp_path / "o.ply"))

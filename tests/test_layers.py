@@ -69,8 +69,8 @@ def test_the_import_reader_sees_every_form():
 
 
 def loaded_after(code: str, *arguments: str) -> set[str]:
-    """Top-level modules a fresh Python has loaded after `code`."""
-    code += "\nimport sys\nprint(*{name.partition('.')[0] for name in sys.modules}, file=sys.stderr)"
+    """Modules a fresh Python has loaded after `code`."""
+    code += "\nimport sys\nprint(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
     return set(done.stderr.split())
 
@@ -83,3 +83,4 @@ def test_importing_the_package_loads_nothing_heavy():
 def test_info_loads_nothing_heavy(tiny):
     loaded = loaded_after("import sys\nfrom svrgs_addon.cli import main\nassert main(sys.argv[1:]) == 0", "info", str(tiny.splat))
     assert "numpy" in loaded and not loaded & HEAVY
+    assert not {f"svrgs_addon.{name}" for name in ("native", "finetune", "jobs", "dataset", "worker")} & loaded

@@ -282,7 +282,7 @@ def test_screen_filling_gaussians_touch_every_tile(level):
     n, camera = 300, scenes.camera(70, 50)
     scene = isotropic(np.column_stack([np.zeros((n, 2)), np.linspace(-1, 1, n)]), scale=1e3, opacity=0.01)
     images, grads = view_and_gradients(level, scene, camera)
-    assert rasterizer(level).pairs() == n * 5 * 4
+    assert rasterizer(level).work()["pairs"] == n * 5 * 4
     assert (images["hits"] == n).all()
     assert images["transmittance"] == pytest.approx(0.99**n, rel=1e-3)
     assert_in_range(images)
@@ -361,7 +361,7 @@ def test_too_many_pairs_are_refused_with_their_number():
     r, camera = rasterizer("scalar"), scenes.camera(64, 48)
     scene = typed(isotropic([(0, 0, z) for z in range(10)], scale=1e3), r.dtype)
     r.forward(scene, camera, RenderOptions(max_pairs=120))
-    assert r.pairs() == 10 * 4 * 3
+    assert r.work()["pairs"] == 10 * 4 * 3
     with pytest.raises(NativeError, match=r"120 .* pairs.* 119"):
         r.forward(scene, camera, RenderOptions(max_pairs=119))
     with pytest.raises(NativeError):  # there is no view to differentiate now

@@ -11,7 +11,7 @@ import pytest
 
 from svrgs_addon.atomic import atomic_write, check_writable
 from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.formats import clamp_extremes, drop_nonfinite, read_ply, write_ply
+from svrgs_addon.formats import clamp_extremes, drop_nonfinite, read_ply, read_ply_parts, write_ply
 from svrgs_addon.scene import SH_COEFFICIENTS, Scene
 
 ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
@@ -155,6 +155,20 @@ def test_elements_after_the_gaussians_are_passed_over(tmp_path, caplog):
 def test_no_gaussians(tmp_path):
     write_ply(tmp_path / "a.ply", make_scene(0, 3))
     assert read_ply(tmp_path / "a.ply").count == 0
+    assert [part.sh_degree for part in read_ply_parts(tmp_path / "a.ply")] == [3]
+
+
+@pytest.mark.parametrize("kind, fmt", [("float", "binary_little_endian"), ("double", "binary_big_endian"), ("float", "ascii")])
+def test_parts_are_the_whole(tmp_path, kind, fmt):
+    values = np.random.default_rng(0).standard_normal((9000, 14)).astype(">f8" if kind == "double" else "<f4")
+    body = "\n".join(" ".join(map(str, row)) for row in values.tolist()).encode() if fmt == "ascii" else values.tobytes()
+    path = tmp_path / "case.ply"
+    path.write_bytes(ply_bytes(STANDARD, 9000, body, fmt, kind))
+    parts = [replace(part, **{name: getattr(part, name).copy() for name in ARRAYS}) for part in read_ply_parts(path)]
+    whole = read_ply(path)
+    for name in ARRAYS:
+        assert np.array_equal(np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name))
+    assert all(part.property_order == whole.property_order for part in parts)
 
 
 # --- hostile files

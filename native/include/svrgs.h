@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 1
+#define SVRGS_INTERFACE_VERSION 2
 
 typedef void real; /* float or double, by the context's level */
 
@@ -41,6 +41,20 @@ enum svrgs_mask_kind {
   SVRGS_MASK_NONE = 0, SVRGS_MASK_SVR = 1, SVRGS_MASK_SELF = 2, SVRGS_MASK_A = 3, SVRGS_MASK_B = 4, SVRGS_MASK_EVEN = 5
 };
 #define SVRGS_EVEN_AREA 256
+
+/* Skips, as bits of svrgs_options.without. Turning one off changes how much is computed, never the result; for
+   measurements and tests. */
+enum svrgs_skip {
+  SVRGS_EXACT_TILES = 1,    /* tiles the 1/255 ellipse reaches instead of those of its bounding box */
+  SVRGS_BLOCK_TESTS = 2,    /* 4x4 blocks it reaches instead of all of a tile */
+  SVRGS_OPACITY_BOUNDS = 4, /* the ellipse of alpha = 1/255 instead of that of a fully opaque Gaussian */
+  SVRGS_TERMINATION = 8     /* a tile ends where all its pixels have stopped */
+};
+
+/* Parts of svrgs_forward (the first four), svrgs_backward (two) and svrgs_loss. */
+enum svrgs_stage {
+  SVRGS_PROJECT, SVRGS_TILES, SVRGS_SORT, SVRGS_BLEND, SVRGS_RASTER_GRADS, SVRGS_PARAMETER_GRADS, SVRGS_LOSS, SVRGS_STAGES
+};
 
 typedef struct svrgs_context svrgs_context; /* buffers of one renderer; use from one thread at a time */
 
@@ -69,6 +83,7 @@ typedef struct {
   int32_t mask_kind;     /* enum svrgs_mask_kind */
   int32_t mask_to_shape; /* the gradient of F also reaches alpha, and so shape and opacity */
   double eps_a;          /* epsilon of scenario A */
+  int32_t without;       /* enum svrgs_skip bits: skips turned off */
   int64_t max_pairs;     /* refuse more (Gaussian, tile) pairs than this: SVRGS_TOO_LARGE; 0: 2^31 - 1 */
   const int32_t *cancel; /* optional; polled once per tile, non-zero stops with SVRGS_CANCELLED */
 } svrgs_options;
@@ -118,8 +133,24 @@ SVRGS_API int32_t svrgs_forward(svrgs_context *, const svrgs_scene *, const svrg
 /* Gaussians of the last view that can touch a pixel: *ids points into the context, valid until the next forward. */
 SVRGS_API int32_t svrgs_visible(svrgs_context *, const uint32_t **ids, int64_t *count);
 
-/* Counts of the last view: pairs = (Gaussian, tile) entries. */
-SVRGS_API int32_t svrgs_pairs(svrgs_context *, int64_t *pairs);
+/* Work of the last view. With count_pixels its tile lists are walked again, and all fields are filled; without, two. */
+typedef struct {
+  int64_t visible, pairs;     /* Gaussians; (Gaussian, tile) entries */
+  int64_t used_pairs;         /* entries the backward pass visits */
+  int64_t blocks, hit_blocks; /* (Gaussian, 4x4 block) whose alpha was computed; with a lane at alpha >= 1/255 */
+  int64_t hits, contributing; /* (Gaussian, pixel) with alpha >= 1/255; blended before the stop */
+} svrgs_work;
+SVRGS_API int32_t svrgs_count_work(svrgs_context *, int32_t count_pixels, svrgs_work *);
+
+/* Durations of the stages of the last calls, by enum svrgs_stage. */
+SVRGS_API int32_t svrgs_stage_seconds(svrgs_context *, double seconds[SVRGS_STAGES]);
+
+/* What all threads of the pool reach together: fused multiply-adds at this level (2 operations a lane), reading memory, and
+   reading four streams while writing three of them, as Adam does; operations and bytes per second. */
+typedef struct {
+  double fma, read, update;
+} svrgs_machine;
+SVRGS_API int32_t svrgs_measure_machine(int32_t level, svrgs_machine *);
 
 /* Gradients of the last view. dL/ddepth needs a forward pass that was asked for depth. */
 SVRGS_API int32_t svrgs_backward(svrgs_context *, const svrgs_image_grads *, const svrgs_grads *);

@@ -5,6 +5,7 @@
 #include <new>
 
 #include "context.h"
+#include "machine_speed.h"
 #include "pool.h"
 
 struct svrgs_context {
@@ -135,10 +136,25 @@ int32_t svrgs_visible(svrgs_context* c, const uint32_t** ids, int64_t* count) {
   });
 }
 
-int32_t svrgs_pairs(svrgs_context* c, int64_t* pairs) {
+int32_t svrgs_count_work(svrgs_context* c, int32_t count_pixels, svrgs_work* work) {
   return guarded([&] {
-    require(c && pairs, "an argument is missing");
-    *pairs = c->context.pairs();
+    require(c && work, "an argument is missing");
+    require(!count_pixels || c->context.holds_view(), "there is no rendered view to count: call svrgs_forward first");
+    *work = c->context.work(count_pixels);
+  });
+}
+
+int32_t svrgs_stage_seconds(svrgs_context* c, double seconds[SVRGS_STAGES]) {
+  return guarded([&] {
+    require(c && seconds, "an argument is missing");
+    std::copy_n(c->context.stage_seconds(), SVRGS_STAGES, seconds);
+  });
+}
+
+int32_t svrgs_measure_machine(int32_t level, svrgs_machine* out) {
+  return guarded([&] {
+    require(out, "an argument is missing");
+    *out = svrgs::measure_machine(kernels(level));
   });
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cstring>
 
 #include "pool.h"
@@ -44,7 +45,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.fx = c.fx, f.fy = c.fy, f.cx = c.cx, f.cy = c.cy;
   f.width = c.width, f.height = c.height;
   f.tiles_x = (c.width + kTile - 1) / kTile, f.tiles_y = (c.height + kTile - 1) / kTile;
-  f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.mask_to_shape = o.mask_to_shape, f.eps_a = o.eps_a;
+  f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.mask_to_shape = o.mask_to_shape, f.eps_a = o.eps_a, f.without = o.without;
   f.full = o.full && o.mask_kind != kMaskNone;
   f.want_depth = images.depth != nullptr;
 }
@@ -132,28 +133,41 @@ void Context::for_each_tile(F&& run) const {
   if (stopped) throw Failure{SVRGS_CANCELLED, "cancelled"};
 }
 
+template <class F>
+void Context::timed(svrgs_stage stage, F&& run) {
+  const auto begin = std::chrono::steady_clock::now();
+  run();
+  seconds_[stage] = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+}
+
 void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_options& o, const svrgs_images& images) {
   holds_view_ = false;
   set_frame(s, c, o, images);
   cancel_ = o.cancel;
-  project();
-  find_tiles(o.max_pairs);
-  sort_and_bin();
+  timed(SVRGS_PROJECT, [&] { project(); });
+  timed(SVRGS_TILES, [&] { find_tiles(o.max_pairs); });
+  timed(SVRGS_SORT, [&] { sort_and_bin(); });
   const int64_t tiles = static_cast<int64_t>(frame_.tiles_x) * frame_.tiles_y;
-  frame_.hits = hits_.reserve<uint16_t>(pairs_);
+  frame_.hits = hits_.reserve<BlockBits>(pairs_);
   frame_.state = state_.reserve<char>(tiles * kBlocks * kFields * kBlockPixels * kernels_.real_size);
-  for_each_tile([&](int64_t tile) {
-    kernels_.forward_tile(frame_, tile);
-    kernels_.write_tile(frame_, tile, images);
+  timed(SVRGS_BLEND, [&] {
+    for_each_tile([&](int64_t tile) {
+      kernels_.forward_tile(frame_, tile);
+      kernels_.write_tile(frame_, tile, images);
+    });
   });
   holds_view_ = true;
 }
 
 void Context::backward(const svrgs_image_grads& in, const svrgs_grads& out) {
   char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
-  for_each_tile([&](int64_t tile) { kernels_.backward_tile(frame_, in, out, tile, slots); });
-  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
-    kernels_.gradients_range(frame_, in, out, slots, begin, end);
+  timed(SVRGS_RASTER_GRADS, [&] {
+    for_each_tile([&](int64_t tile) { kernels_.backward_tile(frame_, in, out, tile, slots); });
+  });
+  timed(SVRGS_PARAMETER_GRADS, [&] {
+    parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
+      kernels_.gradients_range(frame_, in, out, slots, begin, end);
+    });
   });
 }
 
@@ -165,7 +179,19 @@ void Context::scores(double* sum, float* max, int64_t* hits) {
   });
 }
 
+svrgs_work Context::work(bool count_pixels) const {
+  svrgs_work work = {};
+  work.visible = frame_.visible_count, work.pairs = pairs_;
+  for (int64_t tile = 0, tiles = static_cast<int64_t>(frame_.tiles_x) * frame_.tiles_y; count_pixels && tile < tiles; ++tile)
+    kernels_.count_tile(frame_, tile, work);
+  return work;
+}
+
 void Context::loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]) {
+  timed(SVRGS_LOSS, [&] { loss_rows(image, target, height, width, l1_weight, ssim_weight, grad, values); });
+}
+
+void Context::loss_rows(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]) {
   const int64_t pixels = static_cast<int64_t>(height) * width, count = 3 * pixels, per_row = kernels_.loss_scratch(width);
   const int64_t bands = chunk_count(height, kLossRows);
   double* row_values = row_values_.reserve<double>(2 * height);

@@ -50,7 +50,8 @@ class Context {
 
   const uint32_t* visible() const { return frame_.visible; }
   int64_t visible_count() const { return frame_.visible_count; }
-  int64_t pairs() const { return pairs_; }
+  svrgs_work work(bool count_pixels) const;
+  const double* stage_seconds() const { return seconds_; }
   bool holds_view() const { return holds_view_; }
   bool holds_depth() const { return frame_.want_depth; }
 
@@ -59,6 +60,9 @@ class Context {
   void project();
   void find_tiles(int64_t max_pairs);
   void sort_and_bin();
+  void loss_rows(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
+  template <class F>
+  void timed(svrgs_stage stage, F&& run);
   template <class F>
   void for_each_tile(F&& run) const;  // in any order, until the cancel flag is set
 
@@ -67,6 +71,7 @@ class Context {
   const int32_t* cancel_ = nullptr;
   int64_t pairs_ = 0, rows_ = 0;
   bool holds_view_ = false;
+  double seconds_[SVRGS_STAGES] = {};
   Buffer splats_, tiles_, spans_, ids_, keys_, visible_, sorted_, scratch_, tile_begin_, entries_, counts_, hits_, state_, slots_;
   Buffer maps_, rows_scratch_, row_values_;
 };

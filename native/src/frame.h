@@ -15,7 +15,7 @@ struct alignas(16 * sizeof(R)) Splat {
   R rgb[3], depth;
   R inv_l11, y_extreme;  // 1 / l11; dy of the rightmost point of the 1/255 ellipse (see ellipse.h)
   R mask;                // 0 or 1
-  R unused;
+  R slope;               // -l12 / l11
 };
 
 struct SplatTiles {   // where a visible Gaussian's tiles are
@@ -37,7 +37,9 @@ struct TileEntry {
 enum Field { kRed, kGreen, kBlue, kDepth, kFinalT, kFullT, kCount, kDropped, kSum0, kSum1, kSum2, kSum3, kFields };
 
 constexpr int kSlotWidth = 12;  // reals per (Gaussian, tile) slot of the backward pass
-enum Slot { kV, kVx, kVy, kVxx, kVxy, kVyy, kSlotRed, kSlotGreen, kSlotBlue, kSlotMask, kSlotDepth, kSlotSpatial };
+// Sums over pixels: of g = alpha dL/dalpha and its moments in u, v (bounded within the ellipse, however thin it is), of
+// dL/dcolour, of dL/dM from the colours, of dL/d(view depth), of dL/dM from F.
+enum Slot { kG, kGu, kGv, kGuu, kGuv, kGvv, kSlotRed, kSlotGreen, kSlotBlue, kSlotMask, kSlotDepth, kSlotSpatial };
 
 enum MaskKind { kMaskNone = 0, kMaskSvr = 1, kMaskSelf = 2, kMaskA = 3, kMaskB = 4, kMaskEven = 5 };
 
@@ -54,7 +56,7 @@ struct Frame {
   double background[3];
   // options
   bool antialiased, full, mask_to_shape, want_depth;
-  int mask_kind;
+  int mask_kind, without;
   double eps_a;
   // projection
   void* splats;           // Splat<R>[count], visible ones written
@@ -65,7 +67,7 @@ struct Frame {
   // tile lists
   const int64_t* tile_begin;  // [tiles + 1]
   const TileEntry* entries;
-  uint16_t* hits;         // per slot: bit b set where the Gaussian hits a pixel of block b that counts
+  BlockBits* hits;        // per slot: bit b set where the Gaussian hits a pixel of block b that counts
   void* state;            // R[tiles][kBlocks][kFields][kBlockPixels]
 };
 

@@ -85,10 +85,23 @@ inline Projected project(const Frame& f, const Batch& b) {
   return p;
 }
 
-// dL/d of one batch: what the raster pass sums (moments of v = alpha dL/dalpha about the centre) ...
+// The Cholesky factor L of the conic, scaled so that alpha = opacity 2^-(u^2 + v^2) with (u, v) = L (dx, dy): u = l11 dx + l12 dy,
+// v = l22 dy. The inverse covariance is kWhiten^2 L^T L.
+constexpr R kWhiten = R(1.1774100225154747);  // sqrt(2 ln 2)
+
+struct Whitening {
+  V l11, l12, l22;
+};
+
+inline Whitening whitening(const Projected& p) {
+  const V root = sqrt(p.cyy), l11 = root / (splat(kWhiten) * sqrt(p.det));
+  return {l11, -l11 * (p.cxy / p.cyy), splat(1) / (splat(kWhiten) * root)};
+}
+
+// dL/d of one batch: what the raster pass sums (moments of g = alpha dL/dalpha in u, v; enum Slot) ...
 struct ScreenGrads {
-  V v, vx, vy, vxx, vxy, vyy;  // sum of v, v dx, v dy, v dx^2, v dx dy, v dy^2 over pixels
-  V depth;                     // dL/d camera z from the depth image
+  V g, gu, gv, guu, guv, gvv;
+  V depth;  // dL/d camera z from the depth image
 };
 // ... and what it means for the parameters.
 struct ParameterGrads {
@@ -104,37 +117,38 @@ inline void rotation_matrix_vjp(const V q[4], const V d[3][3], V out[4]) {
   out[3] = two * (x * (d[2][0] + d[0][2]) + y * (d[2][1] + d[1][2]) + w * (d[1][0] - d[0][1])) - four * z * (d[0][0] + d[1][1]);
 }
 
-// dL/dA (A = P R S, the covariance factor) from the moments: 2 G A with G = dL/dcov = Q S2 Q / 2, Q = inverse covariance.
-inline void factor_vjp(const Frame& f, const Projected& p, const ScreenGrads& g, V d_factor[2][3]) {
-  const V inv_det = splat(1) / p.det;
-  const V qxx = p.cyy * inv_det, qxy = -p.cxy * inv_det, qyy = p.cxx * inv_det;
-  const V ax = qxx * g.vxx + qxy * g.vxy, ay = qxx * g.vxy + qxy * g.vyy;  // rows of Q S2
-  const V bx = qxy * g.vxx + qyy * g.vxy, by = qxy * g.vxy + qyy * g.vyy;
-  V gxx = ax * qxx + ay * qxy, gxy = ax * qxy + ay * qyy, gyy = bx * qxy + by * qyy;  // 2 G
+// dL/dA (A = P R S, the covariance factor): 2 G A with G = dL/dcov = Q S2 Q / 2, Q the inverse covariance and S2 the second
+// moments of g; in whitened moments W that is kWhiten^4 L^T W (L A).
+inline void factor_vjp(const Frame& f, const Projected& p, const Whitening& l, const ScreenGrads& g, V d_factor[2][3]) {
+  constexpr R scale = kWhiten * kWhiten;
+  const V unit = splat(1 / scale);  // L cov L^T
+  V wuu = g.guu, wvv = g.gvv;
   V before_xx = splat(0), before_xy = splat(0), before_yy = splat(0);
   if (f.antialiased) {  // d ln(compensation) = (d ln det_before - d ln det) / 2 above the floor
-    const M active = less(splat(R(kCompensationFloor)), p.det_before * inv_det);
-    const V v = keep(active, g.v);
-    gxx -= v * qxx, gxy -= v * qxy, gyy -= v * qyy;
-    const V share = keep(active, v / max(p.det_before, splat(R(1e-37))));
-    before_xx = share * (p.cyy - splat(R(kBlur))), before_xy = -share * p.cxy, before_yy = share * (p.cxx - splat(R(kBlur)));
+    const M active = less(splat(R(kCompensationFloor)), p.det_before / p.det);
+    wuu -= keep(active, g.g * unit), wvv -= keep(active, g.g * unit);
+    const V share = keep(active, g.g / max(p.det_before, splat(R(1e-37)))), blur = splat(R(kBlur));
+    before_xx = share * (p.cyy - blur), before_xy = -share * p.cxy, before_yy = share * (p.cxx - blur);
   }
-  gxx += before_xx, gxy += before_xy, gyy += before_yy;
+  const V *u = p.factor[0], *v = p.factor[1];
   for (int j = 0; j < 3; ++j) {
-    d_factor[0][j] = gxx * p.factor[0][j] + gxy * p.factor[1][j];
-    d_factor[1][j] = gxy * p.factor[0][j] + gyy * p.factor[1][j];
+    const V a = fma(l.l11, u[j], l.l12 * v[j]), b = l.l22 * v[j];    // L A
+    const V c = fma(wuu, a, g.guv * b), d = fma(g.guv, a, wvv * b);  // W L A
+    d_factor[0][j] = splat(scale * scale) * l.l11 * c + before_xx * u[j] + before_xy * v[j];
+    d_factor[1][j] = splat(scale * scale) * fma(l.l12, c, l.l22 * d) + before_xy * u[j] + before_yy * v[j];
   }
 }
 
 inline ParameterGrads project_vjp(const Frame& f, const Projected& p, const ScreenGrads& g) {
   ParameterGrads out;
-  const V inv_z = splat(1) / p.c[2], inv_det = splat(1) / p.det, fx = splat(R(f.fx)), fy = splat(R(f.fy));
-  out.opacity_logit = g.v * (splat(1) - p.opacity);
-  out.mean2d[0] = p.cyy * inv_det * g.vx - p.cxy * inv_det * g.vy;  // Q (sum v d)
-  out.mean2d[1] = p.cxx * inv_det * g.vy - p.cxy * inv_det * g.vx;
+  const V inv_z = splat(1) / p.c[2], fx = splat(R(f.fx)), fy = splat(R(f.fy));
+  const Whitening l = whitening(p);
+  out.opacity_logit = g.g * (splat(1) - p.opacity);
+  out.mean2d[0] = splat(kWhiten * kWhiten) * l.l11 * g.gu;  // Q (sum of g d)
+  out.mean2d[1] = splat(kWhiten * kWhiten) * fma(l.l12, g.gu, l.l22 * g.gv);
 
   V d_factor[2][3], d_screen[2][3], d_rotation[3][3];
-  factor_vjp(f, p, g, d_factor);
+  factor_vjp(f, p, l, g, d_factor);
   for (int j = 0; j < 3; ++j) {
     V d_scale = splat(0);
     for (int i = 0; i < 3; ++i) {

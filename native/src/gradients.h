@@ -45,7 +45,7 @@ inline void sh_vjp(const Frame& f, const Batch& b, const uint32_t* ids, int n, c
 // What dL/dM from F is multiplied by: 1, or for EVEN the fixed footprint over the Gaussian's own (its 1/255 ellipse).
 inline R spatial_weight(const Frame& f, const Splat<R>& s) {
   if (f.mask_kind != kMaskEven) return 1;
-  const R area = R(3.141592653589793) * (s.log2_opacity + R(kLog2Of255)) / (s.l11 * s.l22);
+  const R area = R(3.141592653589793) * (s.log2_opacity - R(kLog2Cut)) / (s.l11 * s.l22);
   return R(SVRGS_EVEN_AREA) / std::max(area, R(1));
 }
 
@@ -73,7 +73,7 @@ inline void gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads
   const Batch b = load_batch(f, ids);
   ParameterGrads g = {};
   if (want.shape)
-    g = project_vjp(f, project(f, b), {s[kV], s[kVx], s[kVy], s[kVxx], s[kVxy], s[kVyy], want.depth ? s[kSlotDepth] : splat(0)});
+    g = project_vjp(f, project(f, b), {s[kG], s[kGu], s[kGv], s[kGuu], s[kGuv], s[kGvv], want.depth ? s[kSlotDepth] : splat(0)});
   if (want.colour) {
     R* rows = out.sh ? static_cast<R*>(out.sh) + first * f.sh_coefficients * 3 : nullptr;
     sh_vjp(f, b, ids, n, colour, rows, g.mean);
@@ -89,22 +89,7 @@ inline void gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads
 
 // Visible Gaussians [begin, end).
 void gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const void* slots, int64_t begin, int64_t end) {
-  const Wanted want = wanted(in, out);
+  const Wanted want = wanted(f, in, out);
   for (int64_t i = begin; i < end; i += W)
     gradient_batch(f, want, out, static_cast<const R*>(slots), i, static_cast<int>(std::min<int64_t>(W, end - i)));
-}
-
-void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* sum_out, float* max_out, int64_t* hits_out) {
-  for (int64_t i = begin; i < end; ++i) {
-    const uint32_t id = f.visible[i];
-    const SplatTiles& t = f.tiles[id];
-    if (f.masks && !f.masks[id]) continue;
-    for (uint32_t k = 0; k < t.tiles; ++k) {
-      if (!f.hits[t.slot + k]) continue;
-      const R* slot = static_cast<const R*>(slots) + static_cast<int64_t>(t.slot + k) * kSlotWidth;
-      if (sum_out) sum_out[id] += static_cast<double>(slot[0]);
-      if (max_out) max_out[id] = std::max(max_out[id], static_cast<float>(slot[1]));
-      if (hits_out) hits_out[id] += static_cast<int64_t>(slot[2]);
-    }
-  }
 }

@@ -1,4 +1,5 @@
-// From a tile's kept state to output images, and from image gradients to per-lane gradients.
+// From a tile's kept state to output images, and from image gradients to lanes. Images are row-major, tiles are stored block
+// by block.
 
 constexpr int kLogTable = 1024;
 
@@ -16,48 +17,68 @@ inline R inverse_log(R n) {
   return i < kLogTable ? table.value[i] : static_cast<R>(1.0 / std::log1p(static_cast<double>(n)));
 }
 
-// Kept state of one pixel; step kBlockPixels between fields.
-inline R spatial_mask(const Frame& f, const R* pixel) {
-  const R n = pixel[kCount * kBlockPixels], kept = n - pixel[kDropped * kBlockPixels];
-  if (f.mask_kind == kMaskNone || n == 0) return 0;
-  if (f.mask_kind == kMaskA) return pixel[kSum1 * kBlockPixels] / pixel[kSum0 * kBlockPixels];
-  if (f.mask_kind == kMaskB) return pixel[kSum0 * kBlockPixels] * inverse_log(n);
-  return (kept - 1 + pixel[kFullT * kBlockPixels]) * inverse_log(n);  // design.md closed form of paper Eq. 5
+inline V inverse_log(V n) {
+  for (int i = 0; i < W; ++i) n[i] = inverse_log(R(n[i]));
+  return n;
 }
 
-struct ImagePointers {
-  R *rgb, *depth, *alpha, *mask, *transmittance;
-  int32_t *hits, *kept;
+// One of a block's kept values, W lanes of it.
+inline V kept(const R* state, Field k) { return load(state + k * kBlockPixels); }
+
+// F of W pixels, paper Eq. 5 in closed form (design.md section 3), or of a scenario.
+inline V spatial_mask(const Frame& f, const R* state) {
+  if (f.mask_kind == kMaskNone) return splat(0);
+  const V n = kept(state, kCount);
+  if (f.mask_kind == kMaskA) return keep(less(splat(0), n), kept(state, kSum1) / kept(state, kSum0));
+  if (f.mask_kind == kMaskB) return kept(state, kSum0) * inverse_log(n);
+  return (n - kept(state, kDropped) - splat(1) + kept(state, kFullT)) * inverse_log(n);
+}
+
+struct BlockPlace {
+  int64_t first;      // image index of the block's first pixel
+  int rows, columns;  // of it inside the image
 };
 
-inline void write_pixel(const Frame& f, const ImagePointers& out, int64_t at, const R* pixel) {
-  const auto field = [&](Field k) { return pixel[k * kBlockPixels]; };
-  if (out.rgb)
-    for (int c = 0; c < 3; ++c) out.rgb[3 * at + c] = field(Field(kRed + c)) + field(kFinalT) * static_cast<R>(f.background[c]);
-  if (out.depth) out.depth[at] = field(kDepth);
-  if (out.alpha) out.alpha[at] = 1 - field(kFinalT);
-  if (out.mask) out.mask[at] = spatial_mask(f, pixel);
-  if (out.transmittance) out.transmittance[at] = field(kFullT);
-  if (out.hits) out.hits[at] = static_cast<int32_t>(field(kCount));
-  if (out.kept) out.kept[at] = static_cast<int32_t>(field(kCount) - field(kDropped));
-}
-
-// Calls visit(image index, block, lane) for every pixel of the tile inside the image.
+// Calls visit(block, place) for every block of the tile with a pixel inside the image.
 template <class F>
-inline void for_pixels(const Frame& f, int64_t tile, F&& visit) {
+inline void for_blocks(const Frame& f, int64_t tile, F&& visit) {
   const TileOrigin o = tile_origin(f, tile);
-  const int height = std::min(kTile, f.height - o.y * kTile), width = std::min(kTile, f.width - o.x * kTile);
-  for (int y = 0; y < height; ++y)
-    for (int x = 0; x < width; ++x)
-      visit(static_cast<int64_t>(o.y * kTile + y) * f.width + o.x * kTile + x, y / kBlock * kBlock + x / kBlock,
-            y % kBlock * kBlock + x % kBlock);
+  for (int b = 0; b < kBlocks; ++b) {
+    const int x = o.x * kTile + b % kBlockColumns * kBlockWidth, y = o.y * kTile + b / kBlockColumns * kBlockHeight;
+    if (x >= f.width || y >= f.height) continue;
+    visit(b, BlockPlace{static_cast<int64_t>(y) * f.width + x, std::min(kBlockHeight, f.height - y), std::min(kBlockWidth, f.width - x)});
+  }
 }
 
-void write_tile(const Frame& f, int64_t tile, const svrgs_images& images) {
-  const ImagePointers out = {static_cast<R*>(images.rgb), static_cast<R*>(images.depth), static_cast<R*>(images.alpha),
-                             static_cast<R*>(images.mask), static_cast<R*>(images.transmittance), images.hits, images.kept};
-  const R* state = tile_state(f, tile);
-  for_pixels(f, tile, [&](int64_t at, int block, int lane) {
-    write_pixel(f, out, at, state + block * kFields * kBlockPixels + lane);
+// Calls visit(image index, lane) for the block's pixels inside the image.
+template <class F>
+inline void for_pixels(const Frame& f, BlockPlace p, F&& visit) {
+  for (int y = 0; y < p.rows; ++y)
+    for (int x = 0; x < p.columns; ++x) visit(p.first + static_cast<int64_t>(y) * f.width + x, y * kBlockWidth + x);
+}
+
+// Writes one channel of a block's pixels; value(state of W lanes) gives W of them.
+template <class T, class F>
+inline void write_block(const Frame& f, BlockPlace place, const R* block, T* image, int channels, F&& value) {
+  alignas(64) R lanes[kBlockPixels];
+  for (int h = 0; h < kSub; ++h) store(lanes + h * W, value(block + h * W));
+  for_pixels(f, place, [&](int64_t at, int lane) { image[channels * at] = static_cast<T>(lanes[lane]); });
+}
+
+void write_tile(const Frame& f, int64_t tile, const svrgs_images& out) {
+  const R* const state = tile_state(f, tile);
+  for_blocks(f, tile, [&](int b, BlockPlace p) {
+    const R* const block = block_state(const_cast<R*>(state), b, 0);
+    const auto write = [&](auto* image, int channels, auto&& value) { write_block(f, p, block, image, channels, value); };
+    const auto real = [](void* image) { return static_cast<R*>(image); };
+    for (int c = 0; c < 3 && out.rgb; ++c)
+      write(real(out.rgb) + c, 3, [&](const R* s) { return fma(kept(s, kFinalT), splat(static_cast<R>(f.background[c])), kept(s, Field(kRed + c))); });
+    if (out.depth) write(real(out.depth), 1, [](const R* s) { return kept(s, kDepth); });
+    if (out.alpha) write(real(out.alpha), 1, [](const R* s) { return splat(1) - kept(s, kFinalT); });
+    if (out.mask) write(real(out.mask), 1, [&](const R* s) { return spatial_mask(f, s); });
+    if (out.transmittance) write(real(out.transmittance), 1, [](const R* s) { return kept(s, kFullT); });
+    const auto count = [&](const R* s, Field k) { return f.mask_kind == kMaskNone ? splat(0) : kept(s, k); };
+    if (out.hits) write(out.hits, 1, [&](const R* s) { return count(s, kCount); });
+    if (out.kept) write(out.kept, 1, [&](const R* s) { return count(s, kCount) - count(s, kDropped); });
   });
 }

@@ -20,9 +20,11 @@ namespace svrgs::SVRGS_LEVEL {
 #include "raster_forward.h"
 #include "images.h"
 #include "raster_backward.h"
+#include "statistics.h"
 #include "gradients.h"
 #include "loss.h"
 #include "adam.h"
+#include "machine.h"
 
 int64_t loss_scratch(int width) { return 5 * padded_row(width); }
 
@@ -46,6 +48,6 @@ namespace svrgs {
 namespace level = SVRGS_LEVEL;
 const Kernels SVRGS_TABLE_NAME = {
     sizeof(level::R), sizeof(Splat<level::R>), level::project_range, level::fill_spans, level::forward_tile, level::write_tile,
-    level::backward_tile, level::gradients_range, level::scores_tile, level::scores_range, level::loss_scratch,
-    level::loss_pass, level::adam_pass};
+    level::backward_tile, level::gradients_range, level::scores_tile, level::scores_range, level::count_tile,
+    level::loss_scratch, level::loss_pass, level::adam_pass, level::multiply_adds};
 }

@@ -15,10 +15,12 @@ struct Kernels {
   void (*gradients_range)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const void* slots, int64_t begin, int64_t end);
   void (*scores_tile)(const Frame&, int64_t tile, void* slots);
   void (*scores_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* sum, float* max, int64_t* hits);
+  void (*count_tile)(const Frame&, int64_t tile, svrgs_work&);
   int64_t (*loss_scratch)(int width);  // reals of scratch one row needs
   void (*loss_row)(const struct LossArguments&, int y, void* scratch, bool second_pass);
   int64_t (*adam_rows)(const svrgs_adam_settings&, void* param, void* m, void* v, const void* grad, const uint32_t* ids,
                        int64_t begin, int64_t end, int width);
+  double (*multiply_adds)(int64_t rounds);  // operations done
 };
 
 struct LossArguments {

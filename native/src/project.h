@@ -1,7 +1,5 @@
 // Stage 1: cull, project, colour. The only visibility gate: comparisons are written so that NaN fails them.
 
-inline R logit_of_cut() { return R(-5.5413); }  // just below the logit of opacity 1/255; the alpha test decides
-
 // Smallest box of pixel rows and columns [begin, end) the 1/255 ellipse can reach; false if none.
 struct PixelBox {
   int x0, x1, y0, y1;
@@ -15,10 +13,13 @@ inline bool reach(double centre, double half, int size, int& begin, int& end) {
   return begin < end;
 }
 
-inline R threshold(const Splat<R>& s) { return s.log2_opacity + R(kLog2Of255) + kReachMargin; }
+// Bound of u^2 + v^2 within the ellipse.
+inline R reach2(const Frame& f, const Splat<R>& s) {
+  return (f.without & SVRGS_OPACITY_BOUNDS ? R(0) : s.log2_opacity) - R(kLog2Cut) + kReachMargin;
+}
 
 inline bool pixel_box(const Frame& f, const Splat<R>& s, PixelBox& box) {
-  const double r = std::sqrt(static_cast<double>(threshold(s)));
+  const double r = std::sqrt(static_cast<double>(reach2(f, s)));
   const double half_y = r / s.l22 + kBorderMargin;
   const double half_x = r * std::sqrt(1.0 + (static_cast<double>(s.l12) / s.l22) * (s.l12 / s.l22)) * s.inv_l11 + kBorderMargin;
   return reach(s.x, half_x, f.width, box.x0, box.x1) && reach(s.y, half_y, f.height, box.y0, box.y1);
@@ -37,7 +38,7 @@ inline bool in_front(const Frame& f, int64_t g, double& x, double& y) {
   const double* m = f.viewmat;
   const double z = m[8] * mean[0] + m[9] * mean[1] + m[10] * mean[2] + m[11];
   if (!(z > kNear) || !(z < kFar)) return false;
-  if (!(static_cast<const R*>(f.opacity_logits)[g] >= logit_of_cut())) return false;
+  if (!(static_cast<const R*>(f.opacity_logits)[g] >= R(kLogitCut))) return false;
   x = f.fx * (m[0] * mean[0] + m[1] * mean[1] + m[2] * mean[2] + m[3]) / z + f.cx;
   y = f.fy * (m[4] * mean[0] + m[5] * mean[1] + m[6] * mean[2] + m[7]) / z + f.cy;
   return true;
@@ -65,8 +66,8 @@ inline bool usable(const Batch& b, const Projected& p, int i) {
   return finite(b.log_scale[0][i] + b.log_scale[1][i] + b.log_scale[2][i]) && p.inv_norm[i] < R(kQuatMax) && p.inv_norm[i] > R(1 / kQuatMax);
 }
 
-inline bool usable(const Splat<R>& s, double x, double y) {
-  return threshold(s) > kReachMargin * R(0.5) && s.l11 > 0 && s.l22 > 0 && finite(s.l11) && finite(s.l12) && finite(s.l22) &&
+inline bool usable(const Frame& f, const Splat<R>& s, double x, double y) {
+  return reach2(f, s) > kReachMargin * R(0.5) && s.l11 > 0 && s.l22 > 0 && finite(s.l11) && finite(s.l12) && finite(s.l22) &&
          finite(s.inv_l11) && finite(s.y_extreme) && sane(s.rgb[0]) && sane(s.rgb[1]) && sane(s.rgb[2]) &&
          std::fabs(x) < 1e9 && std::fabs(y) < 1e9;
 }
@@ -84,21 +85,21 @@ inline int64_t flush(const Frame& f, Pending& pending, uint32_t* ids, uint32_t* 
   for (int i = n; i < W; ++i) pending.ids[i] = pending.ids[0];
   const Batch b = load_batch(f, pending.ids);
   const Projected p = project(f, b);
-  const R half_log2e = R(0.8493218002880191);  // sqrt(log2(e) / 2)
-  const V l11 = half_log2e * sqrt(p.cyy / p.det), l12 = -l11 * p.cxy / p.cyy, l22 = half_log2e / sqrt(p.cyy);
+  const Whitening l = whitening(p);
+  const V l11 = l.l11, l12 = l.l12, l22 = l.l22;
   const V opacity = p.opacity * p.compensation;
   Splat<R> batch[W];
   for (int i = 0; i < n; ++i) {
     Splat<R>& s = batch[i];
-    s = {pending.x[i], pending.y[i], l11[i], l12[i], l22[i], std::log2(opacity[i]), {}, p.c[2][i], R(1) / l11[i], 0, R(1), 0};
-    s.y_extreme = -l12[i] * std::sqrt(threshold(s)) / (l22[i] * std::sqrt(l22[i] * l22[i] + l12[i] * l12[i]));
+    s = {pending.x[i], pending.y[i], l11[i], l12[i], l22[i], std::log2(opacity[i]), {}, p.c[2][i], R(1) / l11[i], 0, R(1), -l12[i] / l11[i]};
+    s.y_extreme = -l12[i] * std::sqrt(reach2(f, s)) / (l22[i] * std::sqrt(l22[i] * l22[i] + l12[i] * l12[i]));
     if (f.masks) s.mask = f.masks[pending.ids[i]] ? R(1) : R(0);
   }
   colour_splats(f, b, pending.ids, batch, n);
   int64_t kept = 0;
   for (int i = 0; i < n; ++i) {
     PixelBox box;
-    if (!usable(b, p, i) || !usable(batch[i], pending.x[i], pending.y[i]) || !pixel_box(f, batch[i], box)) continue;
+    if (!usable(b, p, i) || !usable(f, batch[i], pending.x[i], pending.y[i]) || !pixel_box(f, batch[i], box)) continue;
     const uint32_t g = pending.ids[i];
     static_cast<Splat<R>*>(f.splats)[g] = batch[i];
     f.tiles[g] = tile_rows(box);
@@ -127,13 +128,20 @@ int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* ids,
 uint32_t fill_spans(const Frame& f, uint32_t g, Span* spans) {
   const Splat<R>& s = static_cast<const Splat<R>*>(f.splats)[g];
   const SplatTiles& t = f.tiles[g];
-  const R reach2 = threshold(s), slope = -s.l12 * s.inv_l11;
+  const R bound = reach2(f, s);
   uint32_t tiles = 0;
   for (int r = 0; r < t.rows; ++r) {
     const int y0 = (t.row + r) * kTile, y1 = std::min(y0 + kTile, f.height) - 1;
     const R low = static_cast<R>(y0 + 0.5 - s.y) - kBorderMargin, high = static_cast<R>(y1 + 0.5 - s.y) + kBorderMargin;
-    const Extent<R> e = ellipse_extent<R>(reach2, s.l22, s.inv_l11, slope, s.y_extreme, low, high);
+    const Extent<R> e = ellipse_extent<R>(bound, s.l22, s.inv_l11, s.slope, s.y_extreme, low, high);
     int x0, x1;
+    if (f.without & SVRGS_EXACT_TILES) {
+      PixelBox box = {};
+      pixel_box(f, s, box);
+      spans[r] = {static_cast<uint16_t>(box.x0 / kTile), static_cast<uint16_t>((box.x1 - 1) / kTile + 1)};
+      tiles += spans[r].end - spans[r].begin;
+      continue;
+    }
     const double middle = s.x + 0.5 * (static_cast<double>(e.left) + e.right), half = 0.5 * (static_cast<double>(e.right) - e.left) + kBorderMargin;
     spans[r] = {0, 0};
     if (e.depth < 0 || !reach(middle, half, f.width, x0, x1)) continue;

@@ -6,61 +6,63 @@
 //   dL/dalpha_i = M_i     (T_i c_i.g - S_i / (1 - M_i alpha_i))
 //   dF/dM_i     = (1 - alpha_i T_N / (1 - M_i alpha_i)) / log(1 + N)
 
-struct BackwardTile {
-  V T[kBlocks][kSub], behind[kBlocks][kSub];  // behind: g.(everything not yet blended, background included)
-  V red[kBlocks][kSub], green[kBlocks][kSub], blue[kBlocks][kSub], depth[kBlocks][kSub], alpha[kBlocks][kSub];  // g
-  V mask[kBlocks][kSub];      // dL/dF over F's denominator
-  V full_T[kBlocks][kSub];    // T_N
-  V value[kBlocks][kSub];     // F, scenario A
-  V to_come[kBlocks][kSub];   // scenarios: sum behind of (M - F) alpha T w^2 (A), of M T (B)
+// Running values and image gradients of one block.
+struct alignas(64) BackwardBlock {
+  R T[kBlockPixels], behind[kBlockPixels];  // behind: g.(everything not yet blended, background included)
+  R rgb[3][kBlockPixels], depth[kBlockPixels], alpha[kBlockPixels];  // g
+  R mask[kBlockPixels];     // dL/dF over F's denominator
+  R full_T[kBlockPixels];   // T_N
+  R value[kBlockPixels];    // F, scenario A
+  R to_come[kBlockPixels];  // scenarios: sum behind of (M - F) alpha T w^2 (A), of M T (B)
 };
 
-inline void start_pixel(const Frame& f, const svrgs_image_grads& g, int64_t at, const R* pixel, BackwardTile& t, int b, int lane) {
-  const int h = lane / W, i = lane % W;
-  const auto field = [&](Field k) { return pixel[k * kBlockPixels]; };
-  R behind = 0;
-  if (g.rgb) {
-    const R* d = static_cast<const R*>(g.rgb) + 3 * at;
-    t.red[b][h][i] = d[0], t.green[b][h][i] = d[1], t.blue[b][h][i] = d[2];
-    for (int c = 0; c < 3; ++c) behind += d[c] * (field(Field(kRed + c)) + field(kFinalT) * static_cast<R>(f.background[c]));
-  }
-  if (g.depth) {
-    t.depth[b][h][i] = static_cast<const R*>(g.depth)[at];
-    behind += t.depth[b][h][i] * field(kDepth);
-  }
-  if (g.alpha) {
-    t.alpha[b][h][i] = static_cast<const R*>(g.alpha)[at];
-    behind += t.alpha[b][h][i] * (1 - field(kFinalT));
-  }
-  t.T[b][h][i] = 1;
-  t.behind[b][h][i] = behind;
+inline void read_gradients(const Frame& f, const svrgs_image_grads& g, BlockPlace place, BackwardBlock& t) {
+  const auto read = [&](const void* image, int channels, int channel, R* lanes) {
+    for_pixels(f, place, [&](int64_t at, int lane) { lanes[lane] = static_cast<const R*>(image)[channels * at + channel]; });
+  };
+  for (int c = 0; c < 3 && g.rgb; ++c) read(g.rgb, 3, c, t.rgb[c]);
+  if (g.depth) read(g.depth, 1, 0, t.depth);
+  if (g.alpha) read(g.alpha, 1, 0, t.alpha);
+  if (g.mask && f.mask_kind != kMaskNone) read(g.mask, 1, 0, t.mask);
+}
+
+// What the lanes from `h` on start with, given their image gradients and kept state.
+inline void start_lanes(const Frame& f, const svrgs_image_grads& g, const R* state, BackwardBlock& t, int h) {
+  const V final_T = kept(state, kFinalT);
+  V behind = load(t.alpha + h) * (splat(1) - final_T);
+  for (int c = 0; c < 3; ++c)
+    behind = fma(load(t.rgb[c] + h), fma(final_T, splat(static_cast<R>(f.background[c])), kept(state, Field(kRed + c))), behind);
+  if (g.depth) behind = fma(load(t.depth + h), kept(state, kDepth), behind);
+  store(t.T + h, splat(1));
+  store(t.behind + h, behind);
   if (!g.mask || f.mask_kind == kMaskNone) return;
-  const R d = static_cast<const R*>(g.mask)[at], F = spatial_mask(f, pixel), n = field(kCount);
-  t.full_T[b][h][i] = field(kFullT);
-  t.value[b][h][i] = F;
+  const V n = kept(state, kCount), d = load(t.mask + h), F = spatial_mask(f, state);
+  store(t.full_T + h, kept(state, kFullT));
   if (f.mask_kind == kMaskA) {
-    t.mask[b][h][i] = n > 0 ? d / field(kSum0) : R(0);
-    t.to_come[b][h][i] = field(kSum3) - F * field(kSum2);
+    store(t.value + h, F);
+    store(t.mask + h, keep(less(splat(0), n), d / kept(state, kSum0)));
+    store(t.to_come + h, kept(state, kSum3) - F * kept(state, kSum2));
   } else {
-    t.mask[b][h][i] = d * inverse_log(n);
-    t.to_come[b][h][i] = field(kSum1);
+    store(t.mask + h, d * inverse_log(n));
+    if (f.mask_kind == kMaskB) store(t.to_come + h, kept(state, kSum1));
   }
 }
 
-inline void start_backward(const Frame& f, const svrgs_image_grads& g, int64_t tile, BackwardTile& t) {
-  __builtin_memset(&t, 0, sizeof t);
-  const R* state = tile_state(f, tile);
-  for_pixels(f, tile, [&](int64_t at, int block, int lane) {
-    start_pixel(f, g, at, state + block * kFields * kBlockPixels + lane, t, block, lane);
+inline void start_backward(const Frame& f, const svrgs_image_grads& g, int64_t tile, BackwardBlock* blocks) {
+  __builtin_memset(static_cast<void*>(blocks), 0, sizeof(BackwardBlock) * kBlocks);
+  R* const state = tile_state(f, tile);
+  for_blocks(f, tile, [&](int b, BlockPlace place) {
+    read_gradients(f, g, place, blocks[b]);
+    for (int h = 0; h < kSub; ++h) start_lanes(f, g, block_state(state, b, h), blocks[b], h * W);
   });
 }
 
 struct Sums {
-  V v, vx, vy, vxx, vxy, vyy, red, green, blue, mask, depth, spatial;  // mask: from the colours; spatial: from F
+  V g, gu, gv, guu, guv, gvv, red, green, blue, mask, depth, spatial;  // see enum Slot
 };
 
 struct Wanted {
-  bool shape, colour, mask, depth, spatial;  // spatial: a gradient of F came in
+  bool shape, colour, mask, depth, alpha, spatial;  // spatial: a gradient of F came in
 };
 
 // dF/dM_i and dF/dalpha_i of one hit, times dL/dF: design.md closed form, the self term alone, and paper scenarios A, B.
@@ -69,144 +71,120 @@ struct SpatialGrads {
 };
 
 template <bool scenario>
-inline SpatialGrads spatial_vjp(const Frame& f, BackwardTile& t, int b, int h, V alpha, V T, V inv, R mask, M counted) {
-  const V d = t.mask[b][h], one = splat(1);
+inline SpatialGrads spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha, V T, V inv, R mask, M counted) {
+  const V d = load(t.mask + h), one = splat(1);
   if constexpr (!scenario) {
-    if (f.mask_kind == kMaskSelf) return {d * fnma(alpha, T, one), -splat(mask) * d * T};
-    const V share = t.full_T[b][h] * inv;
+    const V share = f.mask_kind == kMaskSelf ? T : load(t.full_T + h) * inv;
     return {d * fnma(alpha, share, one), -splat(mask) * d * share};
   } else if (f.mask_kind == kMaskA) {
-    const V weight = alpha * T, w = one / (weight + splat(static_cast<R>(f.eps_a))), F = t.value[b][h];
-    t.to_come[b][h] = add_if(counted, t.to_come[b][h], (F - splat(mask)) * weight * w * w);
-    const V behind = t.to_come[b][h] * inv;
+    const V weight = alpha * T, w = one / (weight + splat(static_cast<R>(f.eps_a))), F = load(t.value + h);
+    const V to_come = add_if(counted, load(t.to_come + h), (F - splat(mask)) * weight * w * w), behind = to_come * inv;
+    store(t.to_come + h, to_come);
     return {d * fma(alpha, behind, w), d * (splat(mask) * behind - (splat(mask) - F) * T * w * w)};
   } else {
-    t.to_come[b][h] = add_if(counted, t.to_come[b][h], -splat(mask) * T);
-    const V behind = t.to_come[b][h] * inv;
+    const V to_come = add_if(counted, load(t.to_come + h), -splat(mask) * T), behind = to_come * inv;
+    store(t.to_come + h, to_come);
     return {d * fma(alpha, behind, one - T), splat(mask) * d * behind};
   }
 }
 
-template <bool scenario>
-inline void accumulate_block(const Frame& f, const Wanted& want, BackwardTile& t, const Local& l, const Lanes& lanes, int b, Sums& a) {
-  const Splat<R>& s = *l.s;
+// One Gaussian over the lanes from `h` on of one block.
+template <bool spatial, bool scenario>
+inline void accumulate(const Frame& f, const Wanted& want, BackwardBlock& t, const Local& l, V x, V y, int h, Sums& a) {
   const V one = splat(1), stop = splat(R(kStop));
-  for (int h = 0; h < kSub; ++h) {
-    const Hit e = evaluate(l, lanes, b, h);
-    if (!any(e.hit)) continue;
-    const V T = t.T[b][h];
-    V through = fma(splat(s.rgb[0]), t.red[b][h], fma(splat(s.rgb[1]), t.green[b][h], fma(splat(s.rgb[2]), t.blue[b][h], t.alpha[b][h])));
-    if (want.depth) through = fma(splat(s.depth), t.depth[b][h], through);
-    V inv = one, v;
-    M live;
-    if (s.mask != 0) {
-      const V weight = keep(e.hit, e.alpha * T), next = T - weight;  // the same operations as the forward pass
-      live = both(e.hit, at_least(next, stop));
-      const V w = keep(live, weight);
-      t.T[b][h] = next;
-      t.behind[b][h] = fnma(w, through, t.behind[b][h]);
-      inv = one / (one - e.alpha);
-      v = keep(live, e.alpha * fnma(t.behind[b][h], inv, T * through));
-      if (want.colour) {
-        a.red = fma(w, t.red[b][h], a.red);
-        a.green = fma(w, t.green[b][h], a.green);
-        a.blue = fma(w, t.blue[b][h], a.blue);
-      }
-      if (want.depth) a.depth = fma(w, t.depth[b][h], a.depth);
-      a.mask += v;
-      v = keep(e.free, v);
-    } else {
-      live = both(e.hit, at_least(T, stop));
-      a.mask += keep(live, e.alpha * fnma(one, t.behind[b][h], T * through));
-      v = splat(0);
-    }
-    if (want.spatial) {
-      const M counted = f.full ? e.hit : live;
-      const SpatialGrads d = spatial_vjp<scenario>(f, t, b, h, e.alpha, T, inv, s.mask, counted);
-      a.spatial += keep(counted, d.mask);
-      if (f.mask_to_shape) v += keep(both(counted, e.free), e.alpha * d.alpha);
-    }
-    if (!want.shape) continue;
-    const V vx = v * e.dx, vy = v * e.dy;
-    a.v += v, a.vx += vx, a.vy += vy;
-    a.vxx = fma(vx, e.dx, a.vxx), a.vxy = fma(vx, e.dy, a.vxy), a.vyy = fma(vy, e.dy, a.vyy);
+  const Hit e = evaluate(l, x, y);
+  if (kSub > 1 && !any(e.hit)) return;
+  const V alpha = clamped(e.alpha), T = load(t.T + h), red = load(t.rgb[0] + h), green = load(t.rgb[1] + h), blue = load(t.rgb[2] + h);
+  V through = fma(splat(l.rgb[0]), red, fma(splat(l.rgb[1]), green, splat(l.rgb[2]) * blue));
+  if (want.alpha) through += load(t.alpha + h);
+  if (want.depth) through = fma(splat(l.depth), load(t.depth + h), through);
+  V inv = one, g = splat(0);  // g: alpha dL/dalpha
+  M live;
+  if (l.mask != 0) {
+    const V weight = keep(e.hit, alpha * T), next = T - weight;  // the same operations as the forward pass
+    live = both(e.hit, at_least(next, stop));
+    const V w = keep(live, weight), behind = fnma(w, through, load(t.behind + h));
+    store(t.T + h, next);
+    store(t.behind + h, behind);
+    inv = reciprocal(one - alpha);
+    g = keep(live, alpha * fnma(behind, inv, T * through));
+    a.red = fma(w, red, a.red);
+    a.green = fma(w, green, a.green);
+    a.blue = fma(w, blue, a.blue);
+    if (want.depth) a.depth = fma(w, load(t.depth + h), a.depth);
+    a.mask += g;
+  } else {
+    live = both(e.hit, at_least(T, stop));
+    a.mask += keep(live, alpha * (T * through - load(t.behind + h)));
   }
+  const M free = less(e.alpha, splat(R(kAlphaMax)));  // the clamp blocks the gradient
+  g = keep(free, g);
+  if constexpr (spatial) {
+    const M counted = f.full ? e.hit : live;
+    const SpatialGrads d = spatial_vjp<scenario>(f, t, h, alpha, T, inv, l.mask, counted);
+    a.spatial += keep(counted, d.mask);
+    if (f.mask_to_shape) g += keep(both(counted, free), alpha * d.alpha);
+  }
+  if (!want.shape) return;
+  const V gu = g * e.u, gv = g * e.v;
+  a.g += g, a.gu += gu, a.gv += gv;
+  a.guu = fma(gu, e.u, a.guu), a.guv = fma(gu, e.v, a.guv), a.gvv = fma(gv, e.v, a.gvv);
 }
 
 // In the order of enum Slot.
 inline void write_slot(const Sums& a, R* slot) {
-  sum4(a.v, a.vx, a.vy, a.vxx, slot);
-  sum4(a.vxy, a.vyy, a.red, a.green, slot + 4);
+  sum4(a.g, a.gu, a.gv, a.guu, slot);
+  sum4(a.guv, a.gvv, a.red, a.green, slot + 4);
   sum4(a.blue, a.mask, a.depth, a.spatial, slot + 8);
 }
 
-inline Wanted wanted(const svrgs_image_grads& in, const svrgs_grads& out) {
+inline Wanted wanted(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out) {
   Wanted w;
   w.shape = out.means || out.log_scales || out.quats || out.opacity_logits || out.means2d;
   w.colour = (out.sh || out.means) && in.rgb;
   w.mask = out.masks;
-  w.depth = in.depth;
-  w.spatial = in.mask && (w.mask || w.shape);
+  w.depth = in.depth, w.alpha = in.alpha;
+  w.spatial = in.mask && (w.mask || w.shape) && f.mask_kind != kMaskNone;
   return w;
 }
 
-template <bool scenario>
-void backward_tile_as(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, int64_t tile, R* slots) {
-  const Lanes lanes = block_lanes();
+constexpr int kVisitsAhead = 24;  // a visit takes longer than a look at a list entry: fewer ahead than in the forward pass
+
+template <bool spatial, bool scenario>
+void backward_tile_as(const Frame& f, const Wanted& want, const svrgs_image_grads& in, int64_t tile, R* slots) {
   const TileOrigin o = tile_origin(f, tile);
-  Wanted want = wanted(in, out);
-  want.spatial = want.spatial && f.mask_kind != kMaskNone;
-  BackwardTile t;
-  start_backward(f, in, tile, t);
+  const AllLanes& lanes = all_lanes();
+  BackwardBlock blocks[kBlocks];
+  start_backward(f, in, tile, blocks);
   const TileEntry* const end = f.entries + f.tile_begin[tile + 1];
   for (const TileEntry* e = f.entries + f.tile_begin[tile]; e < end; ++e) {
     const TileEntry entry = *e;
-    if (e + kAhead < end) {
-      prefetch_splat(f, e + kAhead, end);
-      __builtin_prefetch(f.hits + e[kAhead].slot);
-      __builtin_prefetch(slots + static_cast<int64_t>(e[kAhead].slot) * kSlotWidth, 1);
+    if (e + kVisitsAhead < end) {
+      const TileEntry coming = e[kVisitsAhead];
+      __builtin_prefetch(&splat_of(f, coming));
+      __builtin_prefetch(f.hits + coming.slot);
+      __builtin_prefetch(slots + static_cast<int64_t>(coming.slot) * kSlotWidth, 1);
     }
-    uint32_t blocks_left = f.hits[entry.slot];
-    if (!blocks_left) continue;
-    const Local l = localise(f, entry.splat, o.x, o.y);
+    BlockMask left = f.hits[entry.slot];
+    if (!left) continue;
+    const Local l = localise(splat_of(f, entry), o);
     Sums a = {};
-    for (; blocks_left; blocks_left &= blocks_left - 1) accumulate_block<scenario>(f, want, t, l, lanes, __builtin_ctz(blocks_left), a);
+    for (; left; left &= left - 1) {
+      const int b = __builtin_ctzll(left);
+      for (int h = 0; h < kSub; ++h)
+        accumulate<spatial, scenario>(f, want, blocks[b], l, lanes.block[b].x[h], lanes.block[b].y[h], h * W, a);
+    }
     write_slot(a, slots + static_cast<int64_t>(entry.slot) * kSlotWidth);
   }
 }
 
 void backward_tile(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, int64_t tile, void* slots) {
-  if (f.mask_kind == kMaskA || f.mask_kind == kMaskB)
-    backward_tile_as<true>(f, in, out, tile, static_cast<R*>(slots));
+  const Wanted want = wanted(f, in, out);
+  R* const own = static_cast<R*>(slots);
+  if (!want.spatial)
+    backward_tile_as<false, false>(f, want, in, tile, own);
+  else if (f.mask_kind == kMaskA || f.mask_kind == kMaskB)
+    backward_tile_as<true, true>(f, want, in, tile, own);
   else
-    backward_tile_as<false>(f, in, out, tile, static_cast<R*>(slots));
-}
-
-// Per-Gaussian statistics of one tile: slot = sum of alpha T, its maximum, pixels blended.
-void scores_tile(const Frame& f, int64_t tile, void* slots) {
-  const Lanes lanes = block_lanes();
-  const TileOrigin o = tile_origin(f, tile);
-  ForwardTile t;
-  start_tile(f, o, lanes, t);
-  const V stop = splat(R(kStop));
-  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
-    const TileEntry entry = f.entries[e];
-    const Local l = localise(f, entry.splat, o.x, o.y);
-    V total = splat(0), best = splat(0), pixels = splat(0);
-    if (l.s->mask == 0) continue;
-    for (uint32_t blocks_left = f.hits[entry.slot]; blocks_left; blocks_left &= blocks_left - 1) {
-      const int b = __builtin_ctz(blocks_left);
-      for (int h = 0; h < kSub; ++h) {
-        const Hit hit = evaluate(l, lanes, b, h);
-        const V weight = keep(hit.hit, hit.alpha * t.T[b][h]), next = t.T[b][h] - weight;
-        const M live = both(hit.hit, at_least(next, stop));
-        t.T[b][h] = next;
-        total += keep(live, weight);
-        best = max(best, keep(live, weight));
-        pixels = add_if(live, pixels, splat(1));
-      }
-    }
-    R* slot = static_cast<R*>(slots) + static_cast<int64_t>(entry.slot) * kSlotWidth;
-    slot[0] = sum(total), slot[1] = largest(best), slot[2] = sum(pixels);
-  }
+    backward_tile_as<true, false>(f, want, in, tile, own);
 }

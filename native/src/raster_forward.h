@@ -1,69 +1,13 @@
-// Stage 4: blends one 16x16 tile front to back, in 4x4 blocks of 16 lanes. Per lane it carries the running transmittance T
-// of every hit; colours stop at the first T below 1e-4 (T never rises again), F goes on where Frame::full asks for it.
+// Stage 4: blends one tile front to back. The list is taken in chunks; each chunk is sorted into the 4x4 blocks its Gaussians
+// reach, and each block walks its own list with its 16 pixels in registers. A lane carries the running transmittance T of
+// every hit; colours stop at the first T below 1e-4 (T never rises again), F goes on where Frame::full asks for it.
 
-struct Lanes {
-  V x[kSub], y[kSub];
-};
+using BlockMask = BlockBits;
 
-inline Lanes block_lanes() {
-  Lanes l;
-  for (int i = 0; i < kBlockPixels; ++i) {
-    l.x[i / W][i % W] = static_cast<R>(i % kBlock);
-    l.y[i / W][i % W] = static_cast<R>(i / kBlock);
-  }
-  return l;
-}
-
-// A Gaussian as seen from one tile: offsets of the tile's first pixel centre from the splat's centre.
+// A Gaussian as seen from one tile: (x, y) from its centre to the tile's corner pixel, the rest as in Splat.
 struct Local {
-  const Splat<R>* s;
-  R x, y;
+  R x, y, l11, l12, l22, log2_opacity, rgb[3], depth, mask;
 };
-
-inline Local localise(const Frame& f, uint32_t id, int tile_x, int tile_y) {
-  const Splat<R>& s = static_cast<const Splat<R>*>(f.splats)[id];
-  return {&s, static_cast<R>(tile_x * kTile + 0.5 - s.x), static_cast<R>(tile_y * kTile + 0.5 - s.y)};
-}
-
-// Blocks of the tile the 1/255 ellipse can reach, one bit each.
-inline uint32_t reached_blocks(const Local& l, const Lanes& blocks) {
-  const Splat<R>& s = *l.s;
-  const V t = splat(threshold(s)), l22 = splat(s.l22), inv = splat(s.inv_l11), slope = splat(-s.l12 * s.inv_l11), ye = splat(s.y_extreme);
-  const V size = splat(R(kBlock - 1) + kBorderMargin), margin = splat(kBorderMargin);
-  uint32_t mask = 0;
-  for (int h = 0; h < kSub; ++h) {
-    const V low = splat(l.y) + R(kBlock) * blocks.y[h], first = splat(l.x) + R(kBlock) * blocks.x[h];
-    const Extent<V> e = ellipse_extent<V>(t, l22, inv, slope, ye, low - margin, low + size);
-    const M hit = both(both(at_least(e.depth, splat(0)), at_least(e.right, first - margin)), at_least(first + size, e.left));
-    mask |= bits(hit) << (h * W);
-  }
-  return mask;
-}
-
-struct Hit {
-  V alpha, dx, dy;
-  M hit, free;  // alpha >= 1/255; alpha below the clamp
-};
-
-// alpha of one Gaussian at the lanes of one (sub-)block. Forward, backward and scores call this and nothing else.
-inline Hit evaluate(const Local& l, const Lanes& lanes, int block, int h) {
-  const Splat<R>& s = *l.s;
-  Hit r;
-  r.dx = splat(l.x + R(kBlock * (block % kBlock))) + lanes.x[h];
-  r.dy = splat(l.y + R(kBlock * (block / kBlock))) + lanes.y[h];
-  const V u = fma(splat(s.l11), r.dx, splat(s.l12) * r.dy), v = splat(s.l22) * r.dy;
-  const V alpha = exp2(fnma(u, u, fnma(v, v, splat(s.log2_opacity))));
-  r.hit = at_least(alpha, splat(R(kAlphaCut)));
-  r.free = less(alpha, splat(R(kAlphaMax)));
-  r.alpha = min(alpha, splat(R(kAlphaMax)));
-  return r;
-}
-
-constexpr int kAhead = 8;  // list entries fetched before they are needed: the list is in order, the splats are not
-
-inline void prefetch_splat(const Frame& f, const TileEntry* entry, const TileEntry* end) {
-  if (entry < end) __builtin_prefetch(static_cast<const Splat<R>*>(f.splats) + entry->splat);
-}
 
 struct TileOrigin {
   int x, y;  // tile coordinates
@@ -73,129 +17,278 @@ inline TileOrigin tile_origin(const Frame& f, int64_t tile) {
   return {static_cast<int>(tile % f.tiles_x), static_cast<int>(tile / f.tiles_x)};
 }
 
+inline const Splat<R>& splat_of(const Frame& f, TileEntry e) { return static_cast<const Splat<R>*>(f.splats)[e.splat]; }
+
+inline Local localise(const Splat<R>& s, TileOrigin o) {
+  return {static_cast<R>(o.x * kTile + 0.5 - s.x), static_cast<R>(o.y * kTile + 0.5 - s.y), s.l11, s.l12, s.l22, s.log2_opacity,
+          {s.rgb[0], s.rgb[1], s.rgb[2]}, s.depth, s.mask};
+}
+
+constexpr int kAhead = 16;  // list entries fetched before they are needed: the list is in order, the splats are not
+
+inline void prefetch_splat(const Frame& f, const TileEntry* entry, const TileEntry* end) {
+  if (entry < end) __builtin_prefetch(&splat_of(f, *entry));
+}
+
+// Pixel offsets of the lanes of a block from the tile's corner pixel.
+struct Lanes {
+  V x[kSub], y[kSub];
+};
+
+inline Lanes block_lanes(int block) {
+  Lanes l;
+  for (int i = 0; i < kBlockPixels; ++i) {
+    l.x[i / W][i % W] = static_cast<R>(kBlockWidth * (block % kBlockColumns) + i % kBlockWidth);
+    l.y[i / W][i % W] = static_cast<R>(kBlockHeight * (block / kBlockColumns) + i / kBlockWidth);
+  }
+  return l;
+}
+
+struct AllLanes {  // of a tile's blocks; the same for every tile
+  Lanes block[kBlocks];
+  AllLanes() {
+    for (int b = 0; b < kBlocks; ++b) block[b] = block_lanes(b);
+  }
+};
+
+inline const AllLanes& all_lanes() {
+  static const AllLanes lanes;
+  return lanes;
+}
+
+struct Hit {
+  V alpha, u, v;  // u, v: as in Splat
+  M hit;          // alpha >= 1/255
+};
+
+// alpha of one Gaussian at W pixels, not yet clamped. Forward, backward and scores call this and nothing else. What it says
+// where `hit` is not set means nothing.
+inline Hit evaluate(const Local& l, V x, V y) {
+  Hit r;
+  const V dx = splat(l.x) + x, dy = splat(l.y) + y;
+  r.u = fma(splat(l.l11), dx, splat(l.l12) * dy);
+  r.v = splat(l.l22) * dy;
+  const V exponent = fnma(r.u, r.u, fnma(r.v, r.v, splat(l.log2_opacity)));
+  r.hit = at_least(exponent, splat(R(kLog2Cut)));
+  r.alpha = exp2(exponent);
+  return r;
+}
+
+inline V clamped(V alpha) { return min(alpha, splat(R(kAlphaMax))); }
+
+// Up to kChunk entries of a tile's list, and for each block those that reach it.
+constexpr int kChunk = 128;
+static_assert(kChunk <= 256 && kChunk % 16 == 0);
+
+struct Chunk {
+  Local local[kChunk];
+  R reach[kChunk], l22[kChunk], inv_l11[kChunk], slope[kChunk], y_extreme[kChunk], x[kChunk], y[kChunk];
+  BlockMask visit[kChunk];  // blocks the backward pass must visit
+  uint8_t list[kBlocks][kChunk + 16];  // append_lanes writes 16 at a time
+  int listed[kBlocks];
+};
+
+// Adds entries [first, first + W) to the lists of the blocks their ellipses reach.
+inline void list_blocks(const Frame& f, Chunk& c, int first, int count, BlockMask active) {
+  const V reach = load(c.reach + first), l22 = load(c.l22 + first), inv = load(c.inv_l11 + first), slope = load(c.slope + first);
+  const V ye = load(c.y_extreme + first), x = load(c.x + first), y = load(c.y + first), margin = splat(kBorderMargin);
+  constexpr BlockMask row = (BlockMask(1) << kBlockColumns) - 1;
+  for (int b = 0; b < kBlocks; b += kBlockColumns) {
+    if (!(active & row << b)) continue;
+    const V low = y + splat(R(b / kBlockColumns * kBlockHeight)), high = low + splat(R(kBlockHeight - 1));
+    const Extent<V> e = ellipse_extent<V>(reach, l22, inv, slope, ye, low - margin, high + margin);
+    const M crosses = at_least(e.depth, splat(0));
+    const V right = e.right + margin, left = e.left - margin;
+    for (int column = 0; column < kBlockColumns; ++column) {
+      const int block = b + column;
+      if (!(active >> block & 1)) continue;
+      const V from = x + splat(R(column * kBlockWidth)), to = from + splat(R(kBlockWidth - 1));
+      uint32_t hit = bits(both(crosses, both(at_least(right, from), at_least(to, left))));
+      if (f.without & SVRGS_BLOCK_TESTS) hit = (1u << W) - 1;
+      if (count < W) hit &= (1u << count) - 1;
+      c.listed[block] = append_lanes(c.list[block], c.listed[block], first, hit);
+    }
+  }
+}
+
+inline void gather_chunk(const Frame& f, TileOrigin o, const TileEntry* entries, const TileEntry* end, int n, BlockMask active, Chunk& c) {
+  for (int k = 0; k < n; ++k) {
+    prefetch_splat(f, entries + k + kAhead, end);
+    const Splat<R>& s = splat_of(f, entries[k]);
+    c.local[k] = localise(s, o);
+    c.reach[k] = reach2(f, s), c.l22[k] = s.l22, c.inv_l11[k] = s.inv_l11, c.slope[k] = s.slope, c.y_extreme[k] = s.y_extreme;
+    c.x[k] = c.local[k].x, c.y[k] = c.local[k].y;
+    c.visit[k] = 0;
+  }
+  std::fill_n(c.listed, kBlocks, 0);
+  for (int k = 0; k < n; k += W) list_blocks(f, c, k, n - k, active);
+}
+
+// What is counted beside the colours, fixed when compiling.
+struct Walk {
+  bool count, full, scenario;
+};
+
+// Running values of W pixels; their home is Frame::state.
+struct Pixels {
+  V T, final_T, red, green, blue, depth, count, dropped, sums[4];
+};
+
+// Per-pixel sums behind scenarios A and B (paper Eq. 12-16), over counted hits:
+// A: sum w, sum M w, sum alpha T w^2, sum M alpha T w^2 with w = 1 / (alpha T + eps).  B: sum M (1 - T), sum M T.
+inline void add_scenario(const Frame& f, Pixels& p, V alpha, V T, R mask, M counted) {
+  if (f.mask_kind == kMaskA) {
+    const V weight = alpha * T, w = splat(1) / (weight + splat(static_cast<R>(f.eps_a))), slope = weight * w * w;
+    p.sums[0] = add_if(counted, p.sums[0], w);
+    p.sums[2] = add_if(counted, p.sums[2], slope);
+    if (mask == 0) return;
+    p.sums[1] = add_if(counted, p.sums[1], w);
+    p.sums[3] = add_if(counted, p.sums[3], slope);
+  } else if (mask != 0) {
+    p.sums[0] = add_if(counted, p.sums[0], splat(1) - T);
+    p.sums[1] = add_if(counted, p.sums[1], T);
+  }
+}
+
+template <Walk walk>
+inline void count_hit(const Frame& f, Pixels& p, V alpha, V T, R mask, M counted) {
+  if constexpr (walk.count) p.count = add_if(counted, p.count, splat(1));
+  if (walk.count && mask == 0) p.dropped = add_if(counted, p.dropped, splat(1));
+  if constexpr (walk.scenario) add_scenario(f, p, alpha, T, mask, counted);
+}
+
+// Blends a block's list into W of its pixels until all have stopped; returns whether one goes on.
+template <Walk walk>
+inline bool blend_list(const Frame& f, Chunk& c, int block, V x, V y, Pixels& p) {
+  const V stop = splat(R(kStop));
+  const uint8_t *at = c.list[block], *const end = at + c.listed[block];
+  const bool to_end = f.without & SVRGS_TERMINATION;
+  M open = at_least(p.T, stop);
+  for (; at < end && (any(open) || to_end); ++at) {
+    const Local& l = c.local[*at];
+    const Hit e = evaluate(l, x, y);
+    const V alpha = clamped(e.alpha), T = p.T;
+    const M hit = walk.full ? e.hit : both(e.hit, open);
+    M counted = hit;
+    if (l.mask != 0) {
+      const V weight = keep(e.hit, alpha * T), next = T - weight;
+      const M live = at_least(next, stop);
+      const V w = keep(live, weight);
+      p.red = fma(w, splat(l.rgb[0]), p.red);
+      p.green = fma(w, splat(l.rgb[1]), p.green);
+      p.blue = fma(w, splat(l.rgb[2]), p.blue);
+      if (f.want_depth) p.depth = fma(w, splat(l.depth), p.depth);
+      p.final_T = select(and_not(live, open), T, p.final_T);
+      if (!walk.full) counted = both(hit, live);
+      p.T = next, open = live;
+    }
+    count_hit<walk>(f, p, alpha, T, l.mask, counted);
+    c.visit[*at] |= static_cast<BlockMask>(any(hit)) << block;
+  }
+  if constexpr (walk.full)
+    for (; at < end; ++at) {  // behind the stop only F is left
+      const Local& l = c.local[*at];
+      const Hit e = evaluate(l, x, y);
+      const V alpha = clamped(e.alpha), T = p.T;
+      if (l.mask != 0) p.T = T - keep(e.hit, alpha * T);
+      count_hit<walk>(f, p, alpha, T, l.mask, e.hit);
+      c.visit[*at] |= static_cast<BlockMask>(any(e.hit)) << block;
+    }
+  return any(open);
+}
+
 inline R* tile_state(const Frame& f, int64_t tile) {
   return static_cast<R*>(f.state) + tile * (kBlocks * kFields * kBlockPixels);
 }
 
-// Running values of one tile, block-major; a lane outside the image starts with T = 0 and so never counts as open.
-struct ForwardTile {
-  V T[kBlocks][kSub], final_T[kBlocks][kSub], red[kBlocks][kSub], green[kBlocks][kSub], blue[kBlocks][kSub], depth[kBlocks][kSub];
-  V count[kBlocks][kSub], dropped[kBlocks][kSub];  // N, and those among them with M = 0
-  V sums[4][kBlocks][kSub];                        // scenarios: see add_scenario
-  uint32_t open, inside;                           // blocks with a pixel whose colour goes on; with a pixel in the image
-};
+inline R* block_state(R* tile, int block, int h) { return tile + block * (kFields * kBlockPixels) + h * W; }
 
-inline void start_tile(const Frame& f, TileOrigin o, const Lanes& lanes, ForwardTile& t) {
-  __builtin_memset(&t, 0, sizeof t);
+template <Walk walk>
+inline Pixels load_pixels(const Frame& f, const R* at) {
+  const auto field = [&](Field k) { return load(at + k * kBlockPixels); };
+  Pixels p = {};
+  p.T = field(kFullT), p.final_T = field(kFinalT), p.red = field(kRed), p.green = field(kGreen), p.blue = field(kBlue);
+  if (f.want_depth) p.depth = field(kDepth);
+  if constexpr (walk.count) p.count = field(kCount), p.dropped = field(kDropped);
+  if constexpr (walk.scenario)
+    for (int k = 0; k < 4; ++k) p.sums[k] = field(Field(kSum0 + k));
+  return p;
+}
+
+template <Walk walk>
+inline void store_pixels(const Frame& f, R* at, const Pixels& p) {
+  const auto field = [&](Field k, V v) { store(at + k * kBlockPixels, v); };
+  field(kFullT, p.T), field(kFinalT, p.final_T), field(kRed, p.red), field(kGreen, p.green), field(kBlue, p.blue);
+  if (f.want_depth) field(kDepth, p.depth);
+  if constexpr (walk.count) field(kCount, p.count), field(kDropped, p.dropped);
+  if constexpr (walk.scenario)
+    for (int k = 0; k < 4; ++k) field(Field(kSum0 + k), p.sums[k]);
+}
+
+// Clears a tile; returns its blocks with a pixel in the image. Pixels outside start with T = 0 and so never count as open.
+template <Walk walk>
+inline BlockMask start_tile(const Frame& f, TileOrigin o, R* state) {
   const V right = splat(static_cast<R>(f.width - o.x * kTile)), bottom = splat(static_cast<R>(f.height - o.y * kTile));
+  BlockMask inside = 0;
   for (int b = 0; b < kBlocks; ++b)
     for (int h = 0; h < kSub; ++h) {
-      const V x = splat(R(kBlock * (b % kBlock))) + lanes.x[h], y = splat(R(kBlock * (b / kBlock))) + lanes.y[h];
-      const M in = both(less(x, right), less(y, bottom));
-      t.T[b][h] = t.final_T[b][h] = keep(in, splat(1));
-      t.inside |= static_cast<uint32_t>(any(in)) << b;
+      const Lanes& lanes = all_lanes().block[b];
+      const M in = both(less(lanes.x[h], right), less(lanes.y[h], bottom));
+      Pixels p = {};
+      p.T = keep(in, splat(1));
+      store_pixels<walk>(f, block_state(state, b, h), p);
+      inside |= static_cast<BlockMask>(any(in)) << b;
     }
-  t.open = t.inside;
+  return inside;
 }
 
-// Per-pixel sums behind scenarios A and B (paper Eq. 12-16), over counted hits:
-// A: sum w, sum M w, sum alpha T w^2, sum M alpha T w^2 with w = 1 / (alpha T + eps).  B: sum M (1 - T), sum M T.
-inline void add_scenario(const Frame& f, ForwardTile& t, int b, int h, V alpha, V T, R mask, M counted) {
-  if (f.mask_kind == kMaskA) {
-    const V weight = alpha * T, w = splat(1) / (weight + splat(static_cast<R>(f.eps_a))), slope = weight * w * w;
-    t.sums[0][b][h] = add_if(counted, t.sums[0][b][h], w);
-    t.sums[2][b][h] = add_if(counted, t.sums[2][b][h], slope);
-    if (mask == 0) return;
-    t.sums[1][b][h] = add_if(counted, t.sums[1][b][h], w);
-    t.sums[3][b][h] = add_if(counted, t.sums[3][b][h], slope);
-  } else if (mask != 0) {
-    t.sums[0][b][h] = add_if(counted, t.sums[0][b][h], splat(1) - T);
-    t.sums[1][b][h] = add_if(counted, t.sums[1][b][h], T);
-  }
-}
-
-// One Gaussian over one block. Returns whether the backward pass must visit it here: it was counted in a lane, or ended one.
-template <bool scenario>
-inline bool blend_block(const Frame& f, ForwardTile& t, const Local& l, const Lanes& lanes, int b, bool open) {
-  const Splat<R>& s = *l.s;
-  const V stop = splat(R(kStop));
-  bool matters = false, still_open = false;
-  for (int h = 0; h < kSub; ++h) {
-    const Hit e = evaluate(l, lanes, b, h);
-    const V T = t.T[b][h];
-    if (!any(e.hit)) {
-      still_open |= open && any(at_least(T, stop));
-      continue;
-    }
-    V next = T;
-    M counted = e.hit;
-    if (s.mask != 0) {
-      const V weight = keep(e.hit, e.alpha * T);
-      next = T - weight;
-      const M live = at_least(next, stop);
-      if (!f.full) counted = both(e.hit, live);
-      if (open) {
-        const V w = keep(live, weight);
-        t.red[b][h] = fma(w, splat(s.rgb[0]), t.red[b][h]);
-        t.green[b][h] = fma(w, splat(s.rgb[1]), t.green[b][h]);
-        t.blue[b][h] = fma(w, splat(s.rgb[2]), t.blue[b][h]);
-        if (f.want_depth) t.depth[b][h] = fma(w, splat(s.depth), t.depth[b][h]);
-        t.final_T[b][h] = select(live, next, t.final_T[b][h]);
-        still_open |= any(live);
-      }
-      t.T[b][h] = next;
-    } else {
-      const M live = at_least(T, stop);
-      if (!f.full) counted = both(e.hit, live);
-      still_open |= any(live);
-      t.dropped[b][h] = add_if(counted, t.dropped[b][h], splat(1));
-    }
-    t.count[b][h] = add_if(counted, t.count[b][h], splat(1));
-    matters |= f.full || any(both(e.hit, at_least(T, stop)));
-    if constexpr (scenario) add_scenario(f, t, b, h, e.alpha, T, s.mask, counted);
-  }
-  if (open && !still_open) t.open &= ~(1u << b);
-  return matters;
-}
-
-inline void finish_tile(const Frame& f, int64_t tile, const ForwardTile& t) {
-  R* out = tile_state(f, tile);
+template <Walk walk>
+inline void finish_tile(R* state) {
   for (int b = 0; b < kBlocks; ++b)
     for (int h = 0; h < kSub; ++h) {
-      R* lanes = out + b * kFields * kBlockPixels + h * W;
-      const V* fields[kFields] = {&t.red[b][h], &t.green[b][h], &t.blue[b][h], &t.depth[b][h], &t.final_T[b][h],
-                                  f.full ? &t.T[b][h] : &t.final_T[b][h], &t.count[b][h], &t.dropped[b][h],
-                                  &t.sums[0][b][h], &t.sums[1][b][h], &t.sums[2][b][h], &t.sums[3][b][h]};
-      for (int k = 0; k < kFields; ++k) store(lanes + k * kBlockPixels, *fields[k]);
+      R *const T = block_state(state, b, h) + kFullT * kBlockPixels, *const final_T = block_state(state, b, h) + kFinalT * kBlockPixels;
+      store(final_T, select(at_least(load(T), splat(R(kStop))), load(T), load(final_T)));
+      if constexpr (!walk.full) store(T, load(final_T));
     }
 }
 
-template <bool scenario>
+template <Walk walk>
 void forward_tile_as(const Frame& f, int64_t tile) {
-  const Lanes lanes = block_lanes();
   const TileOrigin o = tile_origin(f, tile);
-  ForwardTile t;
-  start_tile(f, o, lanes, t);
-  const TileEntry* const end = f.entries + f.tile_begin[tile + 1];
-  for (const TileEntry* e = f.entries + f.tile_begin[tile]; e < end; ++e) {
-    const TileEntry entry = *e;
-    uint32_t visit = 0;
-    if (f.full || t.open) {
-      prefetch_splat(f, e + kAhead, end);
-      const Local l = localise(f, entry.splat, o.x, o.y);
-      for (uint32_t blocks_left = reached_blocks(l, lanes) & (f.full ? t.inside : t.open); blocks_left; blocks_left &= blocks_left - 1) {
-        const int b = __builtin_ctz(blocks_left);
-        visit |= static_cast<uint32_t>(blend_block<scenario>(f, t, l, lanes, b, t.open >> b & 1)) << b;
+  R* const state = tile_state(f, tile);
+  const BlockMask inside = start_tile<walk>(f, o, state);
+  BlockMask open = inside;
+  const TileEntry *entry = f.entries + f.tile_begin[tile], *const end = f.entries + f.tile_begin[tile + 1];
+  Chunk c;
+  while (entry < end && (walk.full || open || f.without & SVRGS_TERMINATION)) {
+    const int n = static_cast<int>(std::min<int64_t>(kChunk, end - entry));
+    const BlockMask active = walk.full || f.without & SVRGS_TERMINATION ? inside : open;
+    gather_chunk(f, o, entry, end, n, active, c);
+    for (BlockMask left = active; left; left &= left - 1) {
+      const int b = __builtin_ctzll(left);
+      if (!c.listed[b]) continue;
+      bool goes_on = false;
+      for (int h = 0; h < kSub; ++h) {
+        R* const at = block_state(state, b, h);
+        Pixels p = load_pixels<walk>(f, at);
+        goes_on |= blend_list<walk>(f, c, b, all_lanes().block[b].x[h], all_lanes().block[b].y[h], p);
+        store_pixels<walk>(f, at, p);
       }
+      if (!goes_on) open &= ~(BlockMask(1) << b);
     }
-    f.hits[entry.slot] = static_cast<uint16_t>(visit);
+    for (int k = 0; k < n; ++k) f.hits[entry[k].slot] = c.visit[k];
+    entry += n;
   }
-  finish_tile(f, tile, t);
+  for (; entry < end; ++entry) f.hits[entry->slot] = 0;
+  finish_tile<walk>(state);
 }
 
 void forward_tile(const Frame& f, int64_t tile) {
-  if (f.mask_kind == kMaskA || f.mask_kind == kMaskB)
-    forward_tile_as<true>(f, tile);
+  const bool scenario = f.mask_kind == kMaskA || f.mask_kind == kMaskB;
+  if (f.mask_kind == kMaskNone)
+    forward_tile_as<Walk{false, false, false}>(f, tile);
+  else if (scenario)
+    f.full ? forward_tile_as<Walk{true, true, true}>(f, tile) : forward_tile_as<Walk{true, false, true}>(f, tile);
   else
-    forward_tile_as<false>(f, tile);
+    f.full ? forward_tile_as<Walk{true, true, false}>(f, tile) : forward_tile_as<Walk{true, false, false}>(f, tile);
 }

@@ -11,7 +11,7 @@ using V = R __attribute__((vector_size(sizeof(R) * W)));
 using I = IntR __attribute__((vector_size(sizeof(R) * W)));
 constexpr int kSub = kBlockPixels / W;  // vectors per 4x4 block
 
-inline V splat(R x) { return V{} + x; }
+inline V splat(R x) { return x - V{}; }  // x - 0 is x, -0 included: one broadcast
 inline V load(const R* p) {
   V v;
   __builtin_memcpy(&v, p, sizeof v);
@@ -28,12 +28,15 @@ inline V select(M m, V yes, V no) { return _mm512_mask_blend_ps(m, no, yes); }
 inline V keep(M m, V v) { return _mm512_maskz_mov_ps(m, v); }
 inline bool any(M m) { return m != 0; }
 inline uint32_t bits(M m) { return m; }
+inline M and_not(M a, M b) { return b & ~a; }  // b where not a
+
 inline V add_if(M m, V a, V b) { return _mm512_mask_add_ps(a, m, a, b); }
 inline V fma(V a, V b, V c) { return _mm512_fmadd_ps(a, b, c); }
 inline V fnma(V a, V b, V c) { return _mm512_fnmadd_ps(a, b, c); }
 inline V min(V a, V b) { return _mm512_min_ps(a, b); }
 inline V max(V a, V b) { return _mm512_max_ps(a, b); }
 inline V sqrt(V a) { return _mm512_sqrt_ps(a); }
+inline V rough_reciprocal(V a) { return _mm512_rcp14_ps(a); }
 inline R sum(V v) { return _mm512_reduce_add_ps(v); }
 inline __m256 fold(V v) { return _mm256_add_ps(_mm512_castps512_ps256(v), _mm512_extractf32x8_ps(v, 1)); }
 inline R largest(V v) { return _mm512_reduce_max_ps(v); }
@@ -47,12 +50,16 @@ inline V keep(M m, V v) { return (V)((I)v & m); }
 inline V add_if(M m, V a, V b) { return a + keep(m, b); }
 inline V min(V a, V b) { return a < b ? a : b; }  // b where a is NaN, as the processor's own instruction does
 inline V max(V a, V b) { return a > b ? a : b; }
+inline bool any(M m);
+inline uint32_t bits(M m);
+inline M and_not(M a, M b) { return b & ~a; }
 #if SVRGS_LANES >= 8
 inline bool any(M m) { return !_mm256_testz_si256((__m256i)m, (__m256i)m); }
 inline uint32_t bits(M m) { return static_cast<uint32_t>(_mm256_movemask_ps((__m256)m)); }
 inline V fma(V a, V b, V c) { return _mm256_fmadd_ps(a, b, c); }
 inline V fnma(V a, V b, V c) { return _mm256_fnmadd_ps(a, b, c); }
 inline V sqrt(V a) { return _mm256_sqrt_ps(a); }
+inline V rough_reciprocal(V a) { return _mm256_rcp_ps(a); }
 #else
 inline uint32_t bits(M m) {
   uint32_t b = 0;
@@ -83,6 +90,19 @@ inline R largest(V v) {
 }
 #endif
 
+// Appends first + i to list for each set bit i of `set`; writes up to 16 bytes from list + count on. Returns the new count.
+inline int append_lanes(uint8_t* list, int count, int first, uint32_t set) {
+#if SVRGS_LANES == 16
+  const __m512i lanes = _mm512_add_epi32(_mm512_set1_epi32(first), _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
+  const __m128i bytes = _mm512_cvtepi32_epi8(_mm512_maskz_compress_epi32(static_cast<__mmask16>(set), lanes));
+  _mm_storeu_si128(reinterpret_cast<__m128i*>(list + count), bytes);
+  return count + __builtin_popcount(set);
+#else
+  for (; set; set &= set - 1) list[count++] = static_cast<uint8_t>(first + __builtin_ctz(set));
+  return count;
+#endif
+}
+
 // The sums of four vectors, to out[0..3].
 #if SVRGS_LANES >= 8
 #if SVRGS_LANES == 8
@@ -96,24 +116,45 @@ inline void sum4(V a, V b, V c, V d, R* out) {
 inline void sum4(V a, V b, V c, V d, R* out) { out[0] = sum(a), out[1] = sum(b), out[2] = sum(c), out[3] = sum(d); }
 #endif
 
+// 1 / a, to float rounding (one Newton step on the processor's estimate where it has one).
+inline V reciprocal(V a) {
+#if SVRGS_LANES >= 8
+  const V r = rough_reciprocal(a);
+  return fma(r, fnma(a, r, splat(1)), r);
+#else
+  return splat(1) / a;
+#endif
+}
+
 inline V clamp(V x, V low, V high) { return min(max(x, low), high); }
 
-// 2^x for x <= 127, relative error below 2e-7 in float (degree 5, minimax on [-0.5, 0.5], exact at whole x); 2^-126 below.
+#ifndef SVRGS_EXP_DEGREE
+#define SVRGS_EXP_DEGREE 5
+#endif
+// Minimax in relative error on [-0.5, 0.5], exact at 0: worst 9.2e-8 (degree 5), 2.8e-6 (4), 1.0e-4 (3).
+#if SVRGS_EXP_DEGREE == 5
+constexpr R kExp2[] = {R(1), R(6.931469776e-1), R(2.402224208e-1), R(5.550733748e-2), R(9.671512959e-3), R(1.326472663e-3)};
+inline V exp2_end(V f) { return fma(splat(kExp2[5]), f, splat(kExp2[4])); }
+#elif SVRGS_EXP_DEGREE == 4
+constexpr R kExp2[] = {R(1), R(6.931241930e-1), R(2.402409864e-1), R(5.590642784e-2), R(9.582852818e-3)};
+inline V exp2_end(V) { return splat(kExp2[4]); }
+#else
+constexpr R kExp2[] = {R(1), R(6.932829300e-1), R(2.422109769e-1), R(5.500892575e-2)};
+inline V exp2_end(V) { return splat(0); }
+#endif
+
+// 2^x for -126 <= x <= 127, relative error below 2e-7 in float; meaningless outside.
 inline V exp2(V x) {
   if constexpr (sizeof(R) == 8) {
     for (int i = 0; i < W; ++i) x[i] = std::exp2(x[i]);
     return x;
   } else {
-    x = max(x, splat(-126));
     const V magic = splat(12582912.0f);  // 1.5 * 2^23: adding it rounds to an integer in the low bits
     const V t = x + magic;
     const V f = x - (t - magic);
-    V p = splat(1.326472542e-3f);
-    p = fma(p, f, splat(9.671512768e-3f));
-    p = fma(p, f, splat(5.550733749e-2f));
-    p = fma(p, f, splat(2.402224208e-1f));
-    p = fma(p, f, splat(6.931469776e-1f));
-    p = fma(p, f, splat(1));
+    const V f2 = f * f;  // pairs of terms side by side: a shorter chain than one term after the other
+    V p = fma(exp2_end(f), f2, fma(splat(kExp2[3]), f, splat(kExp2[2])));
+    p = fma(p, f2, fma(splat(kExp2[1]), f, splat(kExp2[0])));
     return (V)((I)p + ((I)t << 23));
   }
 }

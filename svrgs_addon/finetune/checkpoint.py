@@ -16,9 +16,8 @@ from ..atomic import atomic_write
 from ..errors import FormatError
 from .densify import Statistics
 from .loop import Curves, Run
-from .model import Model
 
-SCHEMA = 1
+SCHEMA = 2
 KEPT = 2  # newest checkpoints kept
 _PARTS = ("values", "first", "second")
 
@@ -28,6 +27,7 @@ def save(run: Run, folder: Path, identity: str) -> Path:
     target = folder / f"{run.iteration:07d}"
     arrays = {f"{part}.{name}": array for part in _PARTS for name, array in getattr(run.model, part).items()}
     arrays |= {"origin": run.model.origin, "statistics.total": run.statistics.total, "statistics.views": run.statistics.views}
+    arrays |= {"views.losses": run.views.losses, "views.left_out": run.views.left_out}
     with atomic_write(target / "arrays.npz") as file:
         np.savez(file, **arrays)
     manifest = {
@@ -35,6 +35,7 @@ def save(run: Run, folder: Path, identity: str) -> Path:
         "identity": identity,
         "sha256": _digest(target / "arrays.npz"),
         "iteration": run.iteration,
+        "epoch": [run.views.epoch, run.views.position],
         "initial_count": run.initial_count,
         "loss": run.loss,
         "nonfinite": run.nonfinite,
@@ -73,10 +74,14 @@ def forget(folder: Path):
 
 def _apply(run: Run, folder: Path, manifest: dict):
     with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
-        parts = {part: {name.split(".", 1)[1]: arrays[name] for name in arrays if name.startswith(part + ".")} for part in _PARTS}
-        run.model = Model(**parts, origin=arrays["origin"])
+        for part in _PARTS:
+            loaded = {name.split(".", 1)[1]: arrays[name] for name in arrays if name.startswith(part + ".")}
+            setattr(run.model, part, loaded)
+        run.model.origin = arrays["origin"]
         run.statistics = Statistics(run.model.count)
         run.statistics.total, run.statistics.views = arrays["statistics.total"], arrays["statistics.views"]
+        run.views.losses, run.views.left_out = arrays["views.losses"], arrays["views.left_out"]
+    run.views.epoch, run.views.position = manifest["epoch"]
     run.iteration, run.initial_count = manifest["iteration"], manifest["initial_count"]
     run.loss, run.nonfinite, run.seconds = manifest["loss"], manifest["nonfinite"], manifest["seconds"]
     run.curves = Curves(**manifest["curves"])

@@ -19,8 +19,9 @@ class Statistics:
 
     def add(self, visible: np.ndarray, means2d: np.ndarray, width: int, height: int):
         """visible (V,) ids; means2d (V, 2) gradients in pixels."""
-        self.total[visible] += np.hypot(means2d[:, 0] * (0.5 * width), means2d[:, 1] * (0.5 * height))
-        self.views[visible] += 1
+        rows = visible.astype(np.intp)  # once, not at each of the four accesses
+        self.total[rows] += np.hypot(means2d[:, 0] * (0.5 * width), means2d[:, 1] * (0.5 * height))
+        self.views[rows] += 1
 
     def mean(self) -> np.ndarray:
         return self.total / np.maximum(self.views, 1)  # never seen: 0

@@ -57,9 +57,11 @@ class StepResult:
     global_loss: float = 0.0  # (mean M)^2
     nonfinite: int = 0  # rows skipped because their gradient was not finite
 
+    def image_loss(self, step: Step) -> float:
+        return step.l1_weight * self.l1 + step.ssim_weight * (1 - self.ssim)
+
     def loss(self, step: Step) -> float:
-        image = step.l1_weight * self.l1 + step.ssim_weight * (1 - self.ssim)
-        return image + step.lambda_f * self.mask_loss + step.lambda_m * self.global_loss
+        return self.image_loss(step) + step.lambda_f * self.mask_loss + step.lambda_m * self.global_loss
 
 
 def mask_loss_grad(mask: np.ndarray, weight: float) -> tuple[float, np.ndarray]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
+from ..camera import Camera
 from ..dataset import Dataset
 from ..errors import Cancelled, SceneError
 from ..native import RenderOptions
@@ -17,9 +18,11 @@ from . import densify, masks
 from .engine import Step, StepResult
 from .model import Model
 from .settings import Phase, Settings, method_named
+from .views import Views, as_real, fitting_reduction
 
 SMOOTHING = 0.05  # of the loss shown
 CURVE_POINTS = 40
+SETTLED_EVERY = 50  # steps between two looks for masks that have settled
 
 
 @dataclass
@@ -45,15 +48,6 @@ class Curves:
     psnr: list[float | None] = field(default_factory=list)
 
 
-def view_order(indices: list[int], seed: int, start: int) -> Iterator[int]:
-    """Training views from iteration `start` (0-based) on: each epoch is a fresh permutation, keyed by (seed, epoch)."""
-    n = len(indices)
-    for epoch in itertools.count(start // n):
-        order = np.random.default_rng([seed, epoch]).permutation(n)
-        for k in order[start % n if epoch == start // n else 0 :]:
-            yield indices[k]
-
-
 class Run:
     """One fine-tuning run: model, position in the schedule, statistics. `advance()` does one iteration."""
 
@@ -62,12 +56,17 @@ class Run:
         self.antialiased = antialiased
         self.iteration = 0
         self.statistics = densify.Statistics(model.count)
+        self.views = Views(dataset.train_indices, settings.seed, settings.views_by_loss)
         self.initial_count = model.count
         self.curves = Curves()
         self.loss = math.nan
         self.nonfinite = 0  # Gaussian rows whose gradient was not finite and was left out
         self.seconds: dict[str, float] = {}  # by phase
-        self._views: Iterator | None = None
+        self._photographs: Iterator | None = None  # of this epoch
+
+    @cached_property
+    def extent(self) -> float:
+        return self.dataset.extent
 
     @property
     def finished(self) -> bool:
@@ -75,21 +74,17 @@ class Run:
 
     def phase(self) -> tuple[Phase, int]:
         """The phase of the next iteration, and its number within it (from 1)."""
-        number = self.iteration + 1
-        for phase in self.settings.phases:
-            if number <= phase.steps:
-                return phase, number
-            number -= phase.steps
-        raise IndexError("the run is finished")
+        return self.settings.at(self.iteration)
 
     def advance(self):
         """One iteration: loss and gradients, then densification or the optimiser step, then pruning events."""
         started = time.perf_counter()
         phase, number = self.phase()
         self._set_masks(phase)
-        step = self._step(phase, number)
+        (view, reduction), target = self._next_photograph()
+        step = self._step(phase, number, self.dataset.cameras[view].reduced(reduction), target)
         result = self.engine.step(self.model, step)
-        self._record(result, step)
+        self._record(result, step, view)
         self.iteration += 1
         self._density_control(phase, number, step, result)
         self._prune_by_masks(phase, number)
@@ -97,9 +92,32 @@ class Run:
 
     def close(self):
         """Ends the reading threads."""
-        if self._views is not None:
-            self._views.close()
-            self._views = None
+        if self._photographs is not None:
+            self._photographs.close()
+            self._photographs = None
+
+    def _next_photograph(self) -> tuple[tuple[int, int], np.ndarray]:
+        """((view, reduction), target) of the next step."""
+        if self._photographs is None:
+            self._photographs = self.dataset.stream(self._looks(), self._target)
+        try:
+            return next(self._photographs)
+        except StopIteration:  # the epoch is over
+            self._photographs = None
+            return self._next_photograph()
+
+    def _looks(self) -> Iterator[tuple[int, int]]:
+        """(view, reduction) of each step left in this epoch."""
+        for iteration, view in enumerate(self.views.rest(), self.iteration):
+            if iteration == self.settings.total:
+                return
+            phase, number = self.settings.at(iteration)
+            camera = self.dataset.cameras[view]
+            yield view, fitting_reduction(phase.reduction(number), camera.width, camera.height)
+
+    def _target(self, look: tuple[int, int]) -> np.ndarray:
+        view, reduction = look
+        return as_real(self.dataset.image(view), self.model.dtype, reduction)
 
     def _set_masks(self, phase: Phase):
         if phase.masks and not self.model.learns_masks:
@@ -107,17 +125,14 @@ class Run:
         elif not phase.masks and self.model.learns_masks:
             self.model.drop_masks()
 
-    def _step(self, phase: Phase, number: int) -> Step:
-        if self._views is None:
-            self._views = self.dataset.stream(view_order(self.dataset.train_indices, self.settings.seed, self.iteration))
-        view, image = next(self._views)
+    def _step(self, phase: Phase, number: int, camera: Camera, target: np.ndarray) -> Step:
         s = self.settings
         drawn, slope = masks.draw(self.model, s.seed, self.iteration) if phase.masks else (None, None)
         return Step(
-            camera=self.dataset.cameras[view],
-            target=as_real(image, self.model.dtype),
+            camera=camera,
+            target=target,
             number=self.iteration + 1,
-            rates=phase.rates.at(number, self.dataset.extent),
+            rates=phase.rates.at(number, self.extent),
             options=self.render_options(phase, number),
             l1_weight=s.l1_weight,
             ssim_weight=s.ssim_weight,
@@ -140,12 +155,13 @@ class Run:
         rule = phase.densify
         return rule is not None and rule.start < number < rule.until and number % rule.every == 0
 
-    def _record(self, result: StepResult, step: Step):
+    def _record(self, result: StepResult, step: Step, view: int):
         loss = result.loss(step)
         if not math.isfinite(loss):
             raise SceneError(f"the loss is not finite at iteration {self.iteration + 1} (view {step.camera.name}): the scene or its images hold bad values")
         self.loss = loss if math.isnan(self.loss) else self.loss + SMOOTHING * (loss - self.loss)
         self.nonfinite += result.nonfinite
+        self.views.shown(view, result.image_loss(step))
 
     def _density_control(self, phase: Phase, number: int, step: Step, result: StepResult):
         rule = phase.densify
@@ -154,8 +170,8 @@ class Run:
         self.statistics.add(result.visible, result.means2d, step.camera.width, step.camera.height)
         if self._densifies(phase, number):
             rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
-            keep = densify.densify(self.model, self.statistics, rule, self.dataset.extent, rng)
-            keep &= densify.worth_keeping(self.model, rule, self.dataset.extent, number > rule.reset_every)
+            keep = densify.densify(self.model, self.statistics, rule, self.extent, rng)
+            keep &= densify.worth_keeping(self.model, rule, self.extent, number > rule.reset_every)
             if phase.masks:
                 keep &= masks.ever_drawn(self.model, self.settings.seed, self.iteration, self.settings.draws)
             self._keep(keep)
@@ -170,6 +186,8 @@ class Run:
         last = number == phase.steps
         if last or (not densifying and number % phase.prune_every == 0):
             self._keep(masks.ever_drawn(self.model, self.settings.seed, self.iteration, self.settings.draws))
+        elif self.settings.drop_settled and not densifying and number % SETTLED_EVERY == 0:
+            self._keep(~masks.settled(self.model))
         if last:
             self._keep(masks.decided(self.model, self.settings.target))
 
@@ -178,13 +196,6 @@ class Run:
         if not keep.all():
             self.model.keep(keep)
             self.statistics = densify.Statistics(self.model.count)
-
-
-def as_real(image: np.ndarray, dtype) -> np.ndarray:
-    """A photograph as the loss wants it: (H, W, 3) in 0..1 of the given dtype."""
-    if image.dtype == np.uint8:
-        return np.multiply(image, dtype.type(1 / 255), dtype=dtype)
-    return np.ascontiguousarray(image, dtype)
 
 
 def run_to_end(

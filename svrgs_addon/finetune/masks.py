@@ -10,6 +10,7 @@ from .model import MASK, Model
 from .scores import top
 
 _EVENT_STREAM = 1 << 62  # keeps an event's draws apart from those of the steps
+SETTLED = 0.01  # a probability of existence below this has settled
 MIN_SHARE = 1e-3  # a run that would leave less than this share of a scene is refused
 
 
@@ -26,6 +27,11 @@ def ever_drawn(model: Model, seed: int, step: int, draws: int) -> np.ndarray:
     for k in range(draws):
         seen |= sample_masks(logits, seed, _EVENT_STREAM + step * draws + k)[0].astype(bool)
     return seen
+
+
+def settled(model: Model) -> np.ndarray:
+    """(N,) bool: p < 0.01. Fewer than one picture in 100 shows it, and the next event of 10 draws drops it with p > 0.9."""
+    return model.values[MASK] < np.log(SETTLED / (1 - SETTLED))
 
 
 def decided(model: Model, target: int = 0) -> np.ndarray:

@@ -13,6 +13,7 @@ PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 MASK = "mask_logits"
 MIN_SQUARED_DISTANCE = 1e-7
 NEIGHBOURS = 3
+BLOCK_ROWS = 65_536  # moved at a time
 INITIAL_OPACITY = 0.1
 
 
@@ -20,18 +21,25 @@ class Model:
     """N Gaussians in training: `values`, and their first and second Adam moments under the same names.
 
     Values are the arrays of Scene (raw, shapes as there) and, while masks are learned, mask_logits (N,); all of one
-    real dtype. origin (N,) int64: the row of the source scene each Gaussian came from, -1 for new ones.
+    real dtype. origin (N,) int64: the row of the source scene each Gaussian came from, -1 for new ones. beside: the
+    source scene's other fields.
     """
 
-    def __init__(self, values: dict[str, np.ndarray], first: dict | None = None, second: dict | None = None, origin: np.ndarray | None = None):
+    def __init__(
+        self, values: dict[str, np.ndarray], first: dict | None = None, second: dict | None = None,
+        origin: np.ndarray | None = None, beside: dict | None = None,
+    ):  # fmt: skip
         self.values = values
-        self.first = first or {name: np.zeros_like(v) for name, v in values.items()}
-        self.second = second or {name: np.zeros_like(v) for name, v in values.items()}
+        self.first = first or {name: np.zeros(v.shape, v.dtype) for name, v in values.items()}
+        self.second = second or {name: np.zeros(v.shape, v.dtype) for name, v in values.items()}
         self.origin = np.arange(self.count) if origin is None else origin
+        self.beside = beside or {}
 
     @classmethod
-    def of(cls, scene: Scene, dtype=np.float32) -> Model:
-        return cls({name: getattr(scene, name).astype(dtype) for name in PARAMETERS})
+    def of(cls, scene: Scene, dtype=np.float32, copy: bool = True) -> Model:
+        """copy=False: takes over the scene's own arrays, and changes them."""
+        values = {name: getattr(scene, name).astype(dtype, copy=copy) for name in PARAMETERS}
+        return cls(values, beside={name: value for name, value in vars(scene).items() if name not in PARAMETERS})
 
     def __getattr__(self, name: str) -> np.ndarray:  # the rasteriser reads a model as it reads a Scene
         try:
@@ -60,12 +68,13 @@ class Model:
         for arrays in (self.values, self.first, self.second):
             arrays.pop(MASK, None)
 
-    def keep(self, index: np.ndarray):
-        """Keeps the rows named by a boolean mask or an index array, in that order, moments included."""
+    def keep(self, mask: np.ndarray):
+        """Keeps the rows where mask (N,) is True, moments included. Within the arrays' own memory: a copy would be the run's peak."""
+        rows = np.flatnonzero(mask)
         for arrays in (self.values, self.first, self.second):
             for name, array in arrays.items():
-                arrays[name] = np.ascontiguousarray(array[index])
-        self.origin = self.origin[index]
+                arrays[name] = moved_up(array, rows)
+        self.origin = self.origin[rows]
 
     def append(self, rows: dict[str, np.ndarray]):
         """Adds new Gaussians with zero moments; rows: an array for every name in `values`."""
@@ -77,13 +86,25 @@ class Model:
             self.second[name] = np.concatenate([self.second[name], zeros])
         self.origin = np.concatenate([self.origin, np.full(added, -1)])
 
-    def scene(self, source: Scene) -> Scene:
-        """The model as a Scene: its arrays, and what `source` says beside them as far as it still fits."""
+    def forget_moments(self):
+        """At the end of a run, two thirds of its memory."""
+        self.first, self.second = {}, {}
+
+    def scene(self) -> Scene:
+        """The model as a Scene: its arrays, which are not copied, and what the source says beside them as far as it still fits."""
         arrays = {name: np.ascontiguousarray(self.values[name], np.float32) for name in PARAMETERS}
-        fits = bool((self.origin >= 0).all())
-        attributes = {name: column[self.origin] for name, column in source.attributes.items()} if fits else {}
-        order = source.property_order if fits else ()
-        return Scene(**arrays, antialiased=source.antialiased, attributes=attributes, comments=source.comments, property_order=order)
+        if (self.origin < 0).any():
+            return Scene(**arrays, **(self.beside | {"attributes": {}, "property_order": ()}))
+        attributes = {name: column[self.origin] for name, column in self.beside.get("attributes", {}).items()}
+        return Scene(**arrays, **(self.beside | {"attributes": attributes}))
+
+
+def moved_up(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """array[rows] for ascending rows, in the first part of the array's own memory."""
+    for start in range(0, len(rows), BLOCK_ROWS):
+        part = rows[start : start + BLOCK_ROWS]
+        array[start : start + len(part)] = array[part]
+    return array[: len(rows)]
 
 
 def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3) -> Scene:
@@ -106,7 +127,7 @@ def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3
     sh = np.zeros((n, SH_COEFFICIENTS[sh_degree], 3), np.float32)
     sh[:, 0] = (colors / 255.0 - 0.5) / SH_C0
     return Scene(
-        means=np.ascontiguousarray(points, np.float32),
+        means=np.array(points, np.float32, order="C"),
         log_scales=np.repeat(0.5 * np.log(squared)[:, None], 3, axis=1).astype(np.float32),
         quats=quats,
         opacity_logits=np.full(n, np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)), np.float32),

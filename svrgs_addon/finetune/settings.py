@@ -90,6 +90,14 @@ class Phase:
     masks: bool = False
     prune_every: int = 1_000  # 10-draw pruning events, outside densification
     sh_every: int = 0  # raise the SH degree every so many steps; 0: all bands from the start
+    coarse_until: int = 0  # steps up to this one look at reduced photographs
+    coarse_factor: int = 2  # pixels a side that become one at first, a power of 2; halved in equal stretches
+
+    def reduction(self, number: int) -> int:
+        """Pixels a side that step `number` (from 1) sees as one."""
+        if number > self.coarse_until:
+            return 1
+        return self.coarse_factor >> (number - 1) * (self.coarse_factor.bit_length() - 1) // self.coarse_until
 
 
 @dataclass(frozen=True)
@@ -105,6 +113,8 @@ class Settings:
     seed: int = 0
     mask_init: float = 9.0
     draws: int = 10
+    drop_settled: bool = False  # do not wait for an event to prune what has all but ceased to exist (benchmarks/jobs.py: not worth it)
+    views_by_loss: bool = False  # show the views with the lower loss every other epoch only
     l1_weight: float = 0.8
     ssim_weight: float = 0.2
     min_contribution: float = 0.0  # before all else, drop what never reaches this alpha T in a training view
@@ -114,6 +124,15 @@ class Settings:
     @property
     def total(self) -> int:
         return sum(phase.steps for phase in self.phases)
+
+    def at(self, iteration: int) -> tuple[Phase, int]:
+        """The phase of iteration 0, 1, ... of the run, and its step's number within it (from 1)."""
+        number = iteration + 1
+        for phase in self.phases:
+            if number <= phase.steps:
+                return phase, number
+            number -= phase.steps
+        raise IndexError("the run is finished")
 
 
 def method_named(name: str) -> Method:
@@ -134,10 +153,12 @@ def weights(method: str, lambda_f: float | None) -> dict:
     return {"method": method, "lambda_f": m.lambda_f if lambda_f is None else lambda_f, "lambda_m": m.lambda_m}
 
 
-def train_settings(method: str, iterations: int, recovery: int, *, lambda_f: float | None = None, densify: Densify = Densify(), **rest) -> Settings:
+def train_settings(
+    method: str, iterations: int, recovery: int, *, lambda_f: float | None = None, densify: Densify = Densify(), coarse_until: int = 0, **rest
+) -> Settings:
     """`svrgs train`: 3DGS from the sparse points, masks learned along the way where the method has them."""
     masks = method_named(method).learns_masks
-    phases = [Phase("train", iterations, Rates(), densify, masks, sh_every=1_000)]
+    phases = [Phase("train", iterations, Rates(), densify, masks, sh_every=1_000, coarse_until=coarse_until)]
     if recovery:
         phases.append(recovery_phase(recovery, Rates().at(iterations, 1.0)["means"]))
     return Settings(phases=tuple(phases), **weights(method, lambda_f), **rest)

@@ -24,11 +24,17 @@ def unusable(scene: Scene) -> np.ndarray:
     NaN anywhere, an infinite mean, quaternion, SH coefficient or size, or a quaternion of no length.
     """
     good = ~np.isnan(scene.opacity_logits)
-    good &= (scene.log_scales < np.inf).all(axis=1)  # false for NaN too
-    good &= np.abs(scene.quats).max(axis=1) > MIN_QUAT
+    good &= _rows(scene.log_scales < np.inf)  # false for NaN too
+    good &= np.abs(np.ascontiguousarray(scene.quats.T)).max(axis=0) > MIN_QUAT
     for array in (scene.means, scene.quats, scene.sh.reshape(scene.count, 3 * scene.sh.shape[1])):
-        good &= np.isfinite(array).all(axis=1)
+        good &= _rows(np.isfinite(array))
     return ~good
+
+
+def _rows(flags: np.ndarray) -> np.ndarray | np.bool_:
+    """flags.all(axis=1), or one True for all rows: NumPy is slow on short rows, and most scenes are sound."""
+    everywhere = flags.all()
+    return everywhere if everywhere else flags.all(axis=1)
 
 
 def drop_nonfinite(scene: Scene) -> tuple[Scene, int]:

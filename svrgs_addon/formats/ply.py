@@ -6,24 +6,23 @@ types, and header comments travel with the Scene. Data is kept raw: see finite.p
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import re
-import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from ..atomic import atomic_write, check_writable
+from ..atomic import atomic_write, check_writable, start_storing
 from ..errors import FormatError, SceneError
 from ..scene import SH_COEFFICIENTS, Scene
-from .ply_header import ENCODINGS, MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, parse_header
+from .ply_body import MAX_ASCII_BYTES, Body, blocks, empty_arrays, named_columns
+from .ply_header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, parse_header
 
 MAX_COUNT = 20_000_000
-MAX_ASCII_BYTES = 64 * 2**20
-BLOCK_ROWS = 4096  # rows converted at a time: about 1 MB, which stays in the cache
 NORMALS = ("nx", "ny", "nz")  # 3DGS writes them, always zero
 MIP_COMMENT = "SplatRenderMode: mip"
 MIP_PATTERN = re.compile(r"\s*(SplatRenderMode:\s*mip|antialiased\s+1)\s*", re.IGNORECASE)  # Brush; Postshot
@@ -38,15 +37,17 @@ def read_ply(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Scene:
     Values are kept as stored, non-finite ones included. Elements after the vertices are not kept (logged).
     Raises FormatError, naming the file and the reason.
     """
-    try:
-        if not Path(path).is_file():
-            raise FormatError("is not a file")
-        with open(path, "rb") as file:
-            return _read(file, path, max_count)
-    except FormatError as error:
-        raise FormatError(f"{path}: {error}") from None
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+    with _opened(path, max_count) as body:
+        return body.whole()
+
+
+def read_ply_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
+    """As read_ply, a few thousand Gaussians at a time and in file order, without ever holding all of them.
+
+    The next part overwrites the arrays of the one before. There is at least one, which is empty if the file is.
+    """
+    with _opened(path, max_count) as body:
+        yield from body.parts()
 
 
 def write_ply(path: str | os.PathLike, scene: Scene) -> None:
@@ -61,13 +62,28 @@ def write_ply(path: str | os.PathLike, scene: Scene) -> None:
     check_writable(path, len(header) + scene.count * dtype.itemsize)
     with atomic_write(path) as file:
         file.write(header)
-        for rows, part in _blocks(scene.count, dtype):
+        for rows, part in blocks(scene.count, dtype):
             for name, column in columns.items():
                 rows[name] = column[part]
             file.write(rows.view(np.uint8))
+            start_storing(file, rows.nbytes)
 
 
-def _read(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Scene:
+@contextlib.contextmanager
+def _opened(path: str | os.PathLike, max_count: int) -> Iterator[Body]:
+    """The file with its header checked. What is wrong with it, then or in the block, becomes a FormatError that names it."""
+    try:
+        if not Path(path).is_file():
+            raise FormatError("is not a file")
+        with open(path, "rb") as file:
+            yield _checked(file, path, max_count)
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from None
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def _checked(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Body:
     header = parse_header(file.read(MAX_HEADER_BYTES))
     vertex = _vertex_element(header)
     coefficients = _check_properties(vertex)
@@ -77,21 +93,8 @@ def _read(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Scene:
     if len(header.elements) > 1:
         others = ", ".join(element.name for element in header.elements[1:])
         log.warning("%s: elements after the Gaussians are not kept: %s", path, others)
-
-    arrays = _empty_arrays(vertex.count, coefficients)
-    columns = _named_columns(arrays)
-    attributes = {name: np.empty(vertex.count, code) for name, code in vertex.properties if name not in columns}
-    fill = _fill_ascii if header.encoding == "ascii" else _fill_binary
     file.seek(header.size)
-    with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 become infinite, as documented: raw
-        fill(file, vertex, ENCODINGS[header.encoding], columns | attributes)
-    return Scene(
-        **arrays,
-        antialiased=_says_mip(header.comments),
-        attributes=attributes,
-        comments=header.comments,
-        property_order=tuple(name for name, _ in vertex.properties),
-    )
+    return Body(file, header, coefficients, _says_mip(header.comments))
 
 
 def _vertex_element(header: Header) -> Element:
@@ -116,7 +119,7 @@ def _check_properties(vertex: Element) -> int:
     coefficients = 1 + len(rest) // 3
     if len(rest) % 3 or coefficients not in SH_COEFFICIENTS:
         raise FormatError(f"has {len(rest)} f_rest properties; SH degrees 0 to 3 have 0, 9, 24 or 45")
-    for name in _named_columns(_empty_arrays(0, coefficients)):
+    for name in named_columns(empty_arrays(0, coefficients)):
         if name not in types:
             raise FormatError(f"lacks the property {name}, so it is not a 3DGS splat")
         if types[name] not in ("f4", "f8"):
@@ -142,65 +145,9 @@ def _check_size(header: Header, vertex: Element, file_size: int) -> None:
         raise FormatError(f"has {available - needed} bytes more than its header announces")
 
 
-def _empty_arrays(count: int, coefficients: int) -> dict[str, np.ndarray]:
-    shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (coefficients, 3)}
-    return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
-
-
-def _named_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Property name: (N,) view into the arrays of a Scene, in the 3DGS order. f_rest is channel-major in the file."""
-    sh = arrays["sh"]
-    rest = sh.shape[1] - 1
-    columns = {name: arrays["means"][:, i] for i, name in enumerate("xyz")}
-    columns |= {f"f_dc_{channel}": sh[:, 0, channel] for channel in range(3)}
-    columns |= {f"f_rest_{c * rest + k}": sh[:, 1 + k, c] for c in range(3) for k in range(rest)}
-    columns |= {"opacity": arrays["opacity_logits"]}
-    columns |= {f"scale_{i}": arrays["log_scales"][:, i] for i in range(3)}
-    return columns | {f"rot_{i}": arrays["quats"][:, i] for i in range(4)}
-
-
-def _blocks(count: int, dtype: np.dtype) -> Iterator[tuple[np.ndarray, slice]]:
-    """One reused buffer of rows, and the part of the columns it stands for."""
-    buffer = np.empty(min(count, BLOCK_ROWS), dtype)
-    for start in range(0, count, BLOCK_ROWS):
-        part = slice(start, min(start + BLOCK_ROWS, count))
-        yield buffer[: part.stop - part.start], part
-
-
-def _fill_binary(file: BinaryIO, vertex: Element, byte_order: str, columns: dict[str, np.ndarray]) -> None:
-    dtype = np.dtype([(name, byte_order + code) for name, code in vertex.properties])
-    for rows, part in _blocks(vertex.count, dtype):
-        if file.readinto(rows.view(np.uint8)) != rows.nbytes:
-            raise FormatError("became shorter while it was read")
-        for name, column in columns.items():
-            column[part] = rows[name]
-
-
-def _fill_ascii(file: BinaryIO, vertex: Element, _byte_order: str, columns: dict[str, np.ndarray]) -> None:
-    names = [name for name, _ in vertex.properties]
-    wanted = vertex.count * len(names)
-    values = _parse_numbers(file.read(MAX_ASCII_BYTES))[:wanted]
-    if len(values) != wanted:
-        raise FormatError(f"does not hold {vertex.count} lines of {len(names)} numbers after its header")
-    for name, column in zip(names, values.reshape(-1, len(names)).T, strict=True):
-        columns[name][:] = column
-        if columns[name].dtype.kind in "iu" and not np.array_equal(columns[name], column):
-            raise FormatError(f"has a value of {name} that does not fit its type")
-
-
-def _parse_numbers(text: bytes) -> np.ndarray:
-    """Numbers between white space, float64; NumPy stops at the first that is none, with a warning or an error."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)
-        try:
-            return np.fromstring(text, dtype=np.float64, sep=" ")
-        except (ValueError, DeprecationWarning):
-            raise FormatError("holds text that is not a number after its header") from None
-
-
 def _file_columns(scene: Scene) -> dict[str, np.ndarray]:
     """Every column to write, by property name and in file order."""
-    columns = _named_columns(vars(scene))
+    columns = named_columns(vars(scene))
     for name, column in scene.attributes.items():
         if name in columns or not re.fullmatch("[!-~]+", name) or column.dtype.str[1:] not in TYPE_NAMES:
             raise SceneError(f"attribute {name!r} of type {column.dtype} cannot be stored in a PLY")

@@ -1,0 +1,108 @@
+"""Runs one train or prune job and says where its time and memory went. A request on stdin, an answer on stdout, JSON each.
+
+Request: colmap, out, kind ("train" or "prune"), iterations, recovery, seed; scene (prune only); profile; train and prune
+settings to change: "phase" and "run", names and values of settings.Phase (the first phase) and settings.Settings.
+"""
+
+from __future__ import annotations
+
+import cProfile
+import functools
+import json
+import pstats
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+PACKAGE = str(Path(__file__).resolve().parents[1] / "svrgs_addon")
+STAGES_SHOWN = 12
+LIBRARY_DEPTH = 6  # of calls inside other packages that are followed; deeper ones are left out
+
+
+def time_native_calls() -> dict[str, float]:
+    """From here on, seconds spent in the native library by function."""
+    from svrgs_addon import native
+
+    seconds: dict[str, float] = {}
+    call = native._call
+
+    def timed_native_call(name: str, *arguments):
+        started = time.perf_counter()
+        try:
+            return call(name, *arguments)
+        finally:
+            seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - started
+
+    native._call = timed_native_call
+    return seconds
+
+
+def stages(profile: cProfile.Profile) -> dict[str, float]:
+    """Seconds of each function of the package outside native calls: its own, with its share of the libraries' below it."""
+    found = pstats.Stats(profile).stats  # (file, line, name): calls, primitive calls, own, with callees, {caller: the same four}
+    ours = {key for key in found if key[0].startswith(PACKAGE)}
+    native = {key for key in found if key[2] in ("timed_native_call", "_call")}
+    below: dict[tuple, dict[tuple, float]] = {key: {} for key in found}  # caller: library functions, and its share of their time
+    for key in found.keys() - ours - native:
+        callers = found[key][4]
+        total = sum(times[3] for times in callers.values()) or 1.0
+        for caller, times in callers.items():
+            below[caller][key] = times[3] / total
+
+    @functools.cache
+    def seconds(key: tuple, depth: int) -> float:
+        return found[key][2] + sum(share * seconds(child, depth - 1) for child, share in below[key].items() if depth)
+
+    named = {f"{Path(file).stem}.{name}": seconds((file, line, name), LIBRARY_DEPTH) for file, line, name in ours - native}
+    return dict(sorted(named.items(), key=lambda item: -item[1])[:STAGES_SHOWN])
+
+
+def settings_of(request: dict):
+    from svrgs_addon.finetune.settings import Densify, prune_settings, train_settings
+
+    iterations, recovery, seed = request["iterations"], request["recovery"], request["seed"]
+    if request["kind"] == "train":
+        settings = train_settings("3dgs", iterations, recovery, seed=seed, densify=Densify(until=int(0.6 * iterations)))
+    else:
+        settings = prune_settings("svr", iterations, recovery, seed=seed, min_contribution=0.02)
+    first, *rest = settings.phases
+    return replace(settings, phases=(replace(first, **request["phase"]), *rest), **request["run"])
+
+
+def run_job(request: dict) -> dict:
+    """The job's own result with figures of memory and time beside it."""
+    from svrgs_addon import jobs
+    from svrgs_addon.dataset import load_dataset
+
+    native = time_native_calls()
+    dataset = load_dataset(Path(request["colmap"]), need_points=request["kind"] == "train")
+    base, counts = jobs.peak_memory(), [0]
+    options = jobs.JobOptions(Path(request["out"]), observe=lambda progress: counts.append(progress.count))
+    profile = cProfile.Profile()
+    if request["profile"]:
+        profile.enable()
+    if request["kind"] == "train":
+        result = jobs.train(dataset, settings_of(request), options)
+    else:
+        result = jobs.prune(Path(request["scene"]), dataset, settings_of(request), options)
+    profile.disable()
+    result |= {
+        "base_memory_bytes": base,
+        "image_bytes": sum(image.nbytes for image in dataset._kept.values()),
+        "largest_count": max(*counts, result.get("before", result)["count"]),
+        "native_seconds": dict(sorted(native.items(), key=lambda item: -item[1])),
+        "stage_seconds": stages(profile) if request["profile"] else {},
+    }
+    return result
+
+
+def main():
+    answer = run_job(json.load(sys.stdin))
+    from svrgs_addon.commands import plain
+
+    print(json.dumps(plain(answer)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,17 @@
+// What the processor reaches at this level, for the floors of svrgs bench.
+
+// `rounds` rounds of independent multiply-adds in registers; returns the operations done (2 a lane each).
+double multiply_adds(int64_t rounds) {
+  constexpr int kChains = 12;
+  V sums[kChains];
+  for (int k = 0; k < kChains; ++k) sums[k] = splat(R(k));
+  volatile R unknown = R(0.999);
+  const V factor = splat(unknown);
+  for (int64_t r = 0; r < rounds; ++r)
+    for (int k = 0; k < kChains; ++k) sums[k] = fma(sums[k], factor, factor);
+  V total = splat(0);
+  for (int k = 0; k < kChains; ++k) total += sums[k];
+  volatile R result = sum(total);
+  (void)result;
+  return 2.0 * W * kChains * static_cast<double>(rounds);
+}

@@ -1,0 +1,64 @@
+#include "machine_speed.h"
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <vector>
+
+#include "pool.h"
+
+namespace svrgs {
+namespace {
+
+constexpr int kTries = 5;
+constexpr int64_t kRounds = 1 << 20;
+constexpr int64_t kFloats = 12 << 20;  // per thread: 48 MB, beyond any cache
+constexpr int64_t kStreams = 8;        // one stream of loads waits for memory; several do not
+
+// The best rate of some tries; run(thread) does its share and returns how much that was.
+template <class F>
+double best_rate(F&& run) {
+  double best = 0;
+  for (int i = 0; i < kTries; ++i) {
+    std::atomic<double> total{0};
+    const auto begin = std::chrono::steady_clock::now();
+    parallel_for(threads(), [&](int64_t thread) { total += run(thread); });
+    best = std::max(best, total / std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+  }
+  return best;
+}
+
+double read_all(const float* data) {
+  float sums[kStreams][16] = {};
+  constexpr int64_t part = kFloats / kStreams;
+  for (int64_t i = 0; i < part; i += 16)
+    for (int64_t s = 0; s < kStreams; ++s)
+      for (int k = 0; k < 16; ++k) sums[s][k] += data[s * part + i + k];
+  float total = 0;
+  for (const auto& stream : sums)
+    for (const float v : stream) total += v;
+  volatile float result = total;
+  (void)result;
+  return sizeof(float) * kFloats;
+}
+
+double update_all(float* data) {
+  constexpr int64_t part = kFloats / 4;
+  float *a = data, *b = a + part, *c = b + part;
+  const float* g = c + part;
+  for (int64_t i = 0; i < part; ++i) b[i] = 0.9f * b[i] + g[i], c[i] = 0.9f * c[i] + g[i] * g[i], a[i] -= 1e-9f * b[i] * c[i];
+  return 7.0 * sizeof(float) * part;
+}
+
+}  // namespace
+
+svrgs_machine measure_machine(const Kernels& kernels) {
+  std::vector<std::vector<float>> data(threads(), std::vector<float>(kFloats, 1e-3f));
+  svrgs_machine machine;
+  machine.fma = best_rate([&](int64_t) { return kernels.multiply_adds(kRounds); });
+  machine.read = best_rate([&](int64_t t) { return read_all(data[t].data()); });
+  machine.update = best_rate([&](int64_t t) { return update_all(data[t].data()); });
+  return machine;
+}
+
+}  // namespace svrgs

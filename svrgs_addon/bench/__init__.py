@@ -1,0 +1,1 @@
+"""Run time against error: measured cases, their floors, tables and plots."""

@@ -1,0 +1,96 @@
+"""The error of the float levels: images and gradients against the float64 level of the same case."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from ..finetune.engine import mask_loss_grad
+from ..finetune.model import PARAMETERS
+from ..native import Rasterizer, RenderOptions
+from .cases import Case
+from .trial import LAMBDA_F, WANTED, drawn_masks, target_of
+
+DEPTH_STEP = 8 * 2.0**-24  # relative; means, their transform and the key are rounded to 2^-24
+
+
+class _Rendered:
+    """The case at one level: images, and gradients a row per Gaussian of the scene."""
+
+    def __init__(self, case: Case, level: str | None):
+        self.rasterizer = Rasterizer(level)
+        self.dtype, self.count = self.rasterizer.dtype, case.scene.count
+        self.scene = SimpleNamespace(**{name: getattr(case.scene, name).astype(self.dtype, copy=False) for name in PARAMETERS})
+        options = RenderOptions(antialiased=case.scene.antialiased, full=False, mask_kind="svr")
+        self.images = self.rasterizer.forward(self.scene, case.camera, options, drawn_masks(self.count)[0], ("rgb", "mask", "hits"))
+
+    def backward(self, image_grads: dict[str, np.ndarray]):
+        self.grads = self.rasterizer.backward({name: grad.astype(self.dtype) for name, grad in image_grads.items()}, WANTED)
+        self.ids = self.rasterizer.visible()
+
+    def grad(self, name: str) -> np.ndarray:
+        """(N * width,) float64, zero where a Gaussian is not visible."""
+        rows = self.grads[name]
+        full = np.zeros((self.count, *rows.shape[1:]))
+        full[self.ids] = rows
+        return full.ravel()
+
+
+def apart(case: Case) -> Case:
+    """The case with Gaussians moved along the line of sight, by micrometres in a room, until floats can tell their depths apart.
+
+    Two at the same depth within rounding have no order that a float could know, and a picture with the other order is not
+    wrong by rounding but by a whole Gaussian.
+    """
+    R, t = case.camera.viewmat[:3, :3], case.camera.viewmat[:3, 3]
+    depth = case.scene.means @ R[2] + t[2]
+    seen = np.flatnonzero(depth > 0)
+    seen = seen[np.argsort(depth[seen])]
+    scale = np.linalg.norm(t)  # of the terms that depth is a sum of
+    rise = DEPTH_STEP * np.arange(len(seen))
+    moved = np.exp(np.maximum.accumulate(np.log(depth[seen] + scale) - rise) + rise) - scale
+    means = case.scene.means.copy()
+    means[seen] += ((moved - depth[seen])[:, None] * R[2]).astype(np.float32)
+    return replace(case, scene=replace(case.scene, means=means))
+
+
+def error(case: Case, level: str | None = None) -> dict:
+    """image_max, image_mean, mask_max, grad_rel_l2, grad_cosine (the worst parameter's), nonfinite, crossed.
+
+    Where the levels disagree on which Gaussians pass a threshold, one of them is a whole Gaussian off: such pixels take no
+    part and `crossed` is their share.
+    """
+    case = apart(case)
+    ours, exact = _Rendered(case, level), _Rendered(case, "float64")
+    same = ours.images["hits"] == exact.images["hits"]
+    grads = _image_grads(ours, same)
+    ours.backward(grads)
+    exact.backward(grads)
+    rgb, mask = (np.abs(ours.images[name] - exact.images[name])[same] for name in ("rgb", "mask"))
+    distances = [_distance(ours.grad(name), exact.grad(name)) for name in WANTED]
+    return {
+        "image_max": float(rgb.max(initial=0)),
+        "image_mean": float(rgb.mean()) if rgb.size else 0.0,
+        "mask_max": float(mask.max(initial=0)),
+        "grad_rel_l2": max(distance for distance, _ in distances),
+        "grad_cosine": min(cosine for _, cosine in distances),
+        "nonfinite": sum(int((~np.isfinite(array)).sum()) for array in (*ours.images.values(), *ours.grads.values())),
+        "crossed": 1.0 - float(same.mean()),
+    }
+
+
+def _image_grads(rendered: _Rendered, weight: np.ndarray) -> dict[str, np.ndarray]:
+    """dL/drgb and dL/dF of a fine-tuning step, zero where weight (H, W) is."""
+    rgb = rendered.images["rgb"]
+    d_rgb = rendered.rasterizer.loss(rgb, target_of(rgb))[2]
+    return {"rgb": d_rgb * weight[..., None], "mask": mask_loss_grad(rendered.images["mask"], LAMBDA_F)[1] * weight}
+
+
+def _distance(ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
+    """(relative L2 distance, cosine) of two gradients; of two that vanish (0, 1)."""
+    norm, other = np.linalg.norm(exact), np.linalg.norm(ours)
+    if not norm or not other:
+        return float(norm != other), float(norm == other)
+    return float(np.linalg.norm(ours - exact) / norm), float(np.dot(ours, exact) / (norm * other))

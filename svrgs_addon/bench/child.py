@@ -1,0 +1,98 @@
+"""A process that runs one build of the native library on a generated room, one request at a time.
+
+Requests and answers are one JSON object a line, on stdin and stdout. {"level": name or null, "half_sh": bool} is answered
+by {"forward": seconds, "step": seconds or null}, or {"error": sentence}; with "save": FILE as well, the image is written
+there first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from .. import native
+from ..errors import NativeError
+from .accuracy import apart
+from .cases import Case, room_case
+from .timing import seconds
+from .trial import Trial
+
+
+class Child:
+    """The parent's side: starts the process with the given library (None: the installed one) and asks it."""
+
+    def __init__(self, case: Case, library: Path | None = None):
+        above = str(Path(__file__).parents[2])
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (above, os.environ.get("PYTHONPATH"))))}
+        if library:
+            environment["SVRGS_LIBRARY"] = str(library)
+        facts = [case.facts[name] for name in ("count", "sh_degree", "width", "height")]
+        command = [sys.executable, "-m", "svrgs_addon.bench.child", *map(str, (native.threads(), *facts))]
+        self._process = subprocess.Popen(command, text=True, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    def ask(self, **request) -> dict:
+        try:
+            self._process.stdin.write(json.dumps(request) + "\n")
+            self._process.stdin.flush()
+            answer = json.loads(self._process.stdout.readline())
+        except (OSError, ValueError):
+            raise NativeError("a measuring process ended before it answered") from None
+        if "error" in answer:
+            raise NativeError(answer["error"])
+        return answer
+
+    def image(self, folder: Path, **request) -> np.ndarray:
+        """The picture it draws, (H, W, 3)."""
+        path = folder / "image.npy"
+        self.ask(**request, save=str(path))
+        return np.load(path)
+
+    def __enter__(self) -> Child:
+        return self
+
+    def __exit__(self, *_):
+        with contextlib.suppress(OSError):  # it has ended already
+            self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+
+
+def main(words: list[str]):
+    threads, *facts = map(int, words)
+    native.set_threads(threads)
+    case = apart(room_case(*facts))
+    trials: dict[tuple, Trial] = {}
+    for line in sys.stdin:
+        request = json.loads(line)
+        key = request["level"], request["half_sh"]
+        try:
+            trials[key] = trials.get(key) or _trial(case, *key)
+            answer = _answer(trials[key], request)
+        except (NativeError, TypeError) as error:  # a build or a level that cannot do this
+            answer = {"error": str(error)}
+        print(json.dumps(answer), flush=True)
+
+
+def _trial(case: Case, level: str | None, half_sh: bool) -> Trial:
+    trial = Trial(case, level)
+    if half_sh:
+        trial.drawn = SimpleNamespace(**{**trial.model.values, "sh": trial.model.sh.astype(np.float16)})
+    return trial
+
+
+def _answer(trial: Trial, request: dict) -> dict:
+    if "save" in request:
+        np.save(request["save"], trial.forward()["rgb"])
+    forward = seconds(trial.forward)
+    return {"forward": forward, "step": None if request["half_sh"] else seconds(trial.step)}
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

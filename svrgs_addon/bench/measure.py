@@ -1,0 +1,72 @@
+"""Times, work counts and floors of one case."""
+
+from __future__ import annotations
+
+from .. import native
+from .cases import Case
+from .floors import stage_floors
+from .timing import rounds, seconds, summary
+from .trial import Trial
+
+FULL_WALK = ("used_pairs", "blocks", "hit_blocks", "hits")  # counts that grow where F walks each ray to its end
+PEAK_READINGS = 3  # of which the best counts: a peak is what can be reached
+
+
+def measure(case: Case, peaks: dict[int, dict], error: dict, repeat: int) -> list[dict]:
+    """One entry of the result's `cases` per thread count in `peaks` (see peaks_of); error: of this case."""
+    trial = Trial(case)
+    work = work_counts(trial)
+    entries = []
+    for threads, peak in peaks.items():
+        native.set_threads(threads)
+        readings = rounds(lambda: _round(trial), repeat)
+        floors = stage_floors(work, case.facts, trial.rasterizer.level, peak)
+        stages = {name: {**summary(readings[name]), "floor_ms": 1e3 * floors[name]} for name in floors}
+        entries.append({**case.facts, "threads": threads, "simd": trial.rasterizer.level, "stages": stages, "work": work, "error": error})
+    return entries
+
+
+def peaks_of(level: str, thread_counts: list[int]) -> dict[int, dict]:
+    """What this machine reaches with so many threads: {threads: {fma: flop/s, read: bytes/s, update: bytes/s}}."""
+    peaks = {}
+    for threads in thread_counts:
+        native.set_threads(threads)
+        readings = [native.peaks(level) for _ in range(PEAK_READINGS)]
+        peaks[threads] = {name: max(reading[name] for reading in readings) for name in readings[0]}
+    return peaks
+
+
+def work_counts(trial: Trial, without=()) -> dict[str, int]:
+    """Counts of the colour pass, and as NAME_full those with F to each ray's end."""
+    trial.forward("none", without=without)
+    counts = trial.rasterizer.work(count_pixels=True)
+    trial.forward(without=without)
+    full = trial.rasterizer.work(count_pixels=True)
+    return counts | {f"{name}_full": full[name] for name in FULL_WALK}
+
+
+def _round(trial: Trial) -> dict[str, float]:
+    """Seconds of every stage, each run once."""
+    inside = trial.rasterizer.stage_seconds
+    trial.forward("none")
+    blend = inside()["blend"]
+    trial.forward(full=False)
+    mask_visible = inside()["blend"] - blend
+    forward = seconds(trial.forward)
+    first = inside()
+    loss = seconds(trial.loss)
+    backward = seconds(trial.backward)
+    second = inside()
+    ids, grads = trial.rasterizer.visible(), trial.backward()
+    return {
+        **{name: first[name] for name in ("project", "tiles", "sort")},
+        "blend": blend,
+        "mask": first["blend"] - blend,
+        "mask_visible": mask_visible,
+        "forward": forward,
+        **{name: second[name] for name in ("raster_grads", "parameter_grads")},
+        "backward": backward,
+        "loss": loss,
+        "adam": seconds(trial.adam, grads, ids),
+        "step": seconds(trial.step),
+    }

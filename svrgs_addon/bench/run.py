@@ -1,0 +1,63 @@
+"""`svrgs bench`: what is measured, in which order, and where it goes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from .. import native
+from ..atomic import atomic_write, check_writable
+from .accuracy import error
+from .cases import chosen_cases, room_case
+from .knobs import measure_knobs
+from .measure import measure, peaks_of
+from .plots import drawings
+from .scaling import measure_scaling
+from .skips import measure_skips
+
+REPEAT, QUICK_REPEAT = 9, 3
+
+
+def bench(options: argparse.Namespace) -> dict:
+    """The result: machine, cases, and knobs, skips, scaling where asked for; plots go to options.plots."""
+    cases = chosen_cases(options)
+    if options.plots:
+        check_writable(options.plots / "plot.svg")
+    repeat = options.repeat or (QUICK_REPEAT if options.quick else REPEAT)
+    native.set_threads(options.threads)
+    most, level = native.threads(), native.best_level()
+    peaks = peaks_of(level, sorted({1, most}))
+    result: dict = {"machine": _machine(most, level, peaks), "cases": []}
+    for case in cases:
+        tell("{scene}: {count:,} Gaussians, SH {sh_degree}, {width} x {height}".format(**case.facts))
+        native.set_threads(most)
+        result["cases"] += measure(case, peaks, error(case), repeat)
+    native.set_threads(most)
+    if options.knobs or options.plots:
+        result["knobs"] = measure_knobs(room_case(), repeat, tell)
+    if options.skips or options.plots:
+        result["skips"] = measure_skips(room_case(), repeat, tell)
+    if options.scaling:
+        result["scaling"] = measure_scaling(repeat, tell)
+    if options.plots:
+        result["plots"] = _write(options.plots, result)
+    return result
+
+
+def tell(sentence: str):
+    """What is being measured, for whoever waits; stdout is the result's."""
+    print(f"bench: {sentence}", file=sys.stderr, flush=True)
+
+
+def _machine(cores: int, level: str, peaks: dict[int, dict]) -> dict:
+    levels = native.supported_levels()
+    return {"cores": cores, "simd": level, "simd_levels": levels, "peaks": {str(threads): peak for threads, peak in peaks.items()}}
+
+
+def _write(folder, result: dict) -> list[str]:
+    paths = []
+    for name, drawing in drawings(result).items():
+        paths.append(folder / f"{name}.svg")
+        with atomic_write(paths[-1]) as file:
+            file.write(drawing.encode())
+    return [str(path) for path in paths]

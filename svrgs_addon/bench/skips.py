@@ -1,0 +1,80 @@
+"""What each kind of work left undone saves, and that it changes no picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..native import SKIPS
+from ..scene import SH_COEFFICIENTS
+from .cases import Case
+from .measure import work_counts
+from .timing import ratio, rounds, seconds
+from .trial import WANTED, Trial
+
+
+def measure_skips(case: Case, repeat: int, tell: Callable[[str], None]) -> list[dict]:
+    """The result's `skips`."""
+    trial = Trial(case)
+    entries = []
+    for skip in SKIPS:
+        tell(f"skip {skip}")
+        entries.append(_native(trial, skip, repeat))
+    for measured in (_unused_gradients, _sparse_adam, _sh_bands):
+        tell(f"skip {measured.__name__.strip('_')}")
+        entries.append(measured(trial, repeat))
+    return entries
+
+
+def _entry(skip: str, stage: str, once: Callable[[], dict[str, float]], repeat: int, image_max: float | None, **more) -> dict:
+    """once() returns seconds with the skip as 'on' and without it as 'off'; more: further keys of the entry."""
+    readings = rounds(once, repeat)
+    on, off = readings["on"], readings["off"]
+    times = {"on_ms": 1e3 * float(np.median(on)), "off_ms": 1e3 * float(np.median(off)), "gain": ratio(off, on)}
+    return {"skip": skip, "stage": stage, **times, "image_max": image_max, **more}
+
+
+def _native(trial: Trial, skip: str, repeat: int) -> dict:
+    """A skip of the rasterizer: drawing colours with and without it, and what it does to the whole step and the counts."""
+    without = (skip,)
+    change = np.abs(trial.forward()["rgb"] - trial.forward(without=without)["rgb"]).max()
+    steps = rounds(lambda: {"on": seconds(trial.step), "off": seconds(trial.step, without)}, repeat)
+    more = {"step_gain": ratio(steps["off"], steps["on"]), "work_on": work_counts(trial), "work_off": work_counts(trial, without)}
+
+    def colours() -> dict[str, float]:
+        return {"on": seconds(trial.forward, "none"), "off": seconds(trial.forward, "none", without=without)}
+
+    return _entry(skip, "forward", colours, repeat, float(change), **more)
+
+
+def _unused_gradients(trial: Trial, repeat: int) -> dict:
+    """Gradients of the masks alone, against those of every parameter."""
+    trial.forward()
+    return _entry("unused_gradients", "backward", lambda: {"on": seconds(trial.backward, ("masks",)), "off": seconds(trial.backward, WANTED)}, repeat, None)
+
+
+def _sparse_adam(trial: Trial, repeat: int) -> dict:
+    """Adam on the Gaussians this view saw, against all of them. Moments of unseen ones differ: no picture is compared."""
+    trial.forward()
+    ids, grads = trial.rasterizer.visible(), trial.backward()
+    dense = {name: np.zeros((trial.model.count, *grad.shape[1:]), grad.dtype) for name, grad in grads.items()}
+    for name, grad in grads.items():
+        dense[name][ids] = grad
+    return _entry("sparse_adam", "adam", lambda: {"on": seconds(trial.adam, grads, ids), "off": seconds(trial.adam, dense, None)}, repeat, None)
+
+
+def _sh_bands(trial: Trial, repeat: int) -> dict:
+    """A scene of degree 0 kept in arrays of degree 3: bands that are zero left out, against evaluated."""
+    scene = trial.case.scene
+    sh = np.zeros((scene.count, SH_COEFFICIENTS[3], 3), np.float32)
+    sh[:, 0] = scene.sh[:, 0]
+    flat = Trial(replace(trial.case, scene=replace(scene, sh=sh)))
+
+    def project(sh_degree: int) -> float:
+        flat.forward(sh_degree=sh_degree)
+        return flat.rasterizer.stage_seconds()["project"]
+
+    change = np.abs(flat.forward(sh_degree=0)["rgb"] - flat.forward()["rgb"]).max()
+    return _entry("sh_bands", "project", lambda: {"on": project(0), "off": project(3)}, repeat, float(change))

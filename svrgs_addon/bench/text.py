@@ -1,0 +1,84 @@
+"""The result as people read it in a terminal."""
+
+from __future__ import annotations
+
+MEGA, KILO = 1e6, 1e3
+
+
+def as_text(result: dict) -> str:
+    parts = [_machine(result["machine"]), *(_case(case) for case in result["cases"])]
+    for name, show in (("knobs", _knobs), ("skips", _skips), ("scaling", _scaling)):
+        if result.get(name):
+            parts.append(show(result[name]))
+    return "\n\n".join(parts)
+
+
+def table(rows: list[tuple[str, ...]], left: int = 1) -> str:
+    """Columns as wide as they need to be, the first `left` aligned to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    aligned = ([cell.ljust(w) if i < left else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))] for row in rows)
+    return "\n".join("  " + "  ".join(row).rstrip() for row in aligned)
+
+
+def _count(value: float) -> str:
+    for unit, suffix in ((MEGA, " M"), (KILO, " k")):
+        if value >= unit:
+            return f"{value / unit:.3g}{suffix}"
+    return f"{value:g}"
+
+
+def _machine(machine: dict) -> str:
+    rows = [("threads", "FMA GFLOP/s", "read GB/s", "update GB/s")]
+    rows += [(threads, *(f"{peak[name] / 1e9:.1f}" for name in ("fma", "read", "update"))) for threads, peak in machine["peaks"].items()]
+    return f"{machine['cores']} cores, SIMD levels {', '.join(machine['simd_levels'])}; peaks with {machine['simd']}:\n{table(rows, 0)}"
+
+
+def _case(case: dict) -> str:
+    threads = f"{case['threads']} thread{'s' * (case['threads'] > 1)}"
+    title = "{scene}, {count:,} Gaussians, SH {sh_degree}, {width} x {height}, ".format(**case) + f"{threads}, {case['simd']}"
+    rows = [("stage", "ms", "spread", "floor", "x floor")]
+    for name, stage in case["stages"].items():
+        times = f"{stage['ms']:.2f}", f"{stage['spread_ms']:.2f}", f"{stage['floor_ms']:.2f}"
+        rows.append((name, *times, f"{stage['ms'] / stage['floor_ms']:.1f}" if stage["floor_ms"] else "-"))
+    return "\n".join((title, table(rows), _work(case["work"]), _error(case["error"])))
+
+
+def _work(work: dict) -> str:
+    return (
+        f"  work: {_count(work['visible'])} visible, {_count(work['pairs'])} pairs ({_count(work['used_pairs'])} used), {_count(work['blocks'])} blocks "
+        f"({_count(work['hit_blocks'])} hit, {_count(work['hit_blocks_full'])} with F), {_count(work['evaluated'])} pixel pairs evaluated, "
+        f"{_count(work['hits'])} hits, {_count(work['contributing'])} contributing"
+    )
+
+
+def _error(error: dict) -> str:
+    return (
+        f"  error: image {error['image_max']:.1e} max, {error['image_mean']:.1e} mean; F {error['mask_max']:.1e}; gradients {error['grad_rel_l2']:.1e} "
+        f"(1 - cosine {1 - error['grad_cosine']:.0e}); {error['nonfinite']} not finite; thresholds crossed in {1e6 * error['crossed']:.0f} ppm of the pixels"
+    )
+
+
+def _knobs(knobs: list[dict]) -> str:
+    rows = [("knob", "value", "forward ms", "x default", "step x default", "error max", "mean")]
+    for k in knobs:
+        step = f"{k['step_ratio']:.3f}" if k["step_ratio"] is not None else "-"
+        value = k["value"] + (" *" if k["default"] else "")
+        rows.append((k["knob"], value, f"{k['forward_ms']:.2f}", f"{k['ratio']:.3f}", step, f"{k['image_max']:.1e}", f"{k['image_mean']:.1e}"))
+    return "Knobs (* default):\n" + table(rows, 2)
+
+
+def _skips(skips: list[dict]) -> str:
+    rows = [("skip", "stage", "with ms", "without ms", "gain", "step gain", "image changes")]
+    for s in skips:
+        step = f"{s['step_gain']:.2f}" if "step_gain" in s else "-"
+        change = f"{s['image_max']:.1e}" if s["image_max"] is not None else "-"
+        rows.append((s["skip"], s["stage"], f"{s['on_ms']:.2f}", f"{s['off_ms']:.2f}", f"{s['gain']:.2f}", step, change))
+    return "Work skipped:\n" + table(rows, 2)
+
+
+def _scaling(scaling: list[dict]) -> str:
+    rows = [("over", "Gaussians", "visible", "size", "forward ms", "ms per Mpixel", "ms per million")]
+    for s in scaling:
+        cells = f"{s['count']:,}", f"{s['visible']:,}", f"{s['width']}x{s['height']}", f"{s['forward_ms']:.1f}"
+        rows.append((s["axis"], *cells, f"{s['ms_per_megapixel']:.1f}", f"{s['ms_per_million_gaussians']:.1f}"))
+    return "Scaling:\n" + table(rows)

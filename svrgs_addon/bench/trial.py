@@ -1,0 +1,76 @@
+"""One case at one SIMD level, ready to run again and again: every call does the same work."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..finetune.engine import NativeEngine, Step, mask_loss_grad
+from ..finetune.model import MASK, PARAMETERS, Model
+from ..native import RenderOptions, sample_masks
+from .cases import Case
+
+MASK_LOGIT = 2.2  # nine Gaussians of ten exist, so that mixed masks are part of what is measured
+LAMBDA_F = 1e-4
+SHIFT = 3  # pixels between the image and the one the loss compares it with
+RATE = 1e-13  # of Adam: the scene stays where it is
+WANTED = (*PARAMETERS, "masks")
+
+
+def drawn_masks(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(masks, slopes), (N,) each: always the same draw."""
+    return sample_masks(np.full(count, MASK_LOGIT, np.float32), 0, 1)
+
+
+def target_of(image: np.ndarray) -> np.ndarray:
+    """What the loss compares an image (H, W, 3) with: the same, shifted sideways."""
+    return np.roll(image, SHIFT, axis=1)
+
+
+class Trial:
+    """The stages of a fine-tuning step of one case, each as one call."""
+
+    def __init__(self, case: Case, level: str | None = None):
+        self.case = case
+        self.engine = NativeEngine(level)
+        self.rasterizer = self.engine.rasterizer
+        self.model = Model.of(case.scene, self.rasterizer.dtype)
+        self.model.add_masks(MASK_LOGIT)
+        self.masks, self.slope = drawn_masks(case.scene.count)
+        self.drawn = self.model  # what forward renders
+        self.steps = 0
+        self.images = self.forward()
+        self.target = target_of(self.images["rgb"])
+        self.image_grads = {"rgb": self.loss().copy(), "mask": mask_loss_grad(self.images["mask"], LAMBDA_F)[1]}
+
+    def options(self, mask_kind: str = "svr", full: bool = True, without=(), sh_degree: int = 3) -> RenderOptions:
+        antialiased = self.case.scene.antialiased
+        return RenderOptions(sh_degree=sh_degree, antialiased=antialiased, full=full, mask_kind=mask_kind, without=without)
+
+    def forward(self, mask_kind: str = "svr", full: bool = True, without=(), sh_degree: int = 3) -> dict[str, np.ndarray]:
+        """Colours, and F unless mask_kind is 'none'."""
+        outputs = ("rgb",) if mask_kind == "none" else ("rgb", "mask")
+        options = self.options(mask_kind, full and mask_kind != "none", without, sh_degree)
+        return self.rasterizer.forward(self.drawn, self.case.camera, options, self.masks, outputs)
+
+    def loss(self) -> np.ndarray:
+        return self.rasterizer.loss(self.images["rgb"], self.target)[2]
+
+    def backward(self, wanted=WANTED) -> dict[str, np.ndarray]:
+        """Gradients of the last forward, a row per visible Gaussian."""
+        return self.rasterizer.backward(self.image_grads, wanted)
+
+    def adam(self, grads: dict[str, np.ndarray], ids: np.ndarray | None):
+        """Moves every parameter and mask logit of rows `ids` (None: all) by next to nothing."""
+        self.steps += 1
+        for name in (*PARAMETERS, MASK):
+            arrays = self.model.values[name], self.model.first[name], self.model.second[name]
+            grad = grads["masks" if name == MASK else name]
+            self.rasterizer.adam(*arrays, grad, ids, lr=RATE, step=self.steps)
+
+    def step(self, without=()):
+        """A whole fine-tuning step: forward, loss, backward, Adam."""
+        self.steps += 1
+        rates = dict.fromkeys((*PARAMETERS, "sh_rest", MASK), RATE)
+        options = self.options(without=without)
+        step = Step(self.case.camera, self.target, self.steps, rates, options, masks=self.masks, slope=self.slope, lambda_f=LAMBDA_F)
+        self.engine.step(self.model, step)

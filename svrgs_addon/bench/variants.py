@@ -1,0 +1,32 @@
+"""Builds of the native library with other constants, for measuring only."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+from ..errors import NativeError
+
+SOURCES = Path(__file__).parents[2] / "native"
+
+
+def why_not() -> str:
+    """What is missing for building variants; '' where nothing is."""
+    if not (SOURCES / "Makefile").is_file():
+        return f"the native sources are not at {SOURCES}"
+    missing = [tool for tool in ("make", os.environ.get("CXX", "g++")) if not shutil.which(tool)]
+    return f"{missing[0]} is not installed" if missing else ""
+
+
+def build(macro: str, folder: Path) -> Path:
+    """The library built with -D`macro`, in a new folder named after it. Raises NativeError with the compiler's last line."""
+    place = folder / macro.replace("=", "-")
+    library = place / "libsvrgs.so"
+    place.mkdir()
+    command = ["make", f"-j{os.cpu_count()}", "-C", str(SOURCES), f"OUT={library}", f"BUILD={place / 'objects'}", f"EXTRA=-D{macro}"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise NativeError(f"building with -D{macro} failed: {(done.stderr.strip() or done.stdout.strip()).splitlines()[-1]}")
+    return library
