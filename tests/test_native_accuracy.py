@@ -115,19 +115,19 @@ def test_cases_cover_what_they_claim():
 
 # The contract is 2e-5 for images and 1e-4 relative L2 for gradients; these bounds are what is reached. Worst seen:
 IMAGE_BOUND = {
-    "rgb": 3.3e-7,  # 3.07e-7
+    "rgb": 3.6e-7,  # 3.29e-7
     "depth": 1.4e-6,  # 1.33e-6
     "alpha": 3.7e-7,  # 3.49e-7
     "mask": 1.3e-6,  # 1.19e-6
     "transmittance": 3.7e-7,  # 3.49e-7
 }
 GRADIENT_BOUND = {
-    "means": 1.3e-6,  # 1.21e-6
-    "log_scales": 1.2e-6,  # 1.09e-6
-    "quats": 3.2e-6,  # 2.95e-6
-    "opacity_logits": 1.8e-6,  # 1.68e-6
-    "sh": 1.25e-6,  # 1.18e-6
-    "masks": 1.55e-6,  # 1.43e-6
+    "means": 1.5e-6,  # 1.34e-6
+    "log_scales": 1.3e-6,  # 1.19e-6
+    "quats": 3.0e-6,  # 2.67e-6
+    "opacity_logits": 1.9e-6,  # 1.70e-6
+    "sh": 1.3e-6,  # 1.18e-6
+    "masks": 1.2e-6,  # 1.06e-6
 }
 
 
@@ -146,7 +146,7 @@ def test_float_levels_agree_with_the_reference(name, level):
 
 
 SIMD_IMAGE_BOUND = 1.4e-6  # worst seen: 1.32e-6, depth
-SIMD_GRADIENT_BOUND = 2.3e-6  # worst seen: 2.11e-6, opacity_logits
+SIMD_GRADIENT_BOUND = 2.0e-6  # worst seen: 1.81e-6, quats
 
 
 @pytest.mark.parametrize("level", [level for level in FLOAT_LEVELS if level != "scalar"])

@@ -1,64 +1,107 @@
 // Adam (Kingma and Ba, Algorithm 1) on rows: param -= lr[column] / bias1 * m / (sqrt(v / bias2) + eps).
 
-inline void adam_lanes(const svrgs_adam_settings& a, const R* rate, R* param, R* m, R* v, const R* grad) {
-  const V g = load(grad), b1 = splat(R(a.beta1)), b2 = splat(R(a.beta2));
-  const V m1 = fma(b1, load(m), splat(R(1 - a.beta1)) * g), v1 = fma(b2, load(v), splat(R(1 - a.beta2)) * g * g);
-  const V denominator = fma(sqrt(v1), splat(R(1 / std::sqrt(a.bias2))), splat(R(a.eps)));
+constexpr int kAdamWidth = 64;  // widest row, values
+
+struct AdamRates {  // constants of a step, in the level's type
+  R rate[W * kAdamWidth];  // lr / bias1 by column, repeated
+  V beta1, beta2, rest1, rest2, root_bias2, eps;
+};
+
+inline AdamRates adam_rates(const svrgs_adam_settings& a, const double* lr, int width) {
+  AdamRates s;
+  for (int i = 0; i < W * width; ++i) s.rate[i] = static_cast<R>(lr[i % width] / a.bias1);
+  s.beta1 = splat(R(a.beta1)), s.rest1 = splat(R(1 - a.beta1)), s.beta2 = splat(R(a.beta2)), s.rest2 = splat(R(1 - a.beta2));
+  s.root_bias2 = splat(R(1 / std::sqrt(a.bias2))), s.eps = splat(R(a.eps));
+  return s;
+}
+
+inline void adam_lanes(const AdamRates& a, const R* rate, R* param, R* m, R* v, V g) {
+  const V m1 = fma(a.beta1, load(m), a.rest1 * g), v1 = fma(a.beta2, load(v), a.rest2 * g * g);
   store(m, m1);
   store(v, v1);
-  store(param, load(param) - load(rate) * m1 / denominator);
+  store(param, fnma(load(rate) * m1, reciprocal(fma(sqrt(v1), a.root_bias2, a.eps)), load(param)));
 }
 
 inline bool row_finite(const R* row, int width) {
-  bool ok = true;
-  for (int k = 0; k < width; ++k) ok &= finite(row[k]);
-  return ok;
+  R zero = 0;
+  for (int k = 0; k < width; ++k) zero += row[k] * 0;
+  return zero == 0;
 }
-
-constexpr int kAdamWidth = 64;  // widest row, values
 
 struct AdamTensors {
   R *param, *m, *v;
-  const R* grad;
-  const uint32_t* ids;
-  int width;
-  int64_t row(int64_t r) const { return (ids ? static_cast<int64_t>(ids[r]) : r) * width; }
 };
 
-// W rows through a contiguous copy: narrow rows fill whole vectors too.
-inline void adam_narrow(const svrgs_adam_settings& a, const AdamTensors& t, const R* rate, const int64_t* from, int n) {
-  R buffer[4][W * kAdamWidth] = {};
-  for (int i = 0; i < n; ++i) {
-    const int64_t at = t.row(from[i]);
-    const R* source[4] = {t.param + at, t.m + at, t.v + at, t.grad + from[i] * t.width};
-    for (int k = 0; k < 4; ++k) __builtin_memcpy(buffer[k] + i * t.width, source[k], sizeof(R) * t.width);
-  }
-  for (int i = 0; i < n * t.width; i += W) adam_lanes(a, rate + i, buffer[0] + i, buffer[1] + i, buffer[2] + i, buffer[3] + i);
-  for (int i = 0; i < n; ++i) {
-    const int64_t at = t.row(from[i]);
-    R* target[3] = {t.param + at, t.m + at, t.v + at};
-    for (int k = 0; k < 3; ++k) __builtin_memcpy(target[k], buffer[k] + i * t.width, sizeof(R) * t.width);
-  }
+// Rows of whole vectors, in place. Returns 1 if the gradient is not finite, and the row left alone.
+inline int adam_wide(const AdamRates& a, const AdamTensors& t, int64_t at, const R* grad, int width) {
+  V zero = splat(0);
+  for (int k = 0; k < width; k += W) zero += load(grad + k) * R(0);
+  if (!(sum(zero) == 0)) return 1;
+  for (int k = 0; k < width; k += W) adam_lanes(a, a.rate + k, t.param + at + k, t.m + at + k, t.v + at + k, load(grad + k));
+  return 0;
 }
 
-// Rows [begin, end) of one tensor. Returns how many had a gradient that is not finite, and were left alone.
-int64_t adam_rows(const svrgs_adam_settings& a, const AdamTensors& t, int64_t begin, int64_t end) {
-  R rate[W * kAdamWidth];
-  int64_t waiting[W], bad = 0;
-  int n = 0;
-  for (int i = 0; i < W * t.width; ++i) rate[i] = static_cast<R>(a.lr[i % t.width] / a.bias1);
-  for (int64_t r = begin; r < end; ++r) {
-    const R* grad = t.grad + r * t.width;
-    if (!row_finite(grad, t.width)) {
-      ++bad;
-    } else if (t.width % W == 0) {
-      const int64_t at = t.row(r);
-      for (int k = 0; k < t.width; k += W) adam_lanes(a, rate + k, t.param + at + k, t.m + at + k, t.v + at + k, grad + k);
-    } else {
-      waiting[n++] = r;
-      if (n == W) adam_narrow(a, t, rate, waiting, n), n = 0;
-    }
+// n <= W rows of `width` values through a contiguous copy, so that narrow rows fill whole vectors too; row i is ids[i].
+template <int fixed>
+inline int adam_narrow(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int n, int any_width) {
+  const int width = fixed ? fixed : any_width;
+  constexpr int kRoom = W * (fixed ? fixed : kAdamWidth);
+  alignas(64) R p[kRoom], m[kRoom], v[kRoom], g[kRoom];
+  for (int i = 0; i < n; ++i) {
+    const int64_t at = static_cast<int64_t>(ids[i]) * width;
+    __builtin_memcpy(p + i * width, t.param + at, sizeof(R) * width);
+    __builtin_memcpy(m + i * width, t.m + at, sizeof(R) * width);
+    __builtin_memcpy(v + i * width, t.v + at, sizeof(R) * width);
   }
-  if (n) adam_narrow(a, t, rate, waiting, n);
+  __builtin_memcpy(g, grad, sizeof(R) * n * width);
+  const int values = n * width;
+  for (int i = values; i < (values + W - 1) / W * W; ++i) p[i] = m[i] = v[i] = g[i] = 0;
+  for (int i = 0; i < values; i += W) adam_lanes(a, a.rate + i, p + i, m + i, v + i, load(g + i));
+  int bad = 0;
+  for (int i = 0; i < n; ++i) {
+    if (!row_finite(grad + i * width, width)) {
+      ++bad;
+      continue;
+    }
+    const int64_t at = static_cast<int64_t>(ids[i]) * width;
+    __builtin_memcpy(t.param + at, p + i * width, sizeof(R) * width);
+    __builtin_memcpy(t.m + at, m + i * width, sizeof(R) * width);
+    __builtin_memcpy(t.v + at, v + i * width, sizeof(R) * width);
+  }
+  return bad;
+}
+
+inline void prefetch_row(const AdamTensors& t, int64_t at, int width) {
+  constexpr int kLine = 64 / sizeof(R);
+  for (int k = 0; k < width; k += kLine)
+    for (const R* array : {t.param, t.m, t.v}) __builtin_prefetch(array + at + k, 1);
+}
+
+constexpr int kRowsAhead = 8;
+
+// n <= W rows; ids names them in the tensors, and `known` >= n of those to come; grad holds theirs one after the other.
+// Returns how many were left alone.
+inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, int64_t known, const R* grad, int n, int width) {
+  if (width == 1) return adam_narrow<1>(a, t, ids, grad, n, 1);
+  if (width == 3) return adam_narrow<3>(a, t, ids, grad, n, 3);
+  if (width == 4) return adam_narrow<4>(a, t, ids, grad, n, 4);
+  if (width % W) return adam_narrow<0>(a, t, ids, grad, n, width);
+  int bad = 0;
+  for (int i = 0; i < n; ++i) {
+    if (i + kRowsAhead < known) prefetch_row(t, static_cast<int64_t>(ids[i + kRowsAhead]) * width, width);
+    bad += adam_wide(a, t, static_cast<int64_t>(ids[i]) * width, grad + i * width, width);
+  }
+  return bad;
+}
+
+// Rows [begin, end) of one tensor; ids null: row r is r.
+int64_t adam_rows(const AdamRates& a, const AdamTensors& t, const R* grad, const uint32_t* ids, int64_t begin, int64_t end, int width) {
+  int64_t bad = 0;
+  for (int64_t r = begin; r < end; r += W) {
+    const int n = static_cast<int>(std::min<int64_t>(W, end - r));
+    uint32_t own[W];
+    for (int i = 0; i < n && !ids; ++i) own[i] = static_cast<uint32_t>(r + i);
+    bad += adam_group(a, t, ids ? ids + r : own, ids ? end - r : n, grad + r * width, n, width);
+  }
   return bad;
 }

@@ -13,6 +13,7 @@ namespace {
 constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
 constexpr int kLossRows = 8;
+constexpr int64_t kAhead = 16;  // visible Gaussians fetched before they are needed
 
 // Exclusive prefix sum over chunk totals.
 int64_t prefix(std::vector<int64_t>& totals) {
@@ -24,6 +25,9 @@ int64_t prefix(std::vector<int64_t>& totals) {
   }
   return sum;
 }
+
+// Entries of Frame::spans a Gaussian needs: within one tile row its columns are its only span.
+int64_t span_rows(const SplatTiles& t) { return t.rows > 1 ? t.rows : 0; }
 
 int64_t chunk_count(int64_t items, int64_t grain) { return (items + grain - 1) / grain; }
 
@@ -79,7 +83,7 @@ void Context::find_tiles(int64_t max_pairs) {
   std::vector<int64_t> offset(chunk_count(f.visible_count, kVisibleGrain));
   parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
     int64_t rows = 0;
-    for (int64_t i = begin; i < end; ++i) rows += f.tiles[f.visible[i]].rows;
+    for (int64_t i = begin; i < end; ++i) rows += span_rows(f.tiles[f.visible[i]]);
     offset[begin / kVisibleGrain] = rows;
   });
   const int64_t limit = max_pairs > 0 ? max_pairs : INT32_MAX;
@@ -92,10 +96,11 @@ void Context::find_tiles(int64_t max_pairs) {
   parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
     int64_t row = offset[begin / kVisibleGrain], pairs = 0;
     for (int64_t i = begin; i < end; ++i) {
+      if (i + kAhead < end) __builtin_prefetch(static_cast<char*>(f.splats) + static_cast<int64_t>(f.visible[i + kAhead]) * kernels_.splat_size);
       SplatTiles& t = f.tiles[f.visible[i]];
       t.span = static_cast<uint32_t>(row);
-      t.tiles = kernels_.fill_spans(f, f.visible[i], f.spans + row);
-      row += t.rows, pairs += t.tiles;
+      t.tiles = t.rows > 1 ? kernels_.fill_spans(f, f.visible[i], f.spans + row) : t.columns.end - t.columns.begin;
+      row += span_rows(t), pairs += t.tiles;
     }
     offset[begin / kVisibleGrain] = pairs;
   });

@@ -18,15 +18,16 @@ struct alignas(16 * sizeof(R)) Splat {
   R slope;               // -l12 / l11
 };
 
-struct SplatTiles {   // where a visible Gaussian's tiles are
-  uint32_t span;      // first of its rows in Frame::spans
-  uint32_t slot;      // first of its (Gaussian, tile) slots
-  uint16_t row, rows; // tile rows it touches
-  uint32_t tiles;     // how many tiles it touches
-};
-
 struct Span {  // tiles [begin, end) of one tile row
   uint16_t begin, end;
+};
+
+struct SplatTiles {   // where a visible Gaussian's tiles are
+  uint32_t span;      // first of its rows in Frame::spans, if it has several
+  uint32_t slot;      // first of its (Gaussian, tile) slots
+  uint16_t row, rows; // tile rows it touches
+  Span columns;       // of all its rows together
+  uint32_t tiles;     // how many tiles it touches
 };
 
 struct TileEntry {

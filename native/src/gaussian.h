@@ -2,7 +2,9 @@
 // Equations: 3DGS Eq. 5-6 (covariance, EWA projection), with the full K and the 3DGS clamp of x/z, y/z.
 
 struct Batch {  // raw parameters of W Gaussians, transposed
-  V mean[3], log_scale[3], quat[4], opacity_logit;  // mean: from the camera centre, subtracted in double
+  D offset[3];  // mean from the camera centre
+  V mean[3];    // the same, rounded
+  V log_scale[3], quat[4], opacity_logit;
 };
 
 inline Batch load_batch(const Frame& f, const uint32_t* ids) {
@@ -11,10 +13,11 @@ inline Batch load_batch(const Frame& f, const uint32_t* ids) {
   Batch b;
   for (int i = 0; i < W; ++i) {
     const int64_t g = ids[i];
-    for (int k = 0; k < 3; ++k) b.mean[k][i] = static_cast<R>(means[3 * g + k] - f.position[k]), b.log_scale[k][i] = scales[3 * g + k];
+    for (int k = 0; k < 3; ++k) b.mean[k][i] = means[3 * g + k], b.log_scale[k][i] = scales[3 * g + k];
     for (int k = 0; k < 4; ++k) b.quat[k][i] = quats[4 * g + k];
     b.opacity_logit[i] = logits[g];
   }
+  for (int k = 0; k < 3; ++k) b.offset[k] = wide(b.mean[k]) - f.position[k], b.mean[k] = narrow(b.offset[k]);
   return b;
 }
 

@@ -62,6 +62,7 @@ inline void gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads
   ColourGrads colour;
   for (int i = 0; i < W; ++i) {
     ids[i] = f.visible[first + (i < n ? i : n - 1)];
+    if (want.colour && first + i + W < f.visible_count) prefetch_sh(f, f.visible[first + i + W]);
     const SlotSums sums = sum_slots(f, slots, ids[i]);
     for (int k = 0; k < kSlotWidth; ++k) s[k][i] = sums.value[k];
     const Splat<R>& splat = static_cast<const Splat<R>*>(f.splats)[ids[i]];

@@ -39,8 +39,8 @@ void loss_pass(const LossArguments& a, int y, void* scratch, bool second_pass) {
 
 int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* m, void* v, const void* grad, const uint32_t* ids,
                   int64_t begin, int64_t end, int width) {
-  const AdamTensors t = {static_cast<R*>(param), static_cast<R*>(m), static_cast<R*>(v), static_cast<const R*>(grad), ids, width};
-  return adam_rows(a, t, begin, end);
+  const AdamTensors t = {static_cast<R*>(param), static_cast<R*>(m), static_cast<R*>(v)};
+  return adam_rows(adam_rates(a, a.lr, width), t, static_cast<const R*>(grad), ids, begin, end, width);
 }
 }  // namespace svrgs::SVRGS_LEVEL
 

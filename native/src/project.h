@@ -1,151 +1,178 @@
 // Stage 1: cull, project, colour. The only visibility gate: comparisons are written so that NaN fails them.
 
-// Smallest box of pixel rows and columns [begin, end) the 1/255 ellipse can reach; false if none.
-struct PixelBox {
-  int x0, x1, y0, y1;
+// Pixels [begin, end) of a row or column of `size` that centre +- half covers, both at `begin` if none.
+inline void reach(double centre, double half, int size, int& begin, int& end) {
+  const double low = centre - half - 0.5, high = centre + half - 0.5;  // in units of pixel index
+  begin = end = 0;
+  if (!(high >= 0) || !(low <= size - 1)) return;
+  begin = low <= 0 ? 0 : static_cast<int>(low) + (low > static_cast<int>(low));
+  end = high >= size - 1 ? size : static_cast<int>(high) + 1;
+}
+
+// The same for vectors; `half` has a margin for the rounding of the centre.
+struct Reach {
+  V begin, end;
 };
 
-inline bool reach(double centre, double half, int size, int& begin, int& end) {
-  const double low = centre - half - 0.5, high = centre + half - 0.5;  // in units of pixel index
-  if (!(high >= 0) || !(low <= size - 1)) return false;
-  begin = low <= 0 ? 0 : static_cast<int>(std::ceil(low));
-  end = high >= size - 1 ? size : static_cast<int>(high) + 1;
-  return begin < end;
+inline Reach reach(V centre, V half, int size) {
+  const V zero = splat(0), full = splat(static_cast<R>(size));
+  const V low = clamp(centre - half - R(0.5), zero, full), high = clamp(centre + half - R(0.5), splat(-1), full);
+  return {ceil(low), min(floor(high) + R(1), full)};
+}
+
+// Half the width and height of the ellipse u^2 + v^2 <= bound, with a margin for the rounding of the two. Scalars or vectors.
+template <class T>
+inline T half_width(T bound, T l12, T l22, T inv_l11) {
+  const T slope = l12 / l22;
+  return root(bound * (slope * slope + R(1))) * inv_l11 * (1 + kRelativeMargin) + kBorderMargin;
+}
+template <class T>
+inline T half_height(T bound, T l22) {
+  return root(bound) / l22 * (1 + kRelativeMargin) + kBorderMargin;
 }
 
 // Bound of u^2 + v^2 within the ellipse.
-inline R reach2(const Frame& f, const Splat<R>& s) {
-  return (f.without & SVRGS_OPACITY_BOUNDS ? R(0) : s.log2_opacity) - R(kLog2Cut) + kReachMargin;
+template <class T>
+inline T reach2(const Frame& f, T log2_opacity) {
+  return (f.without & SVRGS_OPACITY_BOUNDS ? T{} : log2_opacity) + (kReachMargin - R(kLog2Cut));
 }
 
-inline bool pixel_box(const Frame& f, const Splat<R>& s, PixelBox& box) {
-  const double r = std::sqrt(static_cast<double>(reach2(f, s)));
-  const double half_y = r / s.l22 + kBorderMargin;
-  const double half_x = r * std::sqrt(1.0 + (static_cast<double>(s.l12) / s.l22) * (s.l12 / s.l22)) * s.inv_l11 + kBorderMargin;
-  return reach(s.x, half_x, f.width, box.x0, box.x1) && reach(s.y, half_y, f.height, box.y0, box.y1);
+// SH rows are far apart where not every Gaussian is visible: the processor does not foresee them.
+inline void prefetch_sh(const Frame& f, uint32_t g) {
+  const R* row = static_cast<const R*>(f.sh) + static_cast<int64_t>(g) * f.sh_coefficients * 3;
+  for (int k = 0; k < 3 * (f.sh_degree + 1) * (f.sh_degree + 1); k += 64 / static_cast<int>(sizeof(R))) __builtin_prefetch(row + k);
 }
 
-// Survivors of the scalar tests, gathered until a vector is full.
-struct Pending {
-  uint32_t ids[W];
-  double x[W], y[W];  // projected centres, exact to double
-  int count = 0;
-};
-
-// Depth and opacity of one Gaussian; on success its centre in pixels.
-inline bool in_front(const Frame& f, int64_t g, double& x, double& y) {
-  const R* mean = static_cast<const R*>(f.means) + 3 * g;
+// Which of the n <= W Gaussians from `first` on are in front of the camera and not too faint; one bit each.
+inline uint32_t in_front(const Frame& f, int64_t first, int n) {
+  const R *means = static_cast<const R*>(f.means) + 3 * first, *logits = static_cast<const R*>(f.opacity_logits) + first;
+  V x = splat(0), y = x, z = x, logit = x;
+  for (int i = 0; i < n; ++i) x[i] = means[3 * i], y[i] = means[3 * i + 1], z[i] = means[3 * i + 2], logit[i] = logits[i];
   const double* m = f.viewmat;
-  const double z = m[8] * mean[0] + m[9] * mean[1] + m[10] * mean[2] + m[11];
-  if (!(z > kNear) || !(z < kFar)) return false;
-  if (!(static_cast<const R*>(f.opacity_logits)[g] >= R(kLogitCut))) return false;
-  x = f.fx * (m[0] * mean[0] + m[1] * mean[1] + m[2] * mean[2] + m[3]) / z + f.cx;
-  y = f.fy * (m[4] * mean[0] + m[5] * mean[1] + m[6] * mean[2] + m[7]) / z + f.cy;
-  return true;
+  const V depth = narrow(m[8] * wide(x) + m[9] * wide(y) + m[10] * wide(z) + m[11]);
+  const M front = both(less(splat(R(kNear)), depth), less(depth, splat(R(kFar))));
+  return bits(both(front, at_least(logit, splat(R(kLogitCut))))) & ((1u << n) - 1);
 }
 
-inline void colour_splats(const Frame& f, const Batch& b, const uint32_t* ids, Splat<R>* out, int count) {
-  V basis[16];
-  const Direction dir = direction(b.mean);
-  sh_basis(f.sh_degree, dir.d, basis);
-  const int used = (f.sh_degree + 1) * (f.sh_degree + 1);
-  const R* sh = static_cast<const R*>(f.sh);
-  for (int i = 0; i < count; ++i) {
-    const R* row = sh + static_cast<int64_t>(ids[i]) * f.sh_coefficients * 3;
-    R c[3] = {R(0.5), R(0.5), R(0.5)};
-    for (int k = 0; k < used; ++k)
-      for (int j = 0; j < 3; ++j) c[j] += basis[k][i] * row[3 * k + j];
-    for (int j = 0; j < 3; ++j) out[i].rgb[j] = c[j] < 0 && c[j] >= R(-kColourMax) ? R(0) : c[j];
+using Four = R __attribute__((vector_size(4 * sizeof(R))));
+
+// 0.5 + sum_k basis_k sh_k of one Gaussian; lane i of `basis` is its own. Three channels and a spare.
+inline Four sh_colour(const Frame& f, const V* basis, int i, const R* row) {
+  const int last = (f.sh_degree + 1) * (f.sh_degree + 1) - 1;
+  Four even = {R(0.5), R(0.5), R(0.5), 0}, odd = {};
+  for (int k = 0; k + 1 <= last; k += 2) {  // a load takes a value of the next coefficient along, so the last one stands apart
+    Four a, b = {};
+    __builtin_memcpy(&a, row + 3 * k, sizeof a);
+    if (k + 1 < last) __builtin_memcpy(&b, row + 3 * k + 3, sizeof b);
+    even += basis[k][i] * a;
+    if (k + 1 < last) odd += basis[k + 1][i] * b;
   }
+  const R* end = row + 3 * last;
+  return even + odd + basis[last][i] * Four{end[0], end[1], end[2], 0};
 }
 
 inline bool finite(R x) { return std::fabs(x) <= std::numeric_limits<R>::max(); }
+inline M finite(V x) { return at_least(splat(std::numeric_limits<R>::max()), magnitude(x)); }
 inline bool sane(R colour) { return std::fabs(colour) <= R(kColourMax); }
 
-inline bool usable(const Batch& b, const Projected& p, int i) {
-  return finite(b.log_scale[0][i] + b.log_scale[1][i] + b.log_scale[2][i]) && p.inv_norm[i] < R(kQuatMax) && p.inv_norm[i] > R(1 / kQuatMax);
-}
+inline Span tile_range(int begin, int end) { return {static_cast<uint16_t>(begin / kTile), static_cast<uint16_t>((end - 1) / kTile + 1)}; }
 
-inline bool usable(const Frame& f, const Splat<R>& s, double x, double y) {
-  return reach2(f, s) > kReachMargin * R(0.5) && s.l11 > 0 && s.l22 > 0 && finite(s.l11) && finite(s.l12) && finite(s.l22) &&
-         finite(s.inv_l11) && finite(s.y_extreme) && sane(s.rgb[0]) && sane(s.rgb[1]) && sane(s.rgb[2]) &&
-         std::fabs(x) < 1e9 && std::fabs(y) < 1e9;
-}
+// W Gaussians on the screen: what Splat and SplatTiles hold, colours aside.
+struct Screen {
+  D x, y;
+  V l11, l12, l22, log2_opacity, depth, inv_l11, y_extreme, slope;
+  Reach columns, rows;
+  M visible;
+};
 
-inline SplatTiles tile_rows(const PixelBox& box) {
-  const int first = box.y0 / kTile, last = (box.y1 - 1) / kTile;
-  return {0, 0, static_cast<uint16_t>(first), static_cast<uint16_t>(last - first + 1), 0};
-}
-
-// Projects the pending Gaussians; appends the visible ones to ids, returns how many.
-inline int64_t flush(const Frame& f, Pending& pending, uint32_t* ids, uint32_t* depth_keys) {
-  const int n = pending.count;
-  pending.count = 0;
-  if (n <= 0) return 0;
-  for (int i = n; i < W; ++i) pending.ids[i] = pending.ids[0];
-  const Batch b = load_batch(f, pending.ids);
+inline Screen to_screen(const Frame& f, const Batch& b) {
   const Projected p = project(f, b);
   const Whitening l = whitening(p);
-  const V l11 = l.l11, l12 = l.l12, l22 = l.l22;
-  const V opacity = p.opacity * p.compensation;
-  Splat<R> batch[W];
-  for (int i = 0; i < n; ++i) {
-    Splat<R>& s = batch[i];
-    s = {pending.x[i], pending.y[i], l11[i], l12[i], l22[i], std::log2(opacity[i]), {}, p.c[2][i], R(1) / l11[i], 0, R(1), -l12[i] / l11[i]};
-    s.y_extreme = -l12[i] * std::sqrt(reach2(f, s)) / (l22[i] * std::sqrt(l22[i] * l22[i] + l12[i] * l12[i]));
-    if (f.masks) s.mask = f.masks[pending.ids[i]] ? R(1) : R(0);
-  }
-  colour_splats(f, b, pending.ids, batch, n);
+  Screen s;
+  const double* m = f.viewmat;
+  const auto along = [&](int row) { return m[4 * row] * b.offset[0] + m[4 * row + 1] * b.offset[1] + m[4 * row + 2] * b.offset[2]; };
+  const D z = along(2), inv = 1.0 / z;
+  s.x = f.fx * along(0) * inv + f.cx, s.y = f.fy * along(1) * inv + f.cy;
+  s.l11 = l.l11, s.l12 = l.l12, s.l22 = l.l22, s.log2_opacity = log2(p.opacity * p.compensation);
+  s.depth = narrow(z);  // from double, so that all levels sort alike
+  s.inv_l11 = splat(1) / l.l11, s.slope = -l.l12 * s.inv_l11;
+  const V bound = reach2(f, s.log2_opacity), x = narrow(s.x), y = narrow(s.y), far = splat(R(1e9));
+  s.y_extreme = -l.l12 * sqrt(bound) / (l.l22 * sqrt(fma(l.l22, l.l22, l.l12 * l.l12)));
+  s.columns = reach(x, half_width(bound, l.l12, l.l22, s.inv_l11) + magnitude(x) * kRelativeMargin, f.width);
+  s.rows = reach(y, half_height(bound, l.l22) + magnitude(y) * kRelativeMargin, f.height);
+  const V zero = splat(0), quat_max = splat(R(kQuatMax)), quat_min = splat(R(1 / kQuatMax));
+  M ok = both(less(splat(kReachMargin * R(0.5)), bound), both(less(zero, s.l11), less(zero, s.l22)));
+  ok = both(ok, both(both(finite(s.l11), finite(s.l12)), both(finite(s.l22), finite(s.inv_l11))));
+  ok = both(ok, both(finite(s.y_extreme), finite(b.log_scale[0] + b.log_scale[1] + b.log_scale[2])));
+  ok = both(ok, both(both(less(p.inv_norm, quat_max), less(quat_min, p.inv_norm)), both(less(magnitude(x), far), less(magnitude(y), far))));
+  s.visible = both(ok, both(less(s.columns.begin, s.columns.end), less(s.rows.begin, s.rows.end)));
+  return s;
+}
+
+// Projects n <= W Gaussians; appends the visible ones to out and depth_keys, returns how many.
+inline int64_t project_batch(const Frame& f, uint32_t* ids, int n, uint32_t* out, uint32_t* depth_keys) {
+  for (int i = n; i < W; ++i) ids[i] = ids[0];
+  const Batch b = load_batch(f, ids);
+  const Screen s = to_screen(f, b);
+  V basis[16];
+  sh_basis(f.sh_degree, direction(b.mean).d, basis);
   int64_t kept = 0;
-  for (int i = 0; i < n; ++i) {
-    PixelBox box;
-    if (!usable(b, p, i) || !usable(f, batch[i], pending.x[i], pending.y[i]) || !pixel_box(f, batch[i], box)) continue;
-    const uint32_t g = pending.ids[i];
-    static_cast<Splat<R>*>(f.splats)[g] = batch[i];
-    f.tiles[g] = tile_rows(box);
-    const float z = static_cast<float>(batch[i].depth);
-    __builtin_memcpy(depth_keys + kept, &z, 4);  // positive floats order as their bits
-    ids[kept++] = g;
+  for (uint32_t left = bits(s.visible) & ((1u << n) - 1); left; left &= left - 1) {
+    const int i = __builtin_ctz(left);
+    const uint32_t g = ids[i];
+    Four c = sh_colour(f, basis, i, static_cast<const R*>(f.sh) + static_cast<int64_t>(g) * f.sh_coefficients * 3);
+    if (!sane(c[0]) || !sane(c[1]) || !sane(c[2])) continue;
+    c = c < 0 ? Four{} : c;
+    const R mask = f.masks && !f.masks[g] ? R(0) : R(1);
+    static_cast<Splat<R>*>(f.splats)[g] = {s.x[i], s.y[i], s.l11[i], s.l12[i], s.l22[i], s.log2_opacity[i], {c[0], c[1], c[2]}, s.depth[i],
+                                           s.inv_l11[i], s.y_extreme[i], mask, s.slope[i]};
+    const Span rows = tile_range(static_cast<int>(s.rows.begin[i]), static_cast<int>(s.rows.end[i]));
+    f.tiles[g] = {0, 0, rows.begin, static_cast<uint16_t>(rows.end - rows.begin),
+                  tile_range(static_cast<int>(s.columns.begin[i]), static_cast<int>(s.columns.end[i])), 0};
+    const float depth = static_cast<float>(s.depth[i]);
+    __builtin_memcpy(depth_keys + kept, &depth, 4);  // positive floats order as their bits
+    out[kept++] = g;
   }
   return kept;
 }
 
 // Gaussians [begin, end): writes the visible ones' ids and depth keys from `begin` on; returns their number.
 int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* ids, uint32_t* depth_keys) {
-  Pending pending;
+  uint32_t pending[W];
+  int waiting = 0;
   int64_t kept = 0;
-  for (int64_t g = begin; g < end; ++g) {
-    double x, y;
-    if (!in_front(f, g, x, y)) continue;
-    pending.ids[pending.count] = static_cast<uint32_t>(g);
-    pending.x[pending.count] = x, pending.y[pending.count] = y;
-    if (++pending.count == W) kept += flush(f, pending, ids + kept, depth_keys + kept);
+  for (int64_t first = begin; first < end; first += W) {
+    for (uint32_t left = in_front(f, first, static_cast<int>(std::min<int64_t>(W, end - first))); left; left &= left - 1) {
+      const uint32_t g = static_cast<uint32_t>(first + __builtin_ctz(left));
+      prefetch_sh(f, g);
+      pending[waiting++] = g;
+      if (waiting == W) kept += project_batch(f, pending, W, ids + kept, depth_keys + kept), waiting = 0;
+    }
   }
-  return kept + flush(f, pending, ids + kept, depth_keys + kept);
+  return kept + (waiting ? project_batch(f, pending, waiting, ids + kept, depth_keys + kept) : 0);
 }
 
-// Stage 2: the exact tiles of one visible Gaussian, row by row; returns how many.
+// Stage 2: the exact tiles of one visible Gaussian of several tile rows, row by row; returns how many.
 uint32_t fill_spans(const Frame& f, uint32_t g, Span* spans) {
   const Splat<R>& s = static_cast<const Splat<R>*>(f.splats)[g];
   const SplatTiles& t = f.tiles[g];
-  const R bound = reach2(f, s);
+  if (f.without & SVRGS_EXACT_TILES) {
+    std::fill_n(spans, t.rows, t.columns);
+    return static_cast<uint32_t>(t.rows) * (t.columns.end - t.columns.begin);
+  }
+  const R bound = reach2(f, s.log2_opacity);
   uint32_t tiles = 0;
   for (int r = 0; r < t.rows; ++r) {
     const int y0 = (t.row + r) * kTile, y1 = std::min(y0 + kTile, f.height) - 1;
     const R low = static_cast<R>(y0 + 0.5 - s.y) - kBorderMargin, high = static_cast<R>(y1 + 0.5 - s.y) + kBorderMargin;
     const Extent<R> e = ellipse_extent<R>(bound, s.l22, s.inv_l11, s.slope, s.y_extreme, low, high);
     int x0, x1;
-    if (f.without & SVRGS_EXACT_TILES) {
-      PixelBox box = {};
-      pixel_box(f, s, box);
-      spans[r] = {static_cast<uint16_t>(box.x0 / kTile), static_cast<uint16_t>((box.x1 - 1) / kTile + 1)};
-      tiles += spans[r].end - spans[r].begin;
-      continue;
-    }
     const double middle = s.x + 0.5 * (static_cast<double>(e.left) + e.right), half = 0.5 * (static_cast<double>(e.right) - e.left) + kBorderMargin;
     spans[r] = {0, 0};
-    if (e.depth < 0 || !reach(middle, half, f.width, x0, x1)) continue;
-    spans[r] = {static_cast<uint16_t>(x0 / kTile), static_cast<uint16_t>((x1 - 1) / kTile + 1)};
+    if (e.depth < 0) continue;
+    reach(middle, half, f.width, x0, x1);
+    if (x0 >= x1) continue;
+    spans[r] = tile_range(x0, x1);
     tiles += spans[r].end - spans[r].begin;
   }
   return tiles;

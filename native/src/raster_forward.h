@@ -116,7 +116,7 @@ inline void gather_chunk(const Frame& f, TileOrigin o, const TileEntry* entries,
     prefetch_splat(f, entries + k + kAhead, end);
     const Splat<R>& s = splat_of(f, entries[k]);
     c.local[k] = localise(s, o);
-    c.reach[k] = reach2(f, s), c.l22[k] = s.l22, c.inv_l11[k] = s.inv_l11, c.slope[k] = s.slope, c.y_extreme[k] = s.y_extreme;
+    c.reach[k] = reach2(f, s.log2_opacity), c.l22[k] = s.l22, c.inv_l11[k] = s.inv_l11, c.slope[k] = s.slope, c.y_extreme[k] = s.y_extreme;
     c.x[k] = c.local[k].x, c.y[k] = c.local[k].y;
     c.visit[k] = 0;
   }

@@ -11,6 +11,10 @@ using V = R __attribute__((vector_size(sizeof(R) * W)));
 using I = IntR __attribute__((vector_size(sizeof(R) * W)));
 constexpr int kSub = kBlockPixels / W;  // vectors per 4x4 block
 
+using D = double __attribute__((vector_size(sizeof(double) * W)));
+inline D wide(V v) { return __builtin_convertvector(v, D); }
+inline V narrow(D d) { return __builtin_convertvector(d, V); }
+
 inline V splat(R x) { return x - V{}; }  // x - 0 is x, -0 included: one broadcast
 inline V load(const R* p) {
   V v;
@@ -126,6 +130,12 @@ inline V reciprocal(V a) {
 #endif
 }
 
+inline V magnitude(V x) { return max(x, -x); }
+inline V floor(V x) {  // of values that fit into an integer
+  const V t = __builtin_convertvector(__builtin_convertvector(x, I), V);
+  return select(less(x, t), t - R(1), t);
+}
+inline V ceil(V x) { return -floor(-x); }
 inline V clamp(V x, V low, V high) { return min(max(x, low), high); }
 
 #ifndef SVRGS_EXP_DEGREE
@@ -156,6 +166,23 @@ inline V exp2(V x) {
     V p = fma(exp2_end(f), f2, fma(splat(kExp2[3]), f, splat(kExp2[2])));
     p = fma(p, f2, fma(splat(kExp2[1]), f, splat(kExp2[0])));
     return (V)((I)p + ((I)t << 23));
+  }
+}
+// log2 x for normal x > 0, error below 2e-7 of the larger of 1 and the result.
+inline V log2(V x) {
+  if constexpr (sizeof(R) == 8) {
+    for (int i = 0; i < W; ++i) x[i] = std::log2(x[i]);
+    return x;
+  } else {
+    const I shifted = (I)x - 0x3f3504f3;  // bits of sqrt(1/2): the mantissa comes to lie in [sqrt(1/2), sqrt(2))
+    const V exponent = __builtin_convertvector(shifted >> 23, V);
+    const V m = (V)((shifted & 0x7fffff) + 0x3f3504f3);
+    const V s = (m - splat(1)) / (m + splat(1)), s2 = s * s;  // log m = 2 (s + s^3 / 3 + s^5 / 5 + ...), |s| < 0.172
+    V p = fma(s2, splat(R(0.320598912)), splat(R(0.412198603)));
+    p = fma(p, s2, splat(R(0.577078016)));
+    p = fma(p, s2, splat(R(0.961796694)));
+    p = fma(p, s2, splat(R(2.885390082)));
+    return fma(p, s, exponent);
   }
 }
 inline V exp(V x) { return exp2(clamp(x * splat(R(1.4426950408889634)), splat(-126), splat(126))); }

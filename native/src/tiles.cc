@@ -9,6 +9,7 @@ namespace {
 
 constexpr int kRadixBits = 11, kRadix = 1 << kRadixBits, kPasses = 3;  // 33 bits cover the 32 of a key
 constexpr int64_t kSortChunks = 8;
+constexpr int64_t kAhead = 12;  // sorted Gaussians fetched before they are needed
 
 void radix_pass(const Keyed* from, Keyed* to, int64_t count, int shift) {
   static thread_local uint32_t offsets[kSortChunks][kRadix];
@@ -36,8 +37,9 @@ template <class F>
 void for_tiles(const Frame& f, uint32_t id, F&& visit) {
   const SplatTiles& t = f.tiles[id];
   uint32_t k = 0;
+  const Span* spans = t.rows > 1 ? f.spans + t.span : &t.columns;
   for (int r = 0; r < t.rows; ++r) {
-    const Span s = f.spans[t.span + r];
+    const Span s = spans[r];
     for (int x = s.begin; x < s.end; ++x) visit(static_cast<int64_t>(t.row + r) * f.tiles_x + x, k++);
   }
 }
@@ -58,7 +60,11 @@ void bin_tiles(const Frame& f, const Keyed* sorted, int64_t* tile_begin, TileEnt
   const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y, chunks = binning_chunks(f.visible_count);
   const int64_t grain = (f.visible_count + chunks - 1) / chunks;
   const auto range = [&](int64_t c, auto&& visit) {
-    for (int64_t i = c * grain, end = std::min(f.visible_count, i + grain); i < end; ++i) visit(sorted[i].id);
+    for (int64_t i = c * grain, end = std::min(f.visible_count, i + grain); i < end; ++i) {
+      if (i + 2 * kAhead < end) __builtin_prefetch(f.tiles + sorted[i + 2 * kAhead].id);
+      if (i + kAhead < end) __builtin_prefetch(f.spans + f.tiles[sorted[i + kAhead].id].span);
+      visit(sorted[i].id);
+    }
   };
   parallel_for(chunks, [&](int64_t c) {
     uint32_t* count = counts + c * tiles;
