@@ -47,6 +47,8 @@ _Images = _struct("_Images", rgb=_real, depth=_real, alpha=_real, mask=_real, hi
 _ImageGrads = _struct("_ImageGrads", rgb=_real, depth=_real, alpha=_real, mask=_real)
 _Grads = _struct("_Grads", **{name: _real for name in GRADS})
 _Adam = _struct("_Adam", lr=c.c_void_p, **{name: c.c_double for name in ("beta1", "beta2", "eps", "bias1", "bias2")})
+_Trained = _struct("_Trained", param=_real, m=_real, v=_real, lr=c.c_void_p)
+_Update = _struct("_Update", adam=_Adam, **{name: _Trained for name in GRADS[:5]})
 _Work = _struct("_Work", **{name: c.c_int64 for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")})
 _Machine = _struct("_Machine", fma=c.c_double, read=c.c_double, update=c.c_double)
 
@@ -145,6 +147,7 @@ class Rasterizer:
         self._context = c.c_void_p()
         self._view = None  # arrays the library still reads: kept alive until the next forward
         self._shape = (0, 0, 0)  # H, W, K of the last view
+        self._shapes: dict[str, tuple] = {}  # of its scene's arrays
         self._buffers: dict[str, np.ndarray] = {}
         _call("svrgs_context_create", c.c_int32(LEVELS[self.level]), c.byref(self._context))
 
@@ -195,16 +198,29 @@ class Rasterizer:
         image_grads: {'rgb' | 'depth' | 'alpha' | 'mask': dL/dimage}; wanted: names from GRADS, the others are not computed.
         Returns {name: (V, ...)}, valid until the next backward.
         """
-        if unknown := {*image_grads} - {*LOSS_IMAGES} | {*wanted} - {*GRADS}:
-            raise ValueError(f"no gradient of {', '.join(sorted(unknown))}: from {', '.join(LOSS_IMAGES)}, to {', '.join(GRADS)}")
-        height, width, coefficients = self._shape
-        grads_in = _ImageGrads(**{name: _check(g, f"d{name}", _image_shape(name, height, width), self.dtype) for name, g in image_grads.items()})
-        count = len(self.visible())
-        widths = {"means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3), "means2d": (2,)}
-        grads = {name: self._buffer(name, (count, *widths.get(name, ()))) for name in wanted}
-        grads_out = _Grads(**{name: g.ctypes.data for name, g in grads.items()})
+        grads_in, grads, grads_out = self._gradients(image_grads, wanted)
         _call("svrgs_backward", self._context, c.byref(grads_in), c.byref(grads_out))
         return grads
+
+    def backward_update(self, image_grads: dict, tensors: dict, rates: dict, *, step, betas=(0.9, 0.999), eps=1e-15, wanted=()) -> tuple[dict, int]:
+        """backward() and adam() in one, bit for bit, without storing the gradients; uses the view up.
+
+        tensors: {name: (param, m, v)} for the five arrays of the rendered scene, param being the scene's own; rates: {name:
+        one rate, or one per column}; wanted: gradients to return, 'masks' and 'means2d' only. Returns ({name: (V, ...)},
+        rows left alone because their gradient was not finite).
+        """
+        if unknown := {*wanted} - {"masks", "means2d"}:
+            raise ValueError(f"gradients of what is updated are not kept: {', '.join(sorted(unknown))}")
+        grads_in, grads, grads_out = self._gradients(image_grads, wanted)
+        columns, update = {}, _Update(adam=_adam_settings(None, betas, eps, step))
+        for name, shape in self._shapes.items():
+            columns[name] = _rates(rates[name], shape)
+            param, m, v = tensors[name]
+            addresses = (_check_out(a, f"{kind} of {name}", shape, self.dtype) for kind, a in (("param", param), ("m", m), ("v", v)))
+            setattr(update, name, _Trained(*addresses, columns[name].ctypes.data))
+        bad = c.c_int64()
+        _call("svrgs_backward_update", self._context, c.byref(grads_in), c.byref(update), c.byref(grads_out), c.byref(bad))
+        return grads, bad.value
 
     def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray):
         """Adds the last view to per-Gaussian statistics (N,): sum of alpha T float64, max alpha T float32, pixels int64."""
@@ -231,24 +247,34 @@ class Rasterizer:
         skipped because their gradient was not finite.
         """
         shape = np.shape(param)
-        width = int(np.prod(shape[1:], dtype=np.int64))
+        rates = _rates(lr, shape)
         rows = len(param) if ids is None else len(ids)
-        rates = np.ascontiguousarray(np.broadcast_to(np.asarray(lr, np.float64), (width,)))
-        settings = _Adam(rates.ctypes.data, *betas, eps, 1 - betas[0] ** step, 1 - betas[1] ** step)
+        settings = _adam_settings(rates.ctypes.data, betas, eps, step)
         bad = c.c_int64()
         addresses = [_check_out(a, name, shape, self.dtype) for name, a in (("param", param), ("m", m), ("v", v))]
         addresses.append(_check(grad, "grad", (rows, *shape[1:]), self.dtype))
         addresses.append(_check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
         if ids is not None and rows and ids.max() >= len(param):
             raise ValueError(f"ids name row {ids.max()}; there are {len(param)}")
-        _call("svrgs_adam", c.c_int32(LEVELS[self.level]), c.byref(settings), *map(c.c_void_p, addresses), c.c_int64(rows), c.c_int32(width), c.byref(bad))
+        _call("svrgs_adam", c.c_int32(LEVELS[self.level]), c.byref(settings), *map(c.c_void_p, addresses), c.c_int64(rows), c.c_int32(len(rates)), c.byref(bad))
         return bad.value
+
+    def _gradients(self, image_grads: dict, wanted):
+        """What the library reads, what it writes, and pointers to the latter."""
+        if unknown := {*image_grads} - {*LOSS_IMAGES} | {*wanted} - {*GRADS}:
+            raise ValueError(f"no gradient of {', '.join(sorted(unknown))}: from {', '.join(LOSS_IMAGES)}, to {', '.join(GRADS)}")
+        height, width, coefficients = self._shape
+        grads_in = _ImageGrads(**{name: _check(g, f"d{name}", _image_shape(name, height, width), self.dtype) for name, g in image_grads.items()})
+        count = self.work()["visible"]
+        widths = {"means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3), "means2d": (2,)}
+        grads = {name: self._buffer(name, (count, *widths.get(name, ()))) for name in wanted}
+        return grads_in, grads, _Grads(**{name: g.ctypes.data for name, g in grads.items()})
 
     def _scene(self, scene, masks):
         arrays = {name: getattr(scene, name) for name in GRADS[:5]}
         n, k = len(arrays["means"]), np.shape(arrays["sh"])[1] if np.ndim(arrays["sh"]) == 3 else 1
-        shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3)}
-        pointers = {name: _check(arrays[name], name, shape, self.dtype) for name, shape in shapes.items()}
+        self._shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3)}
+        pointers = {name: _check(arrays[name], name, shape, self.dtype) for name, shape in self._shapes.items()}
         if masks is not None:
             pointers["masks"] = _check(masks, "masks", (n,), np.uint8)
         self._view = (*arrays.values(), masks)
@@ -267,6 +293,16 @@ class Rasterizer:
         if name not in self._buffers or self._buffers[name].size < size:
             self._buffers[name] = np.empty(size + size // 4, self.dtype)
         return self._buffers[name][:size].reshape(shape)
+
+
+def _rates(lr, shape: tuple) -> np.ndarray:
+    """One rate per column of a tensor, float64."""
+    width = int(np.prod(shape[1:], dtype=np.int64))
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(lr, np.float64), (width,)))
+
+
+def _adam_settings(rates: int | None, betas, eps: float, step: int) -> _Adam:
+    return _Adam(rates, *betas, eps, 1 - betas[0] ** step, 1 - betas[1] ** step)
 
 
 def _image_shape(name: str, height: int, width: int) -> tuple:

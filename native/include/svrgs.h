@@ -175,6 +175,20 @@ typedef struct {
 SVRGS_API int32_t svrgs_adam(int32_t level, const svrgs_adam_settings *, real *param, real *m, real *v,
                              const real *grad, const uint32_t *ids, int64_t rows, int32_t width, int64_t *nonfinite);
 
+/* svrgs_backward and svrgs_adam in one, bit for bit: the gradients of the last view go straight into an Adam step on the rows
+   of the visible Gaussians (of the scene's own arrays, which this call may write) and are not stored. `others` may ask for
+   masks and means2d only. The view is used up: what it was made from has changed. */
+typedef struct {
+  real *param, *m, *v; /* (N, columns) */
+  const double *lr;    /* (columns,) */
+} svrgs_trained;
+typedef struct {
+  svrgs_adam_settings adam; /* its lr is not read */
+  svrgs_trained means, log_scales, quats, opacity_logits, sh;
+} svrgs_update;
+SVRGS_API int32_t svrgs_backward_update(svrgs_context *, const svrgs_image_grads *, const svrgs_update *, const svrgs_grads *others,
+                                        int64_t *nonfinite);
+
 /* Draws M_i = [d_i + l_i > 0], l logistic noise keyed by (seed, step, i); slope receives the straight-through
    derivative sigma(d + l)(1 - sigma(d + l)). */
 SVRGS_API int32_t svrgs_sample_masks(const float *logits, int64_t count, uint64_t seed, uint64_t step, uint8_t *masks,

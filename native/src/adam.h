@@ -9,7 +9,8 @@ struct AdamRates {  // constants of a step, in the level's type
 
 inline AdamRates adam_rates(const svrgs_adam_settings& a, const double* lr, int width) {
   AdamRates s;
-  for (int i = 0; i < W * width; ++i) s.rate[i] = static_cast<R>(lr[i % width] / a.bias1);
+  for (int k = 0; k < width; ++k) s.rate[k] = static_cast<R>(lr[k] / a.bias1);
+  for (int i = 1; i < W; ++i) std::copy_n(s.rate, width, s.rate + i * width);
   s.beta1 = splat(R(a.beta1)), s.rest1 = splat(R(1 - a.beta1)), s.beta2 = splat(R(a.beta2)), s.rest2 = splat(R(1 - a.beta2));
   s.root_bias2 = splat(R(1 / std::sqrt(a.bias2))), s.eps = splat(R(a.eps));
   return s;
@@ -45,6 +46,7 @@ inline int adam_wide(const AdamRates& a, const AdamTensors& t, int64_t at, const
 template <int fixed>
 inline int adam_narrow(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int n, int any_width) {
   const int width = fixed ? fixed : any_width;
+  if (n < 1 || n > W || width < 1 || width > kAdamWidth) __builtin_unreachable();
   constexpr int kRoom = W * (fixed ? fixed : kAdamWidth);
   alignas(64) R p[kRoom], m[kRoom], v[kRoom], g[kRoom];
   for (int i = 0; i < n; ++i) {

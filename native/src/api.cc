@@ -90,6 +90,11 @@ void check(const svrgs_options& o, const svrgs_scene& s) {
   require(o.mask_kind != SVRGS_MASK_A || o.eps_a > 0, "eps_a must be positive");
 }
 
+void check_view(const svrgs::Context& context, const svrgs_image_grads& in) {
+  require(context.holds_view(), "there is no rendered view to differentiate: call svrgs_forward first");
+  require(!in.depth || context.holds_depth(), "a gradient of the depth image needs a forward pass that made one");
+}
+
 uint64_t mix(uint64_t x) {  // the splitmix64 finaliser
   x ^= x >> 30, x *= 0xbf58476d1ce4e5b9ULL;
   x ^= x >> 27, x *= 0x94d049bb133111ebULL;
@@ -161,9 +166,19 @@ int32_t svrgs_measure_machine(int32_t level, svrgs_machine* out) {
 int32_t svrgs_backward(svrgs_context* c, const svrgs_image_grads* in, const svrgs_grads* out) {
   return guarded([&] {
     require(c && in && out, "an argument is missing");
-    require(c->context.holds_view(), "there is no rendered view to differentiate: call svrgs_forward first");
-    require(!in->depth || c->context.holds_depth(), "a gradient of the depth image needs a forward pass that made one");
-    c->context.backward(*in, *out);
+    check_view(c->context, *in);
+    c->context.backward(*in, *out, nullptr);
+  });
+}
+
+int32_t svrgs_backward_update(svrgs_context* c, const svrgs_image_grads* in, const svrgs_update* update, const svrgs_grads* others, int64_t* nonfinite) {
+  return guarded([&] {
+    require(c && in && update && others && nonfinite, "an argument is missing");
+    require(!others->means && !others->log_scales && !others->quats && !others->opacity_logits && !others->sh, "gradients of what is updated are not kept");
+    for (const svrgs_trained& t : {update->means, update->log_scales, update->quats, update->opacity_logits, update->sh})
+      require(t.param && t.m && t.v && t.lr, "an array to update is missing");
+    check_view(c->context, *in);
+    *nonfinite = c->context.backward(*in, *others, update);
   });
 }
 

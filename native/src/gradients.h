@@ -49,14 +49,46 @@ inline R spatial_weight(const Frame& f, const Splat<R>& s) {
   return R(SVRGS_EVEN_AREA) / std::max(area, R(1));
 }
 
-inline void scatter(void* rows, int64_t first, int n, int width, const V* values) {
-  if (!rows) return;
-  R* out = static_cast<R*>(rows) + first * width;
+// n rows of `width` values; lanes hold columns.
+inline void rows_of(const V* values, int n, int width, R* out) {
   for (int i = 0; i < n; ++i)
     for (int k = 0; k < width; ++k) out[i * width + k] = values[k][i];
 }
 
-inline void gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads& out, const R* slots, int64_t first, int n) {
+inline void scatter(void* rows, int64_t first, int n, int width, const V* values) {
+  if (rows) rows_of(values, n, width, static_cast<R*>(rows) + first * width);
+}
+
+inline AdamTensors tensors(const svrgs_trained& t) { return {static_cast<R*>(t.param), static_cast<R*>(t.m), static_cast<R*>(t.v)}; }
+
+// The rates of all tensors of an update.
+struct Update {
+  const svrgs_update* settings;
+  AdamRates means, log_scales, quats, opacity_logits, sh;
+  Update(const Frame& f, const svrgs_update& u)
+      : settings(&u), means(adam_rates(u.adam, u.means.lr, 3)), log_scales(adam_rates(u.adam, u.log_scales.lr, 3)),
+        quats(adam_rates(u.adam, u.quats.lr, 4)), opacity_logits(adam_rates(u.adam, u.opacity_logits.lr, 1)),
+        sh(adam_rates(u.adam, u.sh.lr, 3 * f.sh_coefficients)) {}
+};
+
+inline int apply(const Frame& f, const Update& u, const ParameterGrads& g, const R* sh_rows, int64_t first, int n) {
+  const uint32_t* ids = f.visible + first;
+  const int64_t known = f.visible_count - first;
+  alignas(64) R rows[4 * W];
+  int bad = adam_group(u.sh, tensors(u.settings->sh), ids, known, sh_rows, n, 3 * f.sh_coefficients);
+  const auto step = [&](const AdamRates& rates, const svrgs_trained& t, const V* values, int width) {
+    rows_of(values, n, width, rows);
+    bad += adam_group(rates, tensors(t), ids, known, rows, n, width);
+  };
+  step(u.means, u.settings->means, g.mean, 3);
+  step(u.log_scales, u.settings->log_scales, g.log_scale, 3);
+  step(u.quats, u.settings->quats, g.quat, 4);
+  step(u.opacity_logits, u.settings->opacity_logits, &g.opacity_logit, 1);
+  return bad;
+}
+
+// Visible Gaussians [first, first + n): gradients into the rows of `out`, or into an Adam step. Returns the rows it left alone.
+inline int gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t first, int n) {
   uint32_t ids[W];
   V s[kSlotWidth];
   ColourGrads colour;
@@ -70,27 +102,41 @@ inline void gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads
     for (int c = 0; c < 3; ++c) colour.rgb[c][i] = splat.rgb[c] > 0 ? sums.value[kSlotRed + c] : R(0);
   }
   if (want.mask) scatter(out.masks, first, n, 1, &s[kSlotMask]);
-  if (!want.shape && !want.colour) return;
+  if (!want.shape && !want.colour) return 0;
   const Batch b = load_batch(f, ids);
   ParameterGrads g = {};
   if (want.shape)
     g = project_vjp(f, project(f, b), {s[kG], s[kGu], s[kGv], s[kGuu], s[kGuv], s[kGvv], want.depth ? s[kSlotDepth] : splat(0)});
-  if (want.colour) {
-    R* rows = out.sh ? static_cast<R*>(out.sh) + first * f.sh_coefficients * 3 : nullptr;
+  const int width = 3 * f.sh_coefficients;
+  alignas(64) R own[W * 48];
+  R* const rows = update ? own : out.sh ? static_cast<R*>(out.sh) + first * width : nullptr;
+  if (want.colour)
     sh_vjp(f, b, ids, n, colour, rows, g.mean);
-  } else if (out.sh) {
-    __builtin_memset(static_cast<R*>(out.sh) + first * f.sh_coefficients * 3, 0, sizeof(R) * n * f.sh_coefficients * 3);
-  }
+  else if (rows)
+    __builtin_memset(rows, 0, sizeof(R) * n * width);
+  scatter(out.means2d, first, n, 2, g.mean2d);
+  if (update) return apply(f, *update, g, own, first, n);
   scatter(out.means, first, n, 3, g.mean);
   scatter(out.log_scales, first, n, 3, g.log_scale);
   scatter(out.quats, first, n, 4, g.quat);
   scatter(out.opacity_logits, first, n, 1, &g.opacity_logit);
-  scatter(out.means2d, first, n, 2, g.mean2d);
+  return 0;
 }
 
-// Visible Gaussians [begin, end).
-void gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const void* slots, int64_t begin, int64_t end) {
-  const Wanted want = wanted(f, in, out);
-  for (int64_t i = begin; i < end; i += W)
-    gradient_batch(f, want, out, static_cast<const R*>(slots), i, static_cast<int>(std::min<int64_t>(W, end - i)));
+// Visible Gaussians [begin, end). Returns how many rows of parameters had a gradient that is not finite, and were left alone.
+int64_t gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update, const void* slots,
+                        int64_t begin, int64_t end) {
+  const Wanted want = wanted(f, in, out, update);
+  int64_t bad = 0;
+  const auto run = [&](const Update* u) {
+    for (int64_t i = begin; i < end; i += W)
+      bad += gradient_batch(f, want, out, u, static_cast<const R*>(slots), i, static_cast<int>(std::min<int64_t>(W, end - i)));
+  };
+  if (update) {
+    const Update u(f, *update);
+    run(&u);
+  } else {
+    run(nullptr);
+  }
+  return bad;
 }

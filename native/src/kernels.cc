@@ -21,9 +21,9 @@ namespace svrgs::SVRGS_LEVEL {
 #include "images.h"
 #include "raster_backward.h"
 #include "statistics.h"
+#include "adam.h"
 #include "gradients.h"
 #include "loss.h"
-#include "adam.h"
 #include "machine.h"
 
 int64_t loss_scratch(int width) { return 5 * padded_row(width); }

@@ -11,8 +11,9 @@ struct Kernels {
   uint32_t (*fill_spans)(const Frame&, uint32_t id, Span* spans);  // of several tile rows
   void (*forward_tile)(const Frame&, int64_t tile);
   void (*write_tile)(const Frame&, int64_t tile, const svrgs_images&);
-  void (*backward_tile)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, int64_t tile, void* slots);
-  void (*gradients_range)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const void* slots, int64_t begin, int64_t end);
+  void (*backward_tile)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const svrgs_update*, int64_t tile, void* slots);
+  int64_t (*gradients_range)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const svrgs_update*, const void* slots,
+                             int64_t begin, int64_t end);
   void (*scores_tile)(const Frame&, int64_t tile, void* slots);
   void (*scores_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* sum, float* max, int64_t* hits);
   void (*count_tile)(const Frame&, int64_t tile, svrgs_work&);

@@ -138,10 +138,10 @@ inline void write_slot(const Sums& a, R* slot) {
   sum4(a.blue, a.mask, a.depth, a.spatial, slot + 8);
 }
 
-inline Wanted wanted(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out) {
+inline Wanted wanted(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update) {
   Wanted w;
-  w.shape = out.means || out.log_scales || out.quats || out.opacity_logits || out.means2d;
-  w.colour = (out.sh || out.means) && in.rgb;
+  w.shape = update || out.means || out.log_scales || out.quats || out.opacity_logits || out.means2d;
+  w.colour = (update || out.sh || out.means) && in.rgb;
   w.mask = out.masks;
   w.depth = in.depth, w.alpha = in.alpha;
   w.spatial = in.mask && (w.mask || w.shape) && f.mask_kind != kMaskNone;
@@ -178,8 +178,8 @@ void backward_tile_as(const Frame& f, const Wanted& want, const svrgs_image_grad
   }
 }
 
-void backward_tile(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, int64_t tile, void* slots) {
-  const Wanted want = wanted(f, in, out);
+void backward_tile(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update, int64_t tile, void* slots) {
+  const Wanted want = wanted(f, in, out, update);
   R* const own = static_cast<R*>(slots);
   if (!want.spatial)
     backward_tile_as<false, false>(f, want, in, tile, own);

@@ -89,27 +89,31 @@ class NativeEngine:
         image_grads, mask_loss = {"rgb": d_rgb}, 0.0
         if step.spatial:
             mask_loss, image_grads["mask"] = mask_loss_grad(images["mask"], step.lambda_f)
-        wanted = PARAMETERS + (("masks",) if step.masks is not None else ()) + (("means2d",) if step.want_means2d else ())
-        grads = r.backward(image_grads, wanted)
-        result = StepResult(l1, ssim, mask_loss, r.visible(), grads.get("means2d"), step.global_loss)
-        if step.update:
-            result.nonfinite = self._update(model, step, grads, result.visible)
+        wanted = ("means2d",) if step.want_means2d else ()
+        if not step.update:
+            grads = r.backward(image_grads, wanted)
+            return StepResult(l1, ssim, mask_loss, r.visible(), grads.get("means2d"), step.global_loss)
+        if step.masks is not None:
+            wanted += ("masks",)
+        grads, bad = self._update(model, step, image_grads, wanted)
+        result = StepResult(l1, ssim, mask_loss, r.visible(), grads.get("means2d"), step.global_loss, bad)
+        if step.masks is not None:
+            result.nonfinite += self._update_masks(model, step, grads["masks"], result.visible)
         return result
 
-    def _update(self, model: Model, step: Step, grads: dict, ids: np.ndarray) -> int:
-        bad = sum(self._adam(model, name, grads[name], ids, step, _row_rates(name, step.rates, model)) for name in PARAMETERS)
-        if step.masks is None:
-            return bad
-        d_logits = grads["masks"] * step.slope[ids]
+    def _update(self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...]) -> tuple[dict, int]:
+        tensors = {name: (model.values[name], model.first[name], model.second[name]) for name in PARAMETERS}
+        rates = {name: _row_rates(name, step.rates, model) for name in PARAMETERS}
+        return self.rasterizer.backward_update(image_grads, tensors, rates, step=step.number, betas=BETAS, eps=EPS, wanted=wanted)
+
+    def _update_masks(self, model: Model, step: Step, grads: np.ndarray, ids: np.ndarray) -> int:
+        d_logits = grads * step.slope[ids]
         if step.lambda_m:  # reaches every Gaussian, seen or not
             dense = global_mask_grad(step.masks, step.slope, step.lambda_m)
             dense[ids] += d_logits
             d_logits, ids = dense, None
-        return bad + self._adam(model, MASK, d_logits, ids, step, step.rates[MASK])
-
-    def _adam(self, model: Model, name: str, grad, ids, step: Step, rate) -> int:
-        arrays = model.values[name], model.first[name], model.second[name]
-        return self.rasterizer.adam(*arrays, grad, ids, lr=rate, step=step.number, betas=BETAS, eps=EPS)
+        tensors = model.values[MASK], model.first[MASK], model.second[MASK]
+        return self.rasterizer.adam(*tensors, d_logits, ids, lr=step.rates[MASK], step=step.number, betas=BETAS, eps=EPS)
 
 
 def _row_rates(name: str, rates: dict[str, float], model: Model):

@@ -1,0 +1,113 @@
+"""Gradients and Adam step in one call: what the two calls do, to the bit."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import scenes
+from native_helpers import ARRAYS, LEVELS, image_weights, rasterizer, typed
+from svrgs_addon import native
+from svrgs_addon.errors import NativeError
+from svrgs_addon.native import RenderOptions
+
+CAMERA = scenes.camera(41, 29)
+COUNT = 70
+RATES = {"means": 1e-3, "log_scales": 5e-3, "quats": 1e-3, "opacity_logits": 0.05, "sh": 2e-3}
+
+
+def world(level: str, sh_degree: int):
+    """A scene with moments of an earlier step, masks, and image gradients, in the level's type."""
+    dtype, rng = rasterizer(level).dtype, np.random.default_rng(3)
+    scene = typed(scenes.random_scene(COUNT, 5, sh_degree, scale=0.3), dtype)
+    moments = {name: [rng.normal(0, 1e-3, getattr(scene, name).shape).astype(dtype) for _ in range(2)] for name in ARRAYS}
+    moments = {name: (m, np.abs(v)) for name, (m, v) in moments.items()}
+    masks = scenes.random_masks(COUNT, 5).astype(np.uint8)
+    weights = {name: np.ascontiguousarray(image_weights(CAMERA)[name], dtype) for name in ("rgb", "mask")}
+    return SimpleNamespace(**vars(scene), moments=moments, masks=masks, weights=weights)
+
+
+def rates_of(scene) -> dict:
+    columns = np.full(scene.sh[0].size, RATES["sh"] / 20)
+    columns[:3] = RATES["sh"]
+    return RATES | {"sh": columns}
+
+
+def render(r, scene):
+    return r.forward(scene, CAMERA, RenderOptions(mask_kind="svr"), scene.masks, ("rgb", "mask"))
+
+
+def in_two_calls(r, scene):
+    render(r, scene)
+    grads = r.backward(scene.weights, (*ARRAYS, "masks", "means2d"))
+    rates, ids = rates_of(scene), r.visible()
+    bad = sum(r.adam(getattr(scene, name), *scene.moments[name], grads[name], ids, lr=rates[name], step=7) for name in ARRAYS)
+    return {name: grads[name].copy() for name in ("masks", "means2d")}, bad
+
+
+def in_one_call(r, scene):
+    render(r, scene)
+    tensors = {name: (getattr(scene, name), *scene.moments[name]) for name in ARRAYS}
+    return r.backward_update(scene.weights, tensors, rates_of(scene), step=7, wanted=("masks", "means2d"))
+
+
+def assert_same(a, b):
+    for name in ARRAYS:
+        for left, right in zip((getattr(a, name), *a.moments[name]), (getattr(b, name), *b.moments[name]), strict=True):
+            assert left.tobytes() == right.tobytes(), name
+
+
+@pytest.mark.parametrize("sh_degree", [0, 1, 3])
+@pytest.mark.parametrize("level", LEVELS)
+def test_one_call_does_what_two_do(level, sh_degree):
+    r, two, one, before = rasterizer(level), world(level, sh_degree), world(level, sh_degree), world(level, sh_degree)
+    (expected, bad), (grads, bad_in_one) = in_two_calls(r, two), in_one_call(r, one)
+    assert bad == bad_in_one == 0
+    for name in expected:
+        assert grads[name].tobytes() == expected[name].tobytes(), name
+    assert_same(one, two)
+    assert all((getattr(one, name) != getattr(before, name)).any() for name in ARRAYS)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_rows_without_a_finite_gradient_are_left_alone_and_counted(level):
+    r, two, one, before = rasterizer(level), world(level, 3), world(level, 3), world(level, 3)
+    for scene in (two, one):
+        scene.weights["rgb"][12, 20, 1] = np.nan
+    (_, bad), (_, bad_in_one) = in_two_calls(r, two), in_one_call(r, one)
+    assert bad == bad_in_one > 0
+    assert_same(one, two)
+    assert all(np.isfinite(getattr(one, name)).all() for name in ARRAYS)
+    assert (one.means == before.means).all(axis=1).any() and (one.means != before.means).any()
+
+
+def test_the_result_does_not_depend_on_the_number_of_threads():
+    results = []
+    try:
+        for threads in (1, 2, 3, 7):
+            native.set_threads(threads)
+            results.append(world(native.best_level(), 3))
+            in_one_call(rasterizer(native.best_level()), results[-1])
+    finally:
+        native.set_threads(0)
+    for other in results[1:]:
+        assert_same(results[0], other)
+
+
+def test_a_view_is_used_up():
+    r, scene = rasterizer("scalar"), world("scalar", 1)
+    in_one_call(r, scene)
+    with pytest.raises(NativeError, match="svrgs_forward"):
+        r.backward(scene.weights, ("means",))
+
+
+def test_what_is_updated_must_be_the_rendered_scene_in_shape():
+    r, scene = rasterizer("scalar"), world("scalar", 1)
+    render(r, scene)
+    tensors = {name: (getattr(scene, name), *scene.moments[name]) for name in ARRAYS}
+    with pytest.raises(TypeError, match="m of quats"):
+        r.backward_update(scene.weights, tensors | {"quats": (scene.quats, scene.quats[:3], scene.quats)}, rates_of(scene), step=1)
+    with pytest.raises(ValueError, match="not kept: means"):
+        r.backward_update(scene.weights, tensors, rates_of(scene), step=1, wanted=("means",))
