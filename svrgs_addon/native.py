@@ -37,7 +37,7 @@ def _struct(name: str, **fields):
     return type(name, (c.Structure,), {"_fields_": list(fields.items())})
 
 
-_Scene = _struct("_Scene", count=c.c_int64, sh_coefficients=c.c_int32, means=_real, log_scales=_real, quats=_real,
+_Scene = _struct("_Scene", count=c.c_int64, sh_coefficients=c.c_int32, sh_half=c.c_int32, means=_real, log_scales=_real, quats=_real,
                  opacity_logits=_real, sh=_real, masks=c.c_void_p)
 _Camera = _struct("_Camera", viewmat=c.c_double * 16, fx=c.c_double, fy=c.c_double, cx=c.c_double, cy=c.c_double,
                   width=c.c_int32, height=c.c_int32, background=c.c_double * 3)
@@ -159,8 +159,8 @@ class Rasterizer:
     def forward(self, scene, camera: Camera, options: RenderOptions = RenderOptions(), masks=None, outputs=("rgb",)) -> dict:
         """Renders one view (paper Eq. 1-2 and 5).
 
-        scene: anything with the arrays of Scene, in self.dtype; masks: (N,) uint8 of 0 and 1, or None for all 1;
-        outputs: names from IMAGES and COUNTS. Returns {name: (H, W) or (H, W, 3) array}; rgb is not clamped.
+        scene: anything with the arrays of Scene, in self.dtype (sh may be float16: half the memory, no gradients);
+        masks: (N,) uint8 of 0 and 1, or None for all 1; outputs: names from IMAGES and COUNTS. Returns {name: (H, W) or (H, W, 3) array}; rgb is not clamped.
         """
         arrays = self._scene(scene, masks)
         images, pointers = self._images(camera, outputs)
@@ -274,11 +274,13 @@ class Rasterizer:
         arrays = {name: getattr(scene, name) for name in GRADS[:5]}
         n, k = len(arrays["means"]), np.shape(arrays["sh"])[1] if np.ndim(arrays["sh"]) == 3 else 1
         self._shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3)}
-        pointers = {name: _check(arrays[name], name, shape, self.dtype) for name, shape in self._shapes.items()}
+        half = getattr(arrays["sh"], "dtype", None) == np.float16 and self.dtype != np.float64
+        types = dict.fromkeys(arrays, self.dtype) | ({"sh": np.float16} if half else {})
+        pointers = {name: _check(arrays[name], name, shape, types[name]) for name, shape in self._shapes.items()}
         if masks is not None:
             pointers["masks"] = _check(masks, "masks", (n,), np.uint8)
         self._view = (*arrays.values(), masks)
-        return _Scene(count=n, sh_coefficients=k, **pointers)
+        return _Scene(count=n, sh_coefficients=k, sh_half=half, **pointers)
 
     def _images(self, camera: Camera, outputs):
         images = {}

@@ -61,6 +61,7 @@ typedef struct svrgs_context svrgs_context; /* buffers of one renderer; use from
 typedef struct {
   int64_t count;            /* N */
   int32_t sh_coefficients;  /* 1, 4, 9 or 16 stored per channel */
+  int32_t sh_half;          /* sh holds 16-bit floats (not at level SVRGS_DOUBLE); such a view has no gradients */
   const real *means;        /* (N, 3) */
   const real *log_scales;   /* (N, 3) */
   const real *quats;        /* (N, 4) */

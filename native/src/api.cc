@@ -48,7 +48,7 @@ bool supported(int32_t level) {
     case SVRGS_BASELINE:
     case SVRGS_DOUBLE: return true;
 #if defined(__x86_64__)
-    case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("f16c");
     case SVRGS_AVX512: return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && supported(SVRGS_AVX2);
 #endif
     default: return false;
@@ -92,6 +92,7 @@ void check(const svrgs_options& o, const svrgs_scene& s) {
 
 void check_view(const svrgs::Context& context, const svrgs_image_grads& in) {
   require(context.holds_view(), "there is no rendered view to differentiate: call svrgs_forward first");
+  require(context.holds_gradients(), "a view of 16-bit sh has no gradients");
   require(!in.depth || context.holds_depth(), "a gradient of the depth image needs a forward pass that made one");
 }
 
@@ -129,6 +130,7 @@ int32_t svrgs_forward(svrgs_context* c, const svrgs_scene* scene, const svrgs_ca
     check(*scene);
     check(*camera);
     check(*options, *scene);
+    require(!scene->sh_half || !c->context.is_double(), "16-bit sh is for the float levels");
     c->context.forward(*scene, *camera, *options, *images);
   });
 }

@@ -40,7 +40,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.sh_coefficients = s.sh_coefficients;
   f.sh_degree = o.sh_degree;
   f.means = s.means, f.log_scales = s.log_scales, f.quats = s.quats, f.opacity_logits = s.opacity_logits, f.sh = s.sh;
-  f.masks = s.masks;
+  f.masks = s.masks, f.sh_half = s.sh_half;
   std::memcpy(f.viewmat, c.viewmat, sizeof f.viewmat);
   for (int k = 0; k < 3; ++k) {  // -R^T t
     f.position[k] = -(c.viewmat[k] * c.viewmat[3] + c.viewmat[4 + k] * c.viewmat[7] + c.viewmat[8 + k] * c.viewmat[11]);
@@ -61,20 +61,20 @@ void Context::project() {
   uint32_t *ids = ids_.reserve<uint32_t>(f.count), *keys = keys_.reserve<uint32_t>(f.count);
   std::vector<int64_t> kept(chunk_count(f.count, kProjectGrain));
   parallel_blocks(f.count, kProjectGrain, [&](int64_t begin, int64_t end) {
-    kept[begin / kProjectGrain] = kernels_.project_range(f, begin, end, ids + begin, keys + begin);
+    kept[begin / kProjectGrain] = kernels_.project_range(f, begin, end, ids, keys);
   });
   std::vector<int64_t> offset = kept;
   f.visible_count = prefix(offset);
-  uint32_t* visible = visible_.reserve<uint32_t>(f.visible_count);
+  uint32_t *visible = visible_.reserve<uint32_t>(f.visible_count), *places = places_.reserve<uint32_t>(f.visible_count);
   Keyed* sorted = sorted_.reserve<Keyed>(f.visible_count);
   parallel_for(static_cast<int64_t>(kept.size()), [&](int64_t c) {
     for (int64_t i = 0; i < kept[c]; ++i) {
       const int64_t from = c * kProjectGrain + i, to = offset[c] + i;
-      visible[to] = ids[from];
-      sorted[to] = {keys[from], ids[from]};
+      visible[to] = ids[from], places[to] = static_cast<uint32_t>(from);
+      sorted[to] = {keys[from], places[to]};
     }
   });
-  f.visible = visible;
+  f.visible = visible, f.places = places;
 }
 
 // Exact tiles of every visible Gaussian, and a slot for each (Gaussian, tile) pair.
@@ -83,7 +83,7 @@ void Context::find_tiles(int64_t max_pairs) {
   std::vector<int64_t> offset(chunk_count(f.visible_count, kVisibleGrain));
   parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
     int64_t rows = 0;
-    for (int64_t i = begin; i < end; ++i) rows += span_rows(f.tiles[f.visible[i]]);
+    for (int64_t i = begin; i < end; ++i) rows += span_rows(f.tiles[f.places[i]]);
     offset[begin / kVisibleGrain] = rows;
   });
   const int64_t limit = max_pairs > 0 ? max_pairs : INT32_MAX;
@@ -96,10 +96,10 @@ void Context::find_tiles(int64_t max_pairs) {
   parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
     int64_t row = offset[begin / kVisibleGrain], pairs = 0;
     for (int64_t i = begin; i < end; ++i) {
-      if (i + kAhead < end) __builtin_prefetch(static_cast<char*>(f.splats) + static_cast<int64_t>(f.visible[i + kAhead]) * kernels_.splat_size);
-      SplatTiles& t = f.tiles[f.visible[i]];
+      if (i + kAhead < end) __builtin_prefetch(static_cast<char*>(f.splats) + static_cast<int64_t>(f.places[i + kAhead]) * kernels_.splat_size);
+      SplatTiles& t = f.tiles[f.places[i]];
       t.span = static_cast<uint32_t>(row);
-      t.tiles = t.rows > 1 ? kernels_.fill_spans(f, f.visible[i], f.spans + row) : t.columns.end - t.columns.begin;
+      t.tiles = t.rows > 1 ? kernels_.fill_spans(f, f.places[i], f.spans + row) : t.columns.end - t.columns.begin;
       row += span_rows(t), pairs += t.tiles;
     }
     offset[begin / kVisibleGrain] = pairs;
@@ -109,7 +109,7 @@ void Context::find_tiles(int64_t max_pairs) {
   parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
     int64_t slot = offset[begin / kVisibleGrain];
     for (int64_t i = begin; i < end; ++i) {
-      SplatTiles& t = f.tiles[f.visible[i]];
+      SplatTiles& t = f.tiles[f.places[i]];
       t.slot = static_cast<uint32_t>(slot);
       slot += t.tiles;
     }
@@ -164,16 +164,19 @@ void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_o
   holds_view_ = true;
 }
 
-void Context::backward(const svrgs_image_grads& in, const svrgs_grads& out) {
+int64_t Context::backward(const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update) {
   char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
   timed(SVRGS_RASTER_GRADS, [&] {
-    for_each_tile([&](int64_t tile) { kernels_.backward_tile(frame_, in, out, tile, slots); });
+    for_each_tile([&](int64_t tile) { kernels_.backward_tile(frame_, in, out, update, tile, slots); });
   });
+  std::atomic<int64_t> nonfinite{0};
   timed(SVRGS_PARAMETER_GRADS, [&] {
     parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
-      kernels_.gradients_range(frame_, in, out, slots, begin, end);
+      nonfinite += kernels_.gradients_range(frame_, in, out, update, slots, begin, end);
     });
   });
+  if (update) holds_view_ = false;
+  return nonfinite;
 }
 
 void Context::scores(double* sum, float* max, int64_t* hits) {

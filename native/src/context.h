@@ -44,7 +44,8 @@ class Context {
   explicit Context(const Kernels& kernels) : kernels_(kernels) {}
 
   void forward(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);
-  void backward(const svrgs_image_grads&, const svrgs_grads&);
+  // Gradients into `out`, and into an Adam step where there is an update; returns the rows that step left alone.
+  int64_t backward(const svrgs_image_grads&, const svrgs_grads& out, const svrgs_update*);
   void scores(double* sum, float* max, int64_t* hits);
   void loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
 
@@ -53,6 +54,8 @@ class Context {
   svrgs_work work(bool count_pixels) const;
   const double* stage_seconds() const { return seconds_; }
   bool holds_view() const { return holds_view_; }
+  bool holds_gradients() const { return holds_view_ && !frame_.sh_half; }
+  bool is_double() const { return kernels_.real_size == sizeof(double); }
   bool holds_depth() const { return frame_.want_depth; }
 
  private:
@@ -72,7 +75,7 @@ class Context {
   int64_t pairs_ = 0, rows_ = 0;
   bool holds_view_ = false;
   double seconds_[SVRGS_STAGES] = {};
-  Buffer splats_, tiles_, spans_, ids_, keys_, visible_, sorted_, scratch_, tile_begin_, entries_, counts_, hits_, state_, slots_;
+  Buffer splats_, tiles_, spans_, ids_, keys_, visible_, places_, sorted_, scratch_, tile_begin_, entries_, counts_, hits_, state_, slots_;
   Buffer maps_, rows_scratch_, row_values_;
 };
 

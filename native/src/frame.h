@@ -31,7 +31,7 @@ struct SplatTiles {   // where a visible Gaussian's tiles are
 };
 
 struct TileEntry {
-  uint32_t splat, slot;
+  uint32_t place, slot;
 };
 
 // Per-pixel results kept for the backward pass, in tile order: tile, block, field, 16 lanes.
@@ -50,6 +50,7 @@ struct Frame {
   int sh_coefficients, sh_degree;
   const void *means, *log_scales, *quats, *opacity_logits, *sh;
   const uint8_t* masks;
+  bool sh_half;
   // camera
   double viewmat[16], position[3];
   double fx, fy, cx, cy;
@@ -60,10 +61,11 @@ struct Frame {
   int mask_kind, without;
   double eps_a;
   // projection
-  void* splats;           // Splat<R>[count], visible ones written
-  SplatTiles* tiles;      // [count], visible ones written
+  void* splats;           // Splat<R>[count], those of visible Gaussians close together at their places
+  SplatTiles* tiles;      // [count], likewise
   Span* spans;
-  const uint32_t* visible;
+  const uint32_t* visible;  // [visible_count] ids, ascending
+  const uint32_t* places;   // [visible_count]
   int64_t visible_count;
   // tile lists
   const int64_t* tile_begin;  // [tiles + 1]

@@ -4,8 +4,7 @@ struct SlotSums {
   R value[kSlotWidth];
 };
 
-inline SlotSums sum_slots(const Frame& f, const R* slots, uint32_t id) {
-  const SplatTiles& t = f.tiles[id];
+inline SlotSums sum_slots(const Frame& f, const R* slots, const SplatTiles& t) {
   SlotSums out = {};
   for (uint32_t i = 0; i < t.tiles; ++i) {
     if (!f.hits[t.slot + i]) continue;
@@ -95,9 +94,10 @@ inline int gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads&
   for (int i = 0; i < W; ++i) {
     ids[i] = f.visible[first + (i < n ? i : n - 1)];
     if (want.colour && first + i + W < f.visible_count) prefetch_sh(f, f.visible[first + i + W]);
-    const SlotSums sums = sum_slots(f, slots, ids[i]);
+    const uint32_t place = f.places[first + (i < n ? i : n - 1)];
+    const SlotSums sums = sum_slots(f, slots, f.tiles[place]);
     for (int k = 0; k < kSlotWidth; ++k) s[k][i] = sums.value[k];
-    const Splat<R>& splat = static_cast<const Splat<R>*>(f.splats)[ids[i]];
+    const Splat<R>& splat = static_cast<const Splat<R>*>(f.splats)[place];
     s[kSlotMask][i] += spatial_weight(f, splat) * sums.value[kSlotSpatial];
     for (int c = 0; c < 3; ++c) colour.rgb[c][i] = splat.rgb[c] > 0 ? sums.value[kSlotRed + c] : R(0);
   }

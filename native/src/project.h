@@ -39,8 +39,9 @@ inline T reach2(const Frame& f, T log2_opacity) {
 
 // SH rows are far apart where not every Gaussian is visible: the processor does not foresee them.
 inline void prefetch_sh(const Frame& f, uint32_t g) {
-  const R* row = static_cast<const R*>(f.sh) + static_cast<int64_t>(g) * f.sh_coefficients * 3;
-  for (int k = 0; k < 3 * (f.sh_degree + 1) * (f.sh_degree + 1); k += 64 / static_cast<int>(sizeof(R))) __builtin_prefetch(row + k);
+  const int size = f.sh_half ? 2 : sizeof(R);
+  const char* row = static_cast<const char*>(f.sh) + static_cast<int64_t>(g) * f.sh_coefficients * 3 * size;
+  for (int k = 0; k < 3 * (f.sh_degree + 1) * (f.sh_degree + 1) * size; k += 64) __builtin_prefetch(row + k);
 }
 
 // Which of the n <= W Gaussians from `first` on are in front of the camera and not too faint; one bit each.
@@ -56,19 +57,30 @@ inline uint32_t in_front(const Frame& f, int64_t first, int n) {
 
 using Four = R __attribute__((vector_size(4 * sizeof(R))));
 
+inline Four load_four(const R* p) {
+  Four v;
+  __builtin_memcpy(&v, p, sizeof v);
+  return v;
+}
+inline Four load_four(const _Float16* p) {
+  _Float16 __attribute__((vector_size(8))) v;
+  __builtin_memcpy(&v, p, sizeof v);
+  return __builtin_convertvector(v, Four);
+}
+
 // 0.5 + sum_k basis_k sh_k of one Gaussian; lane i of `basis` is its own. Three channels and a spare.
-inline Four sh_colour(const Frame& f, const V* basis, int i, const R* row) {
-  const int last = (f.sh_degree + 1) * (f.sh_degree + 1) - 1;
-  Four even = {R(0.5), R(0.5), R(0.5), 0}, odd = {};
-  for (int k = 0; k + 1 <= last; k += 2) {  // a load takes a value of the next coefficient along, so the last one stands apart
-    Four a, b = {};
-    __builtin_memcpy(&a, row + 3 * k, sizeof a);
-    if (k + 1 < last) __builtin_memcpy(&b, row + 3 * k + 3, sizeof b);
-    even += basis[k][i] * a;
-    if (k + 1 < last) odd += basis[k + 1][i] * b;
-  }
-  const R* end = row + 3 * last;
-  return even + odd + basis[last][i] * Four{end[0], end[1], end[2], 0};
+template <class T>
+inline Four sh_colour(int degree, const V* basis, int i, const T* row) {
+  const int last = (degree + 1) * (degree + 1) - 1;
+  Four c = {R(0.5), R(0.5), R(0.5), 0};
+  for (int k = 0; k < last; ++k) c += basis[k][i] * load_four(row + 3 * k);  // takes a value of the next coefficient along, ...
+  const T* end = row + 3 * last;
+  return c + basis[last][i] * Four{R(end[0]), R(end[1]), R(end[2]), 0};  // ... which the last one does not have
+}
+
+inline Four colour(const Frame& f, const V* basis, int i, uint32_t g) {
+  const int64_t at = static_cast<int64_t>(g) * f.sh_coefficients * 3;
+  return f.sh_half ? sh_colour(f.sh_degree, basis, i, static_cast<const _Float16*>(f.sh) + at) : sh_colour(f.sh_degree, basis, i, static_cast<const R*>(f.sh) + at);
 }
 
 inline bool finite(R x) { return std::fabs(x) <= std::numeric_limits<R>::max(); }
@@ -109,53 +121,58 @@ inline Screen to_screen(const Frame& f, const Batch& b) {
   return s;
 }
 
-// Projects n <= W Gaussians; appends the visible ones to out and depth_keys, returns how many.
-inline int64_t project_batch(const Frame& f, uint32_t* ids, int n, uint32_t* out, uint32_t* depth_keys) {
+// Where the visible Gaussians of a range go, one after the other.
+struct Projection {
+  int64_t place;  // of the next one
+  uint32_t *ids, *depth_keys;
+};
+
+// Projects n <= W Gaussians and adds the visible ones.
+inline void project_batch(const Frame& f, uint32_t* ids, int n, Projection& out) {
   for (int i = n; i < W; ++i) ids[i] = ids[0];
   const Batch b = load_batch(f, ids);
   const Screen s = to_screen(f, b);
   V basis[16];
   sh_basis(f.sh_degree, direction(b.mean).d, basis);
-  int64_t kept = 0;
   for (uint32_t left = bits(s.visible) & ((1u << n) - 1); left; left &= left - 1) {
     const int i = __builtin_ctz(left);
     const uint32_t g = ids[i];
-    Four c = sh_colour(f, basis, i, static_cast<const R*>(f.sh) + static_cast<int64_t>(g) * f.sh_coefficients * 3);
+    Four c = colour(f, basis, i, g);
     if (!sane(c[0]) || !sane(c[1]) || !sane(c[2])) continue;
     c = c < 0 ? Four{} : c;
     const R mask = f.masks && !f.masks[g] ? R(0) : R(1);
-    static_cast<Splat<R>*>(f.splats)[g] = {s.x[i], s.y[i], s.l11[i], s.l12[i], s.l22[i], s.log2_opacity[i], {c[0], c[1], c[2]}, s.depth[i],
-                                           s.inv_l11[i], s.y_extreme[i], mask, s.slope[i]};
+    static_cast<Splat<R>*>(f.splats)[out.place] = {s.x[i], s.y[i], s.l11[i], s.l12[i], s.l22[i], s.log2_opacity[i], {c[0], c[1], c[2]}, s.depth[i],
+                                                   s.inv_l11[i], s.y_extreme[i], mask, s.slope[i]};
     const Span rows = tile_range(static_cast<int>(s.rows.begin[i]), static_cast<int>(s.rows.end[i]));
-    f.tiles[g] = {0, 0, rows.begin, static_cast<uint16_t>(rows.end - rows.begin),
-                  tile_range(static_cast<int>(s.columns.begin[i]), static_cast<int>(s.columns.end[i])), 0};
+    f.tiles[out.place] = {0, 0, rows.begin, static_cast<uint16_t>(rows.end - rows.begin),
+                          tile_range(static_cast<int>(s.columns.begin[i]), static_cast<int>(s.columns.end[i])), 0};
     const float depth = static_cast<float>(s.depth[i]);
-    __builtin_memcpy(depth_keys + kept, &depth, 4);  // positive floats order as their bits
-    out[kept++] = g;
+    __builtin_memcpy(out.depth_keys + out.place, &depth, 4);  // positive floats order as their bits
+    out.ids[out.place++] = g;
   }
-  return kept;
 }
 
-// Gaussians [begin, end): writes the visible ones' ids and depth keys from `begin` on; returns their number.
+// Gaussians [begin, end): the visible ones' splats, ids and depth keys, from place `begin` on; returns their number.
 int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* ids, uint32_t* depth_keys) {
+  Projection out = {begin, ids, depth_keys};
   uint32_t pending[W];
   int waiting = 0;
-  int64_t kept = 0;
   for (int64_t first = begin; first < end; first += W) {
     for (uint32_t left = in_front(f, first, static_cast<int>(std::min<int64_t>(W, end - first))); left; left &= left - 1) {
       const uint32_t g = static_cast<uint32_t>(first + __builtin_ctz(left));
       prefetch_sh(f, g);
       pending[waiting++] = g;
-      if (waiting == W) kept += project_batch(f, pending, W, ids + kept, depth_keys + kept), waiting = 0;
+      if (waiting == W) project_batch(f, pending, W, out), waiting = 0;
     }
   }
-  return kept + (waiting ? project_batch(f, pending, waiting, ids + kept, depth_keys + kept) : 0);
+  if (waiting) project_batch(f, pending, waiting, out);
+  return out.place - begin;
 }
 
 // Stage 2: the exact tiles of one visible Gaussian of several tile rows, row by row; returns how many.
-uint32_t fill_spans(const Frame& f, uint32_t g, Span* spans) {
-  const Splat<R>& s = static_cast<const Splat<R>*>(f.splats)[g];
-  const SplatTiles& t = f.tiles[g];
+uint32_t fill_spans(const Frame& f, uint32_t place, Span* spans) {
+  const Splat<R>& s = static_cast<const Splat<R>*>(f.splats)[place];
+  const SplatTiles& t = f.tiles[place];
   if (f.without & SVRGS_EXACT_TILES) {
     std::fill_n(spans, t.rows, t.columns);
     return static_cast<uint32_t>(t.rows) * (t.columns.end - t.columns.begin);

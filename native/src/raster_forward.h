@@ -17,7 +17,7 @@ inline TileOrigin tile_origin(const Frame& f, int64_t tile) {
   return {static_cast<int>(tile % f.tiles_x), static_cast<int>(tile / f.tiles_x)};
 }
 
-inline const Splat<R>& splat_of(const Frame& f, TileEntry e) { return static_cast<const Splat<R>*>(f.splats)[e.splat]; }
+inline const Splat<R>& splat_of(const Frame& f, TileEntry e) { return static_cast<const Splat<R>*>(f.splats)[e.place]; }
 
 inline Local localise(const Splat<R>& s, TileOrigin o) {
   return {static_cast<R>(o.x * kTile + 0.5 - s.x), static_cast<R>(o.y * kTile + 0.5 - s.y), s.l11, s.l12, s.l22, s.log2_opacity,

@@ -55,7 +55,7 @@ void scores_tile(const Frame& f, int64_t tile, void* slots) {
 void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* sum_out, float* max_out, int64_t* hits_out) {
   for (int64_t i = begin; i < end; ++i) {
     const uint32_t id = f.visible[i];
-    const SplatTiles& t = f.tiles[id];
+    const SplatTiles& t = f.tiles[f.places[i]];
     if (f.masks && !f.masks[id]) continue;
     for (uint32_t k = 0; k < t.tiles; ++k) {
       if (!f.hits[t.slot + k]) continue;

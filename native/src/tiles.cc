@@ -34,8 +34,8 @@ void radix_pass(const Keyed* from, Keyed* to, int64_t count, int shift) {
 
 // Calls visit(tile, k) for the k-th tile of a Gaussian, in row order.
 template <class F>
-void for_tiles(const Frame& f, uint32_t id, F&& visit) {
-  const SplatTiles& t = f.tiles[id];
+void for_tiles(const Frame& f, uint32_t place, F&& visit) {
+  const SplatTiles& t = f.tiles[place];
   uint32_t k = 0;
   const Span* spans = t.rows > 1 ? f.spans + t.span : &t.columns;
   for (int r = 0; r < t.rows; ++r) {
@@ -61,15 +61,15 @@ void bin_tiles(const Frame& f, const Keyed* sorted, int64_t* tile_begin, TileEnt
   const int64_t grain = (f.visible_count + chunks - 1) / chunks;
   const auto range = [&](int64_t c, auto&& visit) {
     for (int64_t i = c * grain, end = std::min(f.visible_count, i + grain); i < end; ++i) {
-      if (i + 2 * kAhead < end) __builtin_prefetch(f.tiles + sorted[i + 2 * kAhead].id);
-      if (i + kAhead < end) __builtin_prefetch(f.spans + f.tiles[sorted[i + kAhead].id].span);
-      visit(sorted[i].id);
+      if (i + 2 * kAhead < end) __builtin_prefetch(f.tiles + sorted[i + 2 * kAhead].place);
+      if (i + kAhead < end) __builtin_prefetch(f.spans + f.tiles[sorted[i + kAhead].place].span);
+      visit(sorted[i].place);
     }
   };
   parallel_for(chunks, [&](int64_t c) {
     uint32_t* count = counts + c * tiles;
     std::fill_n(count, tiles, 0u);
-    range(c, [&](uint32_t id) { for_tiles(f, id, [&](int64_t tile, uint32_t) { ++count[tile]; }); });
+    range(c, [&](uint32_t place) { for_tiles(f, place, [&](int64_t tile, uint32_t) { ++count[tile]; }); });
   });
   uint32_t total = 0;
   for (int64_t tile = 0; tile < tiles; ++tile) {
@@ -83,8 +83,8 @@ void bin_tiles(const Frame& f, const Keyed* sorted, int64_t* tile_begin, TileEnt
   tile_begin[tiles] = total;
   parallel_for(chunks, [&](int64_t c) {
     uint32_t* next = counts + c * tiles;
-    range(c, [&](uint32_t id) {
-      for_tiles(f, id, [&](int64_t tile, uint32_t k) { entries[next[tile]++] = {id, f.tiles[id].slot + k}; });
+    range(c, [&](uint32_t place) {
+      for_tiles(f, place, [&](int64_t tile, uint32_t k) { entries[next[tile]++] = {place, f.tiles[place].slot + k}; });
     });
   });
 }

@@ -5,16 +5,16 @@
 namespace svrgs {
 
 struct Keyed {
-  uint32_t key, id;
+  uint32_t key, place;
 };
 
-// Stable sort by key: equal depths keep index order. scratch: as many items.
+// Stable sort by key: equal depths keep the order of ids. scratch: as many items.
 void sort_by_depth(Keyed* items, Keyed* scratch, int64_t count);
 
 // Number of scan chunks of tile binning; counts: [chunks][tiles].
 int64_t binning_chunks(int64_t visible);
 
-// Fills tile_begin[tiles + 1] and entries from the sorted ids and their spans.
+// Fills tile_begin[tiles + 1] and entries from the sorted places and their spans.
 void bin_tiles(const Frame& f, const Keyed* sorted, int64_t* tile_begin, TileEntry* entries, uint32_t* counts);
 
 }  // namespace svrgs
