@@ -68,6 +68,7 @@ def train_variants(iterations: int) -> dict[str, dict]:
     early, half = iterations // 5, iterations // 2
     return {
         "plain": {},
+        "rows as they come": {"run": {"spatial_order": False}},
         f"1/2 size until {early}": {"phase": {"coarse_until": early}},
         f"1/2 size until {half}": {"phase": {"coarse_until": half}},
         f"1/4, then 1/2 until {half}": {"phase": {"coarse_until": half, "coarse_factor": 4}},
@@ -78,6 +79,7 @@ def train_variants(iterations: int) -> dict[str, dict]:
 
 PRUNE_VARIANTS = {
     "plain": {},
+    "rows as they come": {"run": {"spatial_order": False}},
     "settled masks dropped": {"run": {"drop_settled": True}},
     "events every 100": {"phase": {"prune_every": 100}},
     "views by loss": {"run": {"views_by_loss": True}},

@@ -129,6 +129,7 @@ def _bench(commands):
     command.add_argument("--knobs", action="store_true", help="also run time against error for every constant that trades one for the other; needs a compiler")
     command.add_argument("--skips", action="store_true", help="also what each kind of work left undone saves")
     command.add_argument("--scaling", action="store_true", help="also forward time against pixels and Gaussians, up to 4K and 5 million")
+    command.add_argument("--interactive", action="store_true", help="also pictures a second of a million Gaussians under an orbiting camera")
     command.add_argument("--plots", type=Path, metavar="DIR", help="measure knobs and skips, and draw the charts there")
 
 

@@ -11,6 +11,7 @@ from svrgs_addon.bench import knobs, variants
 from svrgs_addon.bench.accuracy import error
 from svrgs_addon.bench.cases import room_case
 from svrgs_addon.bench.floors import LANES, stage_floors
+from svrgs_addon.bench.interactive import measure_interactive
 from svrgs_addon.bench.measure import measure, peaks_of, work_counts
 from svrgs_addon.bench.plots import drawings, front
 from svrgs_addon.bench.scaling import measure_scaling
@@ -24,8 +25,7 @@ STAGES = ["project", "tiles", "sort", "blend", "mask", "mask_visible", "raster_g
 WORK = {"visible", "pairs", "used_pairs", "blocks", "hit_blocks", "evaluated", "hits", "contributing"}
 ERROR = {"image_max", "image_mean", "mask_max", "grad_rel_l2", "grad_cosine", "nonfinite", "crossed"}
 IMAGE_BOUND = 2e-5  # worst seen 1.0e-6
-GRADIENT_BOUND = 1e-4  # worst seen on the small room 2.8e-5
-LARGE_GRADIENT_BOUND = 1e-2  # worst seen 1.7e-3: the log-scales of the few Gaussians that fill the view, whose sums cancel
+GRADIENT_BOUND = 1e-4  # worst seen 3.0e-6
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_quick(svrgs):
     assert found == {(100_000, degree, 640, 360, int(threads)) for degree in (0, 3) for threads in machine["peaks"]}
     for case in cases:
         check_case(case)
-        assert case["error"]["grad_rel_l2"] <= LARGE_GRADIENT_BOUND
+        assert case["error"]["grad_rel_l2"] <= GRADIENT_BOUND
 
 
 def check_case(case: dict):
@@ -110,7 +110,8 @@ def test_stages_add_up(small):
     stages = {name: stage["ms"] for name, stage in case["stages"].items()}
     assert stages["forward"] > stages["blend"] and stages["backward"] > stages["raster_grads"]
     floors = {name: stage["floor_ms"] for name, stage in case["stages"].items()}
-    assert floors["step"] == pytest.approx(sum(floors[name] for name in ("forward", "loss", "backward", "adam")))
+    parts = sum(floors[name] for name in ("forward", "loss", "backward", "adam"))
+    assert 0.8 * parts < floors["step"] < parts  # a step does not store its gradients
     assert "x floor" in as_text({"machine": {"cores": 1, "simd": "scalar", "simd_levels": ["scalar"], "peaks": {"1": peaks[1]}}, "cases": [case]})
 
 
@@ -138,6 +139,12 @@ def test_scaling_and_its_charts(tmp_path):
     assert charts.keys() == {"scaling-pixels", "scaling-gaussians"}
     for chart in charts.values():
         assert len(ET.fromstring(chart).findall(".//*[@class='dot']")) == 2
+
+
+def test_orbiting():
+    result = measure_interactive(ignore, count=3000, size=(96, 64), frames=3)
+    assert 0 < result["rest_ms"] < result["frame_ms"] <= result["slowest_ms"]
+    assert result["frames_per_second"] == pytest.approx(1000 / result["frame_ms"])
 
 
 def test_knobs_chosen_at_run_time_and_their_charts(small, monkeypatch):

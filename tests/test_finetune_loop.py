@@ -342,7 +342,7 @@ def test_the_settled_go_between_events_where_asked():
         settings = Settings("svr", (phase,), mask_init=3.0, drop_settled=drop)
         run = Run(Model.of(scene), photographed(scene), settings, Puller())
         run.advance()
-        run.model.mask_logits[:7] = -5
+        run.model.mask_logits[run.model.origin < 7] = -5
         while run.iteration < 119:
             run.advance()
             counts.append(run.model.count)
@@ -350,7 +350,7 @@ def test_the_settled_go_between_events_where_asked():
     plain, dropping = counts[:118], counts[118:]
     assert plain == [400] * 118
     assert dropping == [400] * 48 + [393] * 70  # at iteration 50
-    assert run.model.origin.tolist() == list(range(7, 400))
+    assert sorted(run.model.origin) == list(range(7, 400))
 
 
 @pytest.mark.parametrize("target", [1, 2, 7, 99, 100, 250])
@@ -404,7 +404,7 @@ def test_mask_events_keep_their_times():
     run.close()
     assert np.flatnonzero(np.diff([400, *counts])).tolist() == [3, 7, 9]
     assert counts[3] == pytest.approx(400 * 0.6513, abs=50) and counts[-1] == 20
-    assert not run.model.learns_masks and (np.diff(run.model.origin) > 0).all()
+    assert not run.model.learns_masks and len(set(run.model.origin)) == 20
 
 
 def test_the_end_of_mask_learning_is_an_event_of_its_own():
@@ -447,6 +447,39 @@ def test_rows_move_together(kept, block, monkeypatch):
             expected = np.concatenate([scale * (rows + 1.0), [new, new]])
             assert array.dtype == np.float32 and array.flags.c_contiguous, name
             assert (flat == expected[:, None]).all(), name
+
+
+def test_rows_change_places_together():
+    model, order = numbered(12), np.random.default_rng(0).permutation(12)
+    model.reorder(order)
+    assert model.origin.tolist() == order.tolist()
+    for scale, arrays in ((1, model.values), (100, model.first), (10_000, model.second)):
+        assert arrays.keys() == {*PARAMETERS, MASK}
+        for name, array in arrays.items():
+            assert array.dtype == np.float32 and array.flags.c_contiguous, name
+            assert (array.reshape(12, -1) == scale * (order[:, None] + 1.0)).all(), name
+
+
+def test_a_model_becomes_a_scene_in_the_order_of_its_source():
+    """Whatever happened to its rows in between; Gaussians that were added come last, as they lie."""
+    source = replace(scenes.random_scene(9), attributes={"label": np.arange(9, dtype=np.float32)})
+    model, rng = Model.of(source), np.random.default_rng(1)
+    model.reorder(rng.permutation(9))
+    model.keep(~np.isin(model.origin, [0, 4]))
+    scene, left = model.scene(), [1, 2, 3, 5, 6, 7, 8]
+    assert scene.attributes["label"].tolist() == left
+    assert all((getattr(scene, name) == getattr(source, name)[left]).all() for name in PARAMETERS)
+    model.append({name: value[:2] * 0 + value.dtype.type([-1, -2]).reshape(2, *[1] * (value.ndim - 1)) for name, value in model.values.items()})
+    model.reorder(np.r_[3:9, 1, 0, 2])
+    scene = model.scene()
+    for name in PARAMETERS:
+        assert (getattr(scene, name)[:7] == getattr(source, name)[left]).all(), name
+        assert [row.flat[0] for row in np.atleast_2d(getattr(scene, name)[7:].reshape(2, -1))] == [-1, -2], name
+
+
+def test_a_model_in_the_order_of_its_source_becomes_a_scene_without_copies():
+    model = Model.of(scenes.random_scene(9))
+    assert all(np.shares_memory(getattr(model.scene(), name), value) for name, value in model.values.items())
 
 
 def test_a_model_becomes_a_scene_with_the_columns_that_still_fit():
@@ -609,7 +642,7 @@ def pruned(method: str, **weights) -> tuple[np.ndarray, np.ndarray, float]:
     scene = half_hidden()
     dataset = photographed(scene)
     phases = (Phase("prune", 60, Rates(position_first=5e-6, mask=0.1), masks=True, prune_every=20), recovery_phase(20))
-    settings = Settings(method, phases, mask_init=2.0, **weights)
+    settings = Settings(method, phases, mask_init=2.0, seed=1, **weights)
     run = to_the_end(Run(Model.of(scene), dataset, settings, NativeEngine()))
     kept = np.isin(np.arange(scene.count), run.model.origin)
     return kept[::2], kept[1::2], quality(run.model, dataset)
@@ -626,7 +659,7 @@ PRUNERS = {
 
 @pytest.mark.parametrize("method", PRUNERS)
 def test_masks_remove_what_is_hidden_and_keep_the_picture(method):
-    """Worst seen: all 49 in front kept, 5 hidden left (maskgs), 1.9 dB lost (svr)."""
+    """Worst seen: all 49 in front kept, 2 hidden left (svr-a), 0.9 dB lost (svr). Over 6 seeds: 48, 6, and 6 dB with the 48."""
     front, hidden, after = pruned(method, **PRUNERS[method])
     _, _, unpruned = pruned("svr", lambda_f=0.0)
     assert front.sum() >= 47 and hidden.sum() <= 10

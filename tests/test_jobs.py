@@ -13,6 +13,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("pycolmap")
@@ -119,6 +120,19 @@ def test_a_job_leaves_its_dataset_as_it_was(data, tmp_path):
     points, colors = data.points.copy(), data.point_colors.copy()
     jobs.train(data, TRAINING, jobs.JobOptions(tmp_path / "o.ply"), 1)
     assert (data.points == points).all() and (data.point_colors == colors).all()
+
+
+def test_a_pruned_file_keeps_the_order_of_its_source(tiny, data, tmp_path):
+    """Though rows were in another order while the job worked; further columns still belong to their Gaussians."""
+    source = read_ply(tiny.splat)
+    labels = np.arange(source.count, dtype=np.float32)
+    write_ply(tmp_path / "labelled.ply", replace(source, attributes={"label": labels}, property_order=()))
+    prune(replace(tiny, splat=tmp_path / "labelled.ply"), data, tmp_path / "o.ply")
+    left = read_ply(tmp_path / "o.ply")
+    rows = left.attributes["label"].astype(int)
+    assert 5 < left.count < source.count and (np.diff(rows) > 0).all()
+    moved = np.linalg.norm(left.means - source.means[rows], axis=1)
+    assert moved.max() < 0.05 < np.median(np.linalg.norm(source.means - source.means.mean(axis=0), axis=1))
 
 
 def test_a_stop_at_the_last_step_finishes(tiny, data, whole, tmp_path):

@@ -47,12 +47,18 @@ inline void prefetch_sh(const Frame& f, uint32_t g) {
 // Which of the n <= W Gaussians from `first` on are in front of the camera and not too faint; one bit each.
 inline uint32_t in_front(const Frame& f, int64_t first, int n) {
   const R *means = static_cast<const R*>(f.means) + 3 * first, *logits = static_cast<const R*>(f.opacity_logits) + first;
-  V x = splat(0), y = x, z = x, logit = x;
-  for (int i = 0; i < n; ++i) x[i] = means[3 * i], y[i] = means[3 * i + 1], z[i] = means[3 * i + 2], logit[i] = logits[i];
+  R rest[4 * W];
+  if (n < W) {  // the end of the scene: read nothing behind it
+    std::copy_n(means, 3 * n, rest), std::copy_n(logits, n, rest + 3 * W);
+    std::fill_n(rest + 3 * n, 3 * (W - n), R(0)), std::fill_n(rest + 3 * W + n, W - n, R(0));
+    means = rest, logits = rest + 3 * W;
+  }
+  V x, y, z;
+  for (int i = 0; i < W; ++i) x[i] = means[3 * i], y[i] = means[3 * i + 1], z[i] = means[3 * i + 2];
   const double* m = f.viewmat;
   const V depth = narrow(m[8] * wide(x) + m[9] * wide(y) + m[10] * wide(z) + m[11]);
   const M front = both(less(splat(R(kNear)), depth), less(depth, splat(R(kFar))));
-  return bits(both(front, at_least(logit, splat(R(kLogitCut))))) & ((1u << n) - 1);
+  return bits(both(front, at_least(load(logits), splat(R(kLogitCut))))) & ((1u << n) - 1);
 }
 
 using Four = R __attribute__((vector_size(4 * sizeof(R))));
@@ -69,13 +75,22 @@ inline Four load_four(const _Float16* p) {
 }
 
 // 0.5 + sum_k basis_k sh_k of one Gaussian; lane i of `basis` is its own. Three channels and a spare.
+template <int last, class T>
+inline Four sh_sum(const V* basis, int i, const T* row) {
+  Four c[2] = {{R(0.5), R(0.5), R(0.5), 0}, {}};
+  for (int k = 0; k < last; ++k) c[k % 2] += basis[k][i] * load_four(row + 3 * k);  // takes a value of the next coefficient along, ...
+  const T* end = row + 3 * last;
+  return c[0] + c[1] + basis[last][i] * Four{R(end[0]), R(end[1]), R(end[2]), 0};  // ... which the last one does not have
+}
+
 template <class T>
 inline Four sh_colour(int degree, const V* basis, int i, const T* row) {
-  const int last = (degree + 1) * (degree + 1) - 1;
-  Four c = {R(0.5), R(0.5), R(0.5), 0};
-  for (int k = 0; k < last; ++k) c += basis[k][i] * load_four(row + 3 * k);  // takes a value of the next coefficient along, ...
-  const T* end = row + 3 * last;
-  return c + basis[last][i] * Four{R(end[0]), R(end[1]), R(end[2]), 0};  // ... which the last one does not have
+  switch (degree) {
+    case 0: return sh_sum<0>(basis, i, row);
+    case 1: return sh_sum<3>(basis, i, row);
+    case 2: return sh_sum<8>(basis, i, row);
+    default: return sh_sum<15>(basis, i, row);
+  }
 }
 
 inline Four colour(const Frame& f, const V* basis, int i, uint32_t g) {
@@ -132,7 +147,7 @@ inline void project_batch(const Frame& f, uint32_t* ids, int n, Projection& out)
   for (int i = n; i < W; ++i) ids[i] = ids[0];
   const Batch b = load_batch(f, ids);
   const Screen s = to_screen(f, b);
-  V basis[16];
+  V basis[16] = {};
   sh_basis(f.sh_degree, direction(b.mean).d, basis);
   for (uint32_t left = bits(s.visible) & ((1u << n) - 1); left; left &= left - 1) {
     const int i = __builtin_ctz(left);

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,8 +11,6 @@ from ..finetune.model import PARAMETERS
 from ..native import Rasterizer, RenderOptions
 from .cases import Case
 from .trial import LAMBDA_F, WANTED, drawn_masks, target_of
-
-DEPTH_STEP = 8 * 2.0**-24  # relative; means, their transform and the key are rounded to 2^-24
 
 
 class _Rendered:
@@ -38,31 +35,12 @@ class _Rendered:
         return full.ravel()
 
 
-def apart(case: Case) -> Case:
-    """The case with Gaussians moved along the line of sight, by micrometres in a room, until floats can tell their depths apart.
-
-    Two at the same depth within rounding have no order that a float could know, and a picture with the other order is not
-    wrong by rounding but by a whole Gaussian.
-    """
-    R, t = case.camera.viewmat[:3, :3], case.camera.viewmat[:3, 3]
-    depth = case.scene.means @ R[2] + t[2]
-    seen = np.flatnonzero(depth > 0)
-    seen = seen[np.argsort(depth[seen])]
-    scale = np.linalg.norm(t)  # of the terms that depth is a sum of
-    rise = DEPTH_STEP * np.arange(len(seen))
-    moved = np.exp(np.maximum.accumulate(np.log(depth[seen] + scale) - rise) + rise) - scale
-    means = case.scene.means.copy()
-    means[seen] += ((moved - depth[seen])[:, None] * R[2]).astype(np.float32)
-    return replace(case, scene=replace(case.scene, means=means))
-
-
 def error(case: Case, level: str | None = None) -> dict:
     """image_max, image_mean, mask_max, grad_rel_l2, grad_cosine (the worst parameter's), nonfinite, crossed.
 
     Where the levels disagree on which Gaussians pass a threshold, one of them is a whole Gaussian off: such pixels take no
     part and `crossed` is their share.
     """
-    case = apart(case)
     ours, exact = _Rendered(case, level), _Rendered(case, "float64")
     same = ours.images["hits"] == exact.images["hits"]
     grads = _image_grads(ours, same)

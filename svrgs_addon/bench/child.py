@@ -19,7 +19,6 @@ import numpy as np
 
 from .. import native
 from ..errors import NativeError
-from .accuracy import apart
 from .cases import Case, room_case
 from .timing import seconds
 from .trial import Trial
@@ -67,7 +66,7 @@ class Child:
 def main(words: list[str]):
     threads, *facts = map(int, words)
     native.set_threads(threads)
-    case = apart(room_case(*facts))
+    case = room_case(*facts)
     trials: dict[tuple, Trial] = {}
     for line in sys.stdin:
         request = json.loads(line)

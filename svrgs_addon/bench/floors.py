@@ -67,5 +67,6 @@ def stage_floors(work: dict, facts: dict, level: str, peak: dict) -> dict[str, f
     }
     floors["forward"] = sum(floors[name] for name in ("project", "tiles", "sort", "blend", "mask"))
     floors["backward"] = floors["raster_grads"] + floors["parameter_grads"]
-    floors["step"] = sum(floors[name] for name in ("forward", "loss", "backward", "adam"))
+    passed_on = 2 * stored * visible * update  # gradients written and read again: not in a step, which uses them at once
+    floors["step"] = sum(floors[name] for name in ("forward", "loss", "backward", "adam")) - passed_on
     return floors

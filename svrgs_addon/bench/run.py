@@ -9,6 +9,7 @@ from .. import native
 from ..atomic import atomic_write, check_writable
 from .accuracy import error
 from .cases import chosen_cases, room_case
+from .interactive import measure_interactive
 from .knobs import measure_knobs
 from .measure import measure, peaks_of
 from .plots import drawings
@@ -19,7 +20,7 @@ REPEAT, QUICK_REPEAT = 9, 3
 
 
 def bench(options: argparse.Namespace) -> dict:
-    """The result: machine, cases, and knobs, skips, scaling where asked for; plots go to options.plots."""
+    """The result: machine, cases, and knobs, skips, scaling, interactive where asked for; plots go to options.plots."""
     cases = chosen_cases(options)
     if options.plots:
         check_writable(options.plots / "plot.svg")
@@ -39,6 +40,8 @@ def bench(options: argparse.Namespace) -> dict:
         result["skips"] = measure_skips(room_case(), repeat, tell)
     if options.scaling:
         result["scaling"] = measure_scaling(repeat, tell)
+    if options.interactive:
+        result["interactive"] = measure_interactive(tell)
     if options.plots:
         result["plots"] = _write(options.plots, result)
     return result

@@ -7,7 +7,7 @@ MEGA, KILO = 1e6, 1e3
 
 def as_text(result: dict) -> str:
     parts = [_machine(result["machine"]), *(_case(case) for case in result["cases"])]
-    for name, show in (("knobs", _knobs), ("skips", _skips), ("scaling", _scaling)):
+    for name, show in (("knobs", _knobs), ("skips", _skips), ("scaling", _scaling), ("interactive", _interactive)):
         if result.get(name):
             parts.append(show(result[name]))
     return "\n\n".join(parts)
@@ -82,3 +82,10 @@ def _scaling(scaling: list[dict]) -> str:
         cells = f"{s['count']:,}", f"{s['visible']:,}", f"{s['width']}x{s['height']}", f"{s['forward_ms']:.1f}"
         rows.append((s["axis"], *cells, f"{s['ms_per_megapixel']:.1f}", f"{s['ms_per_million_gaussians']:.1f}"))
     return "Scaling:\n" + table(rows)
+
+
+def _interactive(i: dict) -> str:
+    return (
+        f"Orbiting around {i['count']:,} Gaussians at {i['width']} x {i['height']}, {i['threads']} threads: {i['frames_per_second']:.1f} pictures a second "
+        f"({i['frame_ms']:.1f} ms, slowest {i['slowest_ms']:.1f}; at rest {i['rest_ms']:.2f})"
+    )

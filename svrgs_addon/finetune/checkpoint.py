@@ -17,7 +17,7 @@ from ..errors import FormatError
 from .densify import Statistics
 from .loop import Curves, Run
 
-SCHEMA = 2
+SCHEMA = 3
 KEPT = 2  # newest checkpoints kept
 _PARTS = ("values", "first", "second")
 
@@ -37,6 +37,7 @@ def save(run: Run, folder: Path, identity: str) -> Path:
         "iteration": run.iteration,
         "epoch": [run.views.epoch, run.views.position],
         "initial_count": run.initial_count,
+        "unordered": run.unordered,
         "loss": run.loss,
         "nonfinite": run.nonfinite,
         "seconds": run.seconds,
@@ -82,7 +83,7 @@ def _apply(run: Run, folder: Path, manifest: dict):
         run.statistics.total, run.statistics.views = arrays["statistics.total"], arrays["statistics.views"]
         run.views.losses, run.views.left_out = arrays["views.losses"], arrays["views.left_out"]
     run.views.epoch, run.views.position = manifest["epoch"]
-    run.iteration, run.initial_count = manifest["iteration"], manifest["initial_count"]
+    run.iteration, run.initial_count, run.unordered = manifest["iteration"], manifest["initial_count"], manifest["unordered"]
     run.loss, run.nonfinite, run.seconds = manifest["loss"], manifest["nonfinite"], manifest["seconds"]
     run.curves = Curves(**manifest["curves"])
 

@@ -17,12 +17,14 @@ from ..native import RenderOptions
 from . import densify, masks
 from .engine import Step, StepResult
 from .model import Model
-from .settings import Phase, Settings, method_named
+from .order import morton_order
+from .settings import Densify, Phase, Settings, method_named
 from .views import Views, as_real, fitting_reduction
 
 SMOOTHING = 0.05  # of the loss shown
 CURVE_POINTS = 40
 SETTLED_EVERY = 50  # steps between two looks for masks that have settled
+UNORDERED = 0.1  # of the Gaussians: so many were added since rows were last put in order that it is worth doing again
 
 
 @dataclass
@@ -58,6 +60,7 @@ class Run:
         self.statistics = densify.Statistics(model.count)
         self.views = Views(dataset.train_indices, settings.seed, settings.views_by_loss)
         self.initial_count = model.count
+        self.unordered = 0  # Gaussians added since rows were last put in order
         self.curves = Curves()
         self.loss = math.nan
         self.nonfinite = 0  # Gaussian rows whose gradient was not finite and was left out
@@ -80,6 +83,8 @@ class Run:
         """One iteration: loss and gradients, then densification or the optimiser step, then pruning events."""
         started = time.perf_counter()
         phase, number = self.phase()
+        if not self.iteration:
+            self._into_order()
         self._set_masks(phase)
         (view, reduction), target = self._next_photograph()
         step = self._step(phase, number, self.dataset.cameras[view].reduced(reduction), target)
@@ -169,15 +174,29 @@ class Run:
             return
         self.statistics.add(result.visible, result.means2d, step.camera.width, step.camera.height)
         if self._densifies(phase, number):
-            rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
-            keep = densify.densify(self.model, self.statistics, rule, self.extent, rng)
-            keep &= densify.worth_keeping(self.model, rule, self.extent, number > rule.reset_every)
-            if phase.masks:
-                keep &= masks.ever_drawn(self.model, self.settings.seed, self.iteration, self.settings.draws)
-            self._keep(keep)
-            self.statistics = densify.Statistics(self.model.count)
+            self._densify(phase, number, rule)
         if number % rule.reset_every == 0:
             densify.reset_opacity(self.model)
+
+    def _densify(self, phase: Phase, number: int, rule: Densify):
+        before = self.model.count
+        rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
+        keep = densify.densify(self.model, self.statistics, rule, self.extent, rng)
+        self.unordered += self.model.count - before
+        keep &= densify.worth_keeping(self.model, rule, self.extent, number > rule.reset_every)
+        if phase.masks:
+            keep &= masks.ever_drawn(self.model, self.settings.seed, self.iteration, self.settings.draws)
+        self._keep(keep)
+        last = number + rule.every >= rule.until
+        if self.unordered > (0 if last else UNORDERED * self.model.count):
+            self._into_order()
+        self.statistics = densify.Statistics(self.model.count)
+
+    def _into_order(self):
+        """Puts near Gaussians into near rows (order.py), where statistics are empty or about to be: they are not moved along."""
+        if self.settings.spatial_order:
+            self.model.reorder(morton_order(self.model.means))
+        self.unordered = 0
 
     def _prune_by_masks(self, phase: Phase, number: int):
         if not phase.masks:

@@ -1,8 +1,9 @@
-"""The arrays a run changes: parameters, Adam moments, mask logits. Every move of rows goes through keep() or append()."""
+"""The arrays a run changes: parameters, Adam moments, mask logits. Every move of rows goes through keep(), reorder() or append()."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
 import numpy as np
 
@@ -70,10 +71,17 @@ class Model:
 
     def keep(self, mask: np.ndarray):
         """Keeps the rows where mask (N,) is True, moments included. Within the arrays' own memory: a copy would be the run's peak."""
-        rows = np.flatnonzero(mask)
+        self._move(np.flatnonzero(mask), moved_up)
+
+    def reorder(self, index: np.ndarray):
+        """Row i becomes what row index[i] was, moments included; index (N,): a permutation. Copies one array at a time."""
+        self._move(index, lambda array, rows: array.take(rows, axis=0))
+
+    def _move(self, rows: np.ndarray, moved: Callable[[np.ndarray, np.ndarray], np.ndarray]):
+        """moved(array, rows) is array[rows]."""
         for arrays in (self.values, self.first, self.second):
-            for name, array in arrays.items():
-                arrays[name] = moved_up(array, rows)
+            for name in arrays:
+                arrays[name] = moved(arrays[name], rows)
         self.origin = self.origin[rows]
 
     def append(self, rows: dict[str, np.ndarray]):
@@ -91,12 +99,20 @@ class Model:
         self.first, self.second = {}, {}
 
     def scene(self) -> Scene:
-        """The model as a Scene: its arrays, which are not copied, and what the source says beside them as far as it still fits."""
-        arrays = {name: np.ascontiguousarray(self.values[name], np.float32) for name in PARAMETERS}
+        """The model as a Scene, rows in the source's order and new ones after them, and what the source says beside its arrays
+        as far as it still fits. Where the model is in that order, its arrays are not copied.
+        """
+        rows = self._source_order()
+        arrays = {name: np.ascontiguousarray(self.values[name][rows], np.float32) for name in PARAMETERS}
         if (self.origin < 0).any():
             return Scene(**arrays, **(self.beside | {"attributes": {}, "property_order": ()}))
-        attributes = {name: column[self.origin] for name, column in self.beside.get("attributes", {}).items()}
+        attributes = {name: column[self.origin[rows]] for name, column in self.beside.get("attributes", {}).items()}
         return Scene(**arrays, **(self.beside | {"attributes": attributes}))
+
+    def _source_order(self) -> np.ndarray | slice:
+        """Index of the rows as the source had them, new ones last in their present order; a slice of all where they are so already."""
+        order = np.argsort(np.where(self.origin < 0, np.iinfo(np.int64).max, self.origin), kind="stable")
+        return slice(None) if (np.diff(order) > 0).all() else order
 
 
 def moved_up(array: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -115,6 +115,7 @@ class Settings:
     draws: int = 10
     drop_settled: bool = False  # do not wait for an event to prune what has all but ceased to exist (benchmarks/jobs.py: not worth it)
     views_by_loss: bool = False  # show the views with the lower loss every other epoch only
+    spatial_order: bool = True  # Gaussians that lie together in space lie together in memory: the same work, done faster
     l1_weight: float = 0.8
     ssim_weight: float = 0.2
     min_contribution: float = 0.0  # before all else, drop what never reaches this alpha T in a training view
