@@ -221,9 +221,9 @@ int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_t seed, ui
       for (int64_t i = begin; i < end; ++i) {
         const uint64_t bits = mix(key + 0x9e3779b97f4a7c15ULL * static_cast<uint64_t>(i)) >> 40;
         const double u = (static_cast<double>(bits) + 0.5) / 16777216.0;  // inside (0, 1): never infinite noise
-        const double z = logits[i] + std::log(u / (1 - u)), y = 1 / (1 + std::exp(-z));
-        masks[i] = z > 0;
-        slope[i] = static_cast<float>(y * (1 - y));
+        const double odds = std::exp(-std::clamp<double>(logits[i], -80, 80)) * (1 - u) / u;  // of absence: e^-(d + l)
+        masks[i] = odds < 1;
+        slope[i] = static_cast<float>(odds / ((1 + odds) * (1 + odds)));
       }
     });
   });

@@ -84,9 +84,10 @@ void count_tile(const Frame& f, int64_t tile, svrgs_work& work) {
         for (int h = 0; h < kSub; ++h) {
           const bool open = any(at_least(t.T[b][h], splat(R(kStop))));
           if (!f.full && !open && !(f.without & SVRGS_TERMINATION)) continue;
+          const M inside = less(splat(0), t.T[b][h]);  // it starts at 0 outside the image
           computed = true;
           const Blended w = blend_again(c.local[c.list[b][i]], b, h, t.T[b][h]);
-          hit += __builtin_popcount(bits(w.hit));
+          hit += __builtin_popcount(bits(both(w.hit, inside)));
           work.contributing += __builtin_popcount(bits(w.live));
         }
         work.blocks += computed, work.hit_blocks += hit > 0, work.hits += hit;
