@@ -90,9 +90,8 @@ inline SpatialGrads spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha
 
 // One Gaussian over the lanes from `h` on of one block.
 template <bool spatial, bool scenario>
-inline void accumulate(const Frame& f, const Wanted& want, BackwardBlock& t, const Local& l, V x, V y, int h, Sums& a) {
+inline void accumulate(const Frame& f, const Wanted& want, BackwardBlock& t, const Local& l, const Hit& e, int h, Sums& a) {
   const V one = splat(1), stop = splat(R(kStop));
-  const Hit e = evaluate(l, x, y);
   if (kSub > 1 && !any(e.hit)) return;
   const V alpha = clamped(e.alpha), T = load(t.T + h), red = load(t.rgb[0] + h), green = load(t.rgb[1] + h), blue = load(t.rgb[2] + h);
   V through = fma(splat(l.rgb[0]), red, fma(splat(l.rgb[1]), green, splat(l.rgb[2]) * blue));
@@ -148,7 +147,42 @@ inline Wanted wanted(const Frame& f, const svrgs_image_grads& in, const svrgs_gr
   return w;
 }
 
-constexpr int kVisitsAhead = 24;  // a visit takes longer than a look at a list entry: fewer ahead than in the forward pass
+// An entry of a tile's list that the forward pass marked.
+struct Visit {
+  Local local;
+  BlockMask blocks;
+  R* slot;
+};
+
+constexpr int kVisitsAhead = 8;  // a visit takes longer than a look at a list entry: fewer ahead than in the forward pass
+
+// The next marked entry; false at the end of the list, where `visit` keeps what it held.
+inline bool next_visit(const Frame& f, TileOrigin o, const TileEntry*& entry, const TileEntry* end, R* slots, Visit& visit) {
+  for (; entry < end; ++entry) {
+    if (entry + kVisitsAhead < end) {
+      const TileEntry coming = entry[kVisitsAhead];
+      __builtin_prefetch(&splat_of(f, coming));
+      __builtin_prefetch(f.hits + coming.slot);
+      __builtin_prefetch(slots + static_cast<int64_t>(coming.slot) * kSlotWidth, 1);
+    }
+    if (const BlockMask blocks = f.hits[entry->slot]) {
+      visit = {localise(splat_of(f, *entry), o), blocks, slots + static_cast<int64_t>(entry->slot) * kSlotWidth};
+      ++entry;
+      return true;
+    }
+  }
+  return false;
+}
+
+struct BlockHits {
+  Hit part[kSub];
+};
+
+inline BlockHits evaluate_block(const Local& l, const Lanes& lanes) {
+  BlockHits hits;
+  for (int h = 0; h < kSub; ++h) hits.part[h] = evaluate(l, lanes.x[h], lanes.y[h]);
+  return hits;
+}
 
 template <bool spatial, bool scenario>
 void backward_tile_as(const Frame& f, const Wanted& want, const svrgs_image_grads& in, int64_t tile, R* slots) {
@@ -156,25 +190,25 @@ void backward_tile_as(const Frame& f, const Wanted& want, const svrgs_image_grad
   const AllLanes& lanes = all_lanes();
   BackwardBlock blocks[kBlocks];
   start_backward(f, in, tile, blocks);
-  const TileEntry* const end = f.entries + f.tile_begin[tile + 1];
-  for (const TileEntry* e = f.entries + f.tile_begin[tile]; e < end; ++e) {
-    const TileEntry entry = *e;
-    if (e + kVisitsAhead < end) {
-      const TileEntry coming = e[kVisitsAhead];
-      __builtin_prefetch(&splat_of(f, coming));
-      __builtin_prefetch(f.hits + coming.slot);
-      __builtin_prefetch(slots + static_cast<int64_t>(coming.slot) * kSlotWidth, 1);
-    }
-    BlockMask left = f.hits[entry.slot];
-    if (!left) continue;
-    const Local l = localise(splat_of(f, entry), o);
+  const TileEntry *entry = f.entries + f.tile_begin[tile], *const end = f.entries + f.tile_begin[tile + 1];
+  Visit visits[2];
+  Visit *now = visits, *coming = visits + 1;
+  if (!next_visit(f, o, entry, end, slots, *now)) return;
+  *coming = *now;
+  BlockHits ahead = evaluate_block(now->local, lanes.block[__builtin_ctzll(now->blocks)]);
+  for (bool more = true; more;) {
+    more = next_visit(f, o, entry, end, slots, *coming);
     Sums a = {};
-    for (; left; left &= left - 1) {
+    for (BlockMask left = now->blocks; left;) {
       const int b = __builtin_ctzll(left);
-      for (int h = 0; h < kSub; ++h)
-        accumulate<spatial, scenario>(f, want, blocks[b], l, lanes.block[b].x[h], lanes.block[b].y[h], h * W, a);
+      left &= left - 1;
+      const BlockHits hits = ahead;  // of this block; those of the next one start now, beside what follows
+      const Visit& next = left ? *now : *coming;
+      ahead = evaluate_block(next.local, lanes.block[__builtin_ctzll(left ? left : coming->blocks)]);
+      for (int h = 0; h < kSub; ++h) accumulate<spatial, scenario>(f, want, blocks[b], now->local, hits.part[h], h * W, a);
     }
-    write_slot(a, slots + static_cast<int64_t>(entry.slot) * kSlotWidth);
+    write_slot(a, now->slot);
+    std::swap(now, coming);
   }
 }
 

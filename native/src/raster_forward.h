@@ -122,6 +122,7 @@ inline void gather_chunk(const Frame& f, TileOrigin o, const TileEntry* entries,
   }
   std::fill_n(c.listed, kBlocks, 0);
   for (int k = 0; k < n; k += W) list_blocks(f, c, k, n - k, active);
+  for (int b = 0; b < kBlocks; ++b) c.list[b][c.listed[b]] = 0;  // blending looks one entry ahead
 }
 
 // What is counted beside the colours, fixed when compiling.
@@ -164,9 +165,11 @@ inline bool blend_list(const Frame& f, Chunk& c, int block, V x, V y, Pixels& p)
   const uint8_t *at = c.list[block], *const end = at + c.listed[block];
   const bool to_end = f.without & SVRGS_TERMINATION;
   M open = at_least(p.T, stop);
+  Hit next_hit = evaluate(c.local[*at], x, y);
   for (; at < end && (any(open) || to_end); ++at) {
     const Local& l = c.local[*at];
-    const Hit e = evaluate(l, x, y);
+    const Hit e = next_hit;
+    next_hit = evaluate(c.local[at[1]], x, y);  // early: its long chain runs beside this one's blending
     const V alpha = clamped(e.alpha), T = p.T;
     const M hit = walk.full ? e.hit : both(e.hit, open);
     M counted = hit;
@@ -188,7 +191,8 @@ inline bool blend_list(const Frame& f, Chunk& c, int block, V x, V y, Pixels& p)
   if constexpr (walk.full)
     for (; at < end; ++at) {  // behind the stop only F is left
       const Local& l = c.local[*at];
-      const Hit e = evaluate(l, x, y);
+      const Hit e = next_hit;
+      next_hit = evaluate(c.local[at[1]], x, y);
       const V alpha = clamped(e.alpha), T = p.T;
       if (l.mask != 0) p.T = T - keep(e.hit, alpha * T);
       count_hit<walk>(f, p, alpha, T, l.mask, e.hit);
