@@ -12,7 +12,6 @@ namespace {
 
 constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
-constexpr int kLossRows = 8;
 constexpr int64_t kAhead = 16;  // visible Gaussians fetched before they are needed
 
 // Exclusive prefix sum over chunk totals.
@@ -196,27 +195,23 @@ svrgs_work Context::work(bool count_pixels) const {
 }
 
 void Context::loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]) {
-  timed(SVRGS_LOSS, [&] { loss_rows(image, target, height, width, l1_weight, ssim_weight, grad, values); });
+  timed(SVRGS_LOSS, [&] { loss_tiles(image, target, height, width, l1_weight, ssim_weight, grad, values); });
 }
 
-void Context::loss_rows(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]) {
-  const int64_t pixels = static_cast<int64_t>(height) * width, count = 3 * pixels, per_row = kernels_.loss_scratch(width);
-  const int64_t bands = chunk_count(height, kLossRows);
-  double* row_values = row_values_.reserve<double>(2 * height);
-  char* scratch = rows_scratch_.reserve<char>(bands * per_row * kernels_.real_size);
-  char* maps = grad ? maps_.reserve<char>(3 * count * kernels_.real_size) : nullptr;
-  const LossArguments a = {image, target, height, width, l1_weight / count, -ssim_weight / count, maps, grad, row_values, row_values + height};
-  for (const bool second : {false, true}) {
-    if (second && !grad) break;
-    parallel_for(bands, [&](int64_t band) {
-      char* own = scratch + band * per_row * kernels_.real_size;
-      std::memset(own, 0, per_row * kernels_.real_size);
-      for (int64_t y = band * kLossRows, end = std::min<int64_t>(height, y + kLossRows); y < end; ++y)
-        kernels_.loss_row(a, static_cast<int>(y), own, second);
-    });
-  }
+void Context::loss_tiles(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]) {
+  const int64_t row = 3 * static_cast<int64_t>(width), count = row * height;
+  const int64_t down = chunk_count(height, kLossRows), across = chunk_count(row, kLossValues), tiles = down * across;
+  const int64_t tile_row = chunk_count(row, across * 16) * 16;  // equal shares, in whole vectors
+  double* tile_values = tile_values_.reserve<double>(2 * tiles);
+  const int64_t workers = std::min<int64_t>(threads(), tiles), own = kernels_.loss_scratch * kernels_.real_size;
+  char* scratch = loss_scratch_.reserve<char>(workers * own);
+  const LossArguments a = {image, target, height, row, tile_row, across, l1_weight / count, -ssim_weight / count, grad, tile_values, tile_values + tiles};
+  std::atomic<int64_t> next{0};
+  parallel_for(workers, [&](int64_t worker) {
+    for (int64_t tile; (tile = next.fetch_add(1, std::memory_order_relaxed)) < tiles;) kernels_.loss_tile(a, tile, scratch + worker * own);
+  });
   values[0] = values[1] = 0;
-  for (int y = 0; y < height; ++y) values[0] += a.row_l1[y], values[1] += a.row_ssim[y];
+  for (int64_t t = 0; t < tiles; ++t) values[0] += a.tile_l1[t], values[1] += a.tile_ssim[t];
   values[0] /= count, values[1] /= count;
 }
 

@@ -63,7 +63,7 @@ class Context {
   void project();
   void find_tiles(int64_t max_pairs);
   void sort_and_bin();
-  void loss_rows(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
+  void loss_tiles(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
   template <class F>
   void timed(svrgs_stage stage, F&& run);
   template <class F>
@@ -76,7 +76,7 @@ class Context {
   bool holds_view_ = false;
   double seconds_[SVRGS_STAGES] = {};
   Buffer splats_, tiles_, spans_, ids_, keys_, visible_, places_, sorted_, scratch_, tile_begin_, entries_, counts_, hits_, state_, slots_;
-  Buffer maps_, rows_scratch_, row_values_;
+  Buffer loss_scratch_, tile_values_;
 };
 
 }  // namespace svrgs

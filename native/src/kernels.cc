@@ -26,15 +26,13 @@ namespace svrgs::SVRGS_LEVEL {
 #include "loss.h"
 #include "machine.h"
 
-int64_t loss_scratch(int width) { return 5 * padded_row(width); }
-
-void loss_pass(const LossArguments& a, int y, void* scratch, bool second_pass) {
-  const int64_t values = 3 * static_cast<int64_t>(a.height) * a.width;
-  R* maps = static_cast<R*>(a.maps);
-  const LossJob job = {static_cast<const R*>(a.image), static_cast<const R*>(a.target), a.height, a.width,
-                       static_cast<R>(a.l1_scale), static_cast<R>(a.ssim_scale), maps, maps + values, maps + 2 * values,
-                       static_cast<R*>(a.grad), a.row_l1, a.row_ssim};
-  (second_pass ? loss_grad_row : loss_row)(job, y, static_cast<R*>(scratch));
+void loss_pass(const LossArguments& a, int64_t tile, void* scratch) {
+  const int64_t y = tile / a.tiles_across * kLossRows, i = tile % a.tiles_across * a.tile_row;
+  LossTile t = {{static_cast<const R*>(a.image), a.height, a.row}, {static_cast<const R*>(a.target), a.height, a.row}, static_cast<R*>(a.grad),
+                y, std::min(y + kLossRows, a.height), i, std::min(i + a.tile_row, a.row),
+                static_cast<R>(a.l1_scale), static_cast<R>(a.ssim_scale), nullptr, 0, 0};
+  loss_tile(t, static_cast<R*>(scratch));
+  a.tile_l1[tile] = t.l1, a.tile_ssim[tile] = t.ssim;
 }
 
 int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* m, void* v, const void* grad, const uint32_t* ids,
@@ -49,5 +47,5 @@ namespace level = SVRGS_LEVEL;
 const Kernels SVRGS_TABLE_NAME = {
     sizeof(level::R), sizeof(Splat<level::R>), level::project_range, level::fill_spans, level::forward_tile, level::write_tile,
     level::backward_tile, level::gradients_range, level::scores_tile, level::scores_range, level::count_tile,
-    level::loss_scratch, level::loss_pass, level::adam_pass, level::multiply_adds};
+    level::kLossScratch, level::loss_pass, level::adam_pass, level::multiply_adds};
 }

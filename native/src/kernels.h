@@ -17,20 +17,24 @@ struct Kernels {
   void (*scores_tile)(const Frame&, int64_t tile, void* slots);
   void (*scores_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* sum, float* max, int64_t* hits);
   void (*count_tile)(const Frame&, int64_t tile, svrgs_work&);
-  int64_t (*loss_scratch)(int width);  // reals of scratch one row needs
-  void (*loss_row)(const struct LossArguments&, int y, void* scratch, bool second_pass);
+  int64_t loss_scratch;  // reals a thread needs
+  void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);
   int64_t (*adam_rows)(const svrgs_adam_settings&, void* param, void* m, void* v, const void* grad, const uint32_t* ids,
                        int64_t begin, int64_t end, int width);
   double (*multiply_adds)(int64_t rounds);  // operations done
 };
 
+// The loss goes over tiles of at most this many rows and values: tall and wide against the surroundings that every tile
+// computes too, enough of them for many threads, and a block of rows small enough for a core's cache.
+constexpr int kLossRows = 90, kLossValues = 480;
+
 struct LossArguments {
   const void *image, *target;
-  int height, width;
+  int64_t height, row;          // values per row
+  int64_t tile_row, tiles_across;
   double l1_scale, ssim_scale;  // dL/d of each value's |difference|; of each value's SSIM
-  void* maps;                   // reals [3][H * W * 3]
   void* grad;                   // optional
-  double *row_l1, *row_ssim;
+  double *tile_l1, *tile_ssim;
 };
 
 extern const Kernels scalar_kernels, baseline_kernels, avx2_kernels, avx512_kernels, double_kernels;

@@ -1,8 +1,16 @@
-// L1 + SSIM with gradient. Each output row is blurred vertically from 11 input rows, then horizontally, so nothing is
-// computed twice. Rows are interleaved RGB: one pixel is three values, a horizontal tap is a step of three.
+// L1 + SSIM with gradient. A tile of the image goes through in blocks of kRows rows: the four products whose blurs make
+// SSIM, the three maps of its derivatives with respect to those, and the gradient. Products and maps are kept for two
+// blocks, as far as a blur reaches, so that everything between the images and the gradient stays in the core's cache. A tile
+// computes what it needs of its surroundings too, so tiles do not depend on each other.
+//
+// Rows are interleaved RGB: one pixel is three values, a horizontal tap is a step of three.
 
-constexpr int kRadius = 5, kTaps = 2 * kRadius + 1, kPad = 3 * kRadius;
+constexpr int kRadius = 5, kRows = 2 * kRadius, kHalo = 16;  // kHalo: 3 * kRadius values, in whole vectors
+constexpr int kProducts = 4, kMaps = 3;                      // x, y, x^2 + y^2, x y; dL/d of the blurred x, x^2 and x y
+constexpr int kStride = kLossValues + 5 * kHalo;             // a row from 2 * kHalo values left of the tile to as many right of it;
+constexpr int kBlock = kRows * kStride;                      // an odd number of vectors, which spreads columns over the cache
 constexpr R kC1Ssim = R(1e-4), kC2Ssim = R(9e-4);
+static_assert(kLossValues % (2 * kHalo) == 0 && kHalo % W == 0);
 
 struct Window {
   R tap[kRadius + 1];  // tap[k]: weight at distance k
@@ -19,103 +27,148 @@ inline Window gaussian_window() {
   return w;
 }
 
-// A blurred row in progress: kPad zeros, `row` values rounded up to whole vectors, kPad + W zeros.
-inline V blur_horizontally(const Window& w, const R* padded, int64_t at) {
-  V s = splat(w.tap[0]) * load(padded + at);
-  for (int k = 1; k <= kRadius; ++k) s = fma(splat(w.tap[k]), load(padded + at - 3 * k) + load(padded + at + 3 * k), s);
-  return s;
+// The window by value, here and below: through a reference the compiler reads it again after every store of a vector.
+inline V blur_horizontally(Window w, const R* at) {
+  V s = splat(w.tap[0]) * load(at);
+  s = fma(splat(w.tap[1]), load_at<-3>(at) + load_at<3>(at), s);
+  s = fma(splat(w.tap[2]), load_at<-6>(at) + load_at<6>(at), s);
+  s = fma(splat(w.tap[3]), load_at<-9>(at) + load_at<9>(at), s);
+  s = fma(splat(w.tap[4]), load_at<-12>(at) + load_at<12>(at), s);
+  return fma(splat(w.tap[5]), load_at<-15>(at) + load_at<15>(at), s);
 }
 
-inline V load_tail(const R* p, int64_t left) {
-  if (left >= W) return load(p);
-  V v = splat(0);
-  for (int i = 0; i < left; ++i) v[i] = p[i];
-  return v;
+// The block of blurred rows that has its middle between two blocks. A column is loaded once for all of its rows.
+void blur_vertically(Window w, const R* above, const R* below, int64_t values, R* out) {
+  for (int64_t i = 0; i < values; i += W) {
+    V row[2 * kRows];
+#pragma GCC unroll 10
+    for (int k = 0; k < kRows; ++k) row[k] = load(above + k * kStride + i), row[kRows + k] = load(below + k * kStride + i);
+#pragma GCC unroll 10
+    for (int y = 0; y < kRows; ++y) {
+      const V* middle = row + kRadius + y;
+      V s = splat(w.tap[0]) * middle[0];
+#pragma GCC unroll 5
+      for (int k = 1; k <= kRadius; ++k) s = fma(splat(w.tap[k]), middle[-k] + middle[k], s);
+      store(out + y * kStride + i, s);
+    }
+  }
 }
 
-inline void store_tail(R* p, V v, int64_t left) {
-  if (left >= W) return store(p, v);
-  for (int i = 0; i < left; ++i) p[i] = v[i];
-}
-
-struct LossJob {
-  const R *image, *target;
-  int height, width;
-  R l1_scale, ssim_scale;  // dL/d of each value's |difference| and of each value's SSIM
-  R *d_mean, *d_square, *d_product;  // (H, stride): dL/d of blurred x, x^2, x y
-  R* grad;
-  double *row_l1, *row_ssim;
-  int64_t row() const { return 3 * static_cast<int64_t>(width); }
-};
-
-inline int64_t padded_row(int width) { return 2 * kPad + 3 * static_cast<int64_t>(width) + 2 * W; }
-
-// SSIM of the lanes, and its derivatives with respect to the blurred x, x^2 and x y.
+// SSIM of the lanes from blurred products, and its derivatives with respect to the blurred x, x^2 and x y.
 struct Ssim {
   V value, d_mean, d_square, d_product;
 };
 
-inline Ssim ssim(V mx, V my, V xx, V yy, V xy) {
-  const V two = splat(2), a1 = two * mx * my + splat(kC1Ssim), a2 = two * (xy - mx * my) + splat(kC2Ssim);
-  const V b1 = mx * mx + my * my + splat(kC1Ssim), b2 = (xx - mx * mx) + (yy - my * my) + splat(kC2Ssim);
+inline Ssim ssim(V mx, V my, V squares, V xy) {
+  const V two = splat(2), c1 = splat(kC1Ssim), c2 = splat(kC2Ssim);
+  const V a1 = fma(two * mx, my, c1), a2 = fma(two, fnma(mx, my, xy), c2);
+  const V b1 = fma(mx, mx, fma(my, my, c1)), b2 = fnma(mx, mx, fnma(my, my, squares)) + c2;
   const V inv = splat(1) / (b1 * b2), s = a1 * a2 * inv;
-  return {s, two * (my * (a2 - a1) * inv - mx * s * (b2 - b1) * inv), -s * b1 * inv, two * a1 * inv};
+  return {s, two * inv * (my * (a2 - a1) - mx * s * (b2 - b1)), -s * b1 * inv, two * a1 * inv};
 }
 
-// Pass 1, one row: values, and the derivative maps if a gradient is wanted. scratch: 5 padded rows, zeroed.
-void loss_row(const LossJob& j, int y, R* scratch) {
-  const Window w = gaussian_window();
-  const int64_t row = j.row(), pad = padded_row(j.width);
-  for (int64_t i = 0; i < row; i += W) {
-    V s[5] = {};
-    for (int k = -kRadius; k <= kRadius; ++k) {
-      if (y + k < 0 || y + k >= j.height) continue;
-      const V t = splat(w.tap[k < 0 ? -k : k]);
-      const V a = load_tail(j.image + (y + k) * row + i, row - i), b = load_tail(j.target + (y + k) * row + i, row - i);
-      const V ta = t * a, tb = t * b;
-      s[0] += ta, s[1] += tb;
-      s[2] = fma(ta, a, s[2]), s[3] = fma(tb, b, s[3]), s[4] = fma(ta, b, s[4]);
+struct Picture {
+  const R* values;
+  int64_t height, row;  // row: values in a row
+
+  void fetch(int64_t y, int64_t i) const { __builtin_prefetch(values + y * row + i); }  // harmless outside, too
+  V at(int64_t y, int64_t i) const {  // zero outside
+    V v = splat(0);
+    if (y < 0 || y >= height || i < 0) return v;
+    if (i + W <= row) return load(values + y * row + i);
+    for (int k = 0; i + k < row; ++k) v[k] = values[y * row + i + k];
+    return v;
+  }
+};
+
+struct LossTile {
+  Picture image, target;
+  R* grad;
+  int64_t y0, y1, i0, i1;  // rows [y0, y1), values [i0, i1) of each
+  R l1_scale, ssim_scale;  // dL/d of each value's |difference| and of each value's SSIM
+  R* blurred;              // kProducts blocks
+  double l1, ssim;
+};
+
+// The products of rows y ... y + kRows.
+void loss_products(const LossTile& t, int64_t y, R* out) {
+  const Picture image = t.image, target = t.target;
+  const int64_t first = t.i0 - 2 * kHalo, end = t.i1 + 2 * kHalo;
+  for (int r = 0; r < kRows; ++r, ++y, out += kStride)
+    for (int64_t i = first; i < end; i += W) {
+      image.fetch(y + kRows, i), target.fetch(y + kRows, i);  // the next block: the rows of a tile are too short for the processor to foresee
+      const V a = image.at(y, i), b = target.at(y, i);
+      R* to = out + i - first;
+      store(to, a), store(to + kBlock, b), store(to + 2 * kBlock, fma(a, a, b * b)), store(to + 3 * kBlock, a * b);
     }
-    for (int m = 0; m < 5; ++m) store_tail(scratch + m * pad + kPad + i, s[m], row - i);
-  }
-  double l1 = 0, total = 0;
-  for (int64_t i = 0; i < row; i += W) {
-    V m[5];
-    for (int k = 0; k < 5; ++k) m[k] = blur_horizontally(w, scratch + k * pad, kPad + i);
-    const Ssim s = ssim(m[0], m[1], m[2], m[3], m[4]);
-    const V d = load_tail(j.image + y * row + i, row - i) - load_tail(j.target + y * row + i, row - i);
-    const int n = static_cast<int>(std::min<int64_t>(W, row - i));
-    l1 += static_cast<double>(sum(max(d, -d)));
-    if (n == W) total += static_cast<double>(sum(s.value));
-    else for (int k = 0; k < n; ++k) total += static_cast<double>(s.value[k]);
-    if (!j.grad) continue;
-    const V g = splat(j.ssim_scale);
-    store_tail(j.d_mean + y * row + i, g * s.d_mean, row - i);
-    store_tail(j.d_square + y * row + i, g * s.d_square, row - i);
-    store_tail(j.d_product + y * row + i, g * s.d_product, row - i);
-  }
-  j.row_l1[y] = l1, j.row_ssim[y] = total;
 }
 
-// Pass 2, one row of dL/dimage: the blur is its own adjoint. scratch: 3 padded rows, zeroed.
-void loss_grad_row(const LossJob& j, int y, R* scratch) {
-  const Window w = gaussian_window();
-  const int64_t row = j.row(), pad = padded_row(j.width);
-  const R* maps[3] = {j.d_mean, j.d_square, j.d_product};
-  for (int m = 0; m < 3; ++m)
-    for (int64_t i = 0; i < row; i += W) {
-      V s = splat(0);
-      for (int k = -kRadius; k <= kRadius; ++k)
-        if (y + k >= 0 && y + k < j.height) s = fma(splat(w.tap[k < 0 ? -k : k]), load_tail(maps[m] + (y + k) * row + i, row - i), s);
-      store_tail(scratch + m * pad + kPad + i, s, row - i);
+// The maps of rows y ... y + kRows from the vertically blurred products; adds the tile's own values to its sums.
+void loss_maps(LossTile& t, Window w, int64_t y, R* maps) {
+  using Total = std::conditional_t<W >= 8, V, D>;  // of a lane in a row: too many values for float where lanes are few
+  const Picture image = t.image, target = t.target;
+  const int64_t i0 = t.i0, i1 = t.i1, row = image.row;
+  const V scale = splat(t.ssim_scale);
+  V lanes;
+  for (int k = 0; k < W; ++k) lanes[k] = static_cast<R>(k);
+  for (int r = 0; r < kRows; ++r, ++y) {
+    const bool inside = y >= 0 && y < image.height;
+    const int64_t own = y >= t.y0 && y < t.y1 ? i0 : i1;
+    Total l1 = {}, total = {};
+    for (int64_t i = i0 - kHalo, at = r * kStride + kHalo; i < i1 + kHalo; i += W, at += W) {
+      const R* from = t.blurred + at;
+      Ssim s = ssim(blur_horizontally(w, from), blur_horizontally(w, from + kBlock), blur_horizontally(w, from + 2 * kBlock), blur_horizontally(w, from + 3 * kBlock));
+      if (!inside || i < 0 || i + W > row) {
+        const M seen = less(lanes, splat(inside && i >= 0 ? static_cast<R>(row - i) : 0));
+        s = {keep(seen, s.value), keep(seen, s.d_mean), keep(seen, s.d_square), keep(seen, s.d_product)};
+      }
+      if (i >= own && i < i1) {
+        l1 += __builtin_convertvector(magnitude(image.at(y, i) - target.at(y, i)), Total);
+        total += __builtin_convertvector(s.value, Total);
+      }
+      store(maps + at, scale * s.d_mean), store(maps + kBlock + at, scale * s.d_square), store(maps + 2 * kBlock + at, scale * s.d_product);
     }
-  for (int64_t i = 0; i < row; i += W) {
-    const V a = load_tail(j.image + y * row + i, row - i), b = load_tail(j.target + y * row + i, row - i), d = a - b;
-    V g = blur_horizontally(w, scratch, kPad + i);
-    g = fma(splat(2) * a, blur_horizontally(w, scratch + pad, kPad + i), g);
-    g = fma(b, blur_horizontally(w, scratch + 2 * pad, kPad + i), g);
-    g = add_if(less(splat(0), d), g, splat(j.l1_scale));
-    g = add_if(less(d, splat(0)), g, splat(-j.l1_scale));
-    store_tail(j.grad + y * row + i, g, row - i);
+#pragma GCC unroll 16
+    for (int k = 0; k < W; ++k) t.l1 += static_cast<double>(l1[k]), t.ssim += static_cast<double>(total[k]);
+  }
+}
+
+// dL/dimage of rows y ... y + kRows from the vertically blurred maps: the blur is its own adjoint.
+void loss_grads(const LossTile& t, Window w, int64_t y) {
+  const Picture image = t.image, target = t.target;
+  const int64_t i0 = t.i0, i1 = t.i1, row = image.row, end = std::min(y + kRows, t.y1);
+  const V up = splat(t.l1_scale);
+  const R* from = t.blurred + 2 * kHalo - i0;
+  for (; y < end; ++y, from += kStride)
+    for (int64_t i = i0; i < i1; i += W) {
+      const V a = image.at(y, i), b = target.at(y, i), d = a - b;
+      V g = blur_horizontally(w, from + i);
+      g = fma(a + a, blur_horizontally(w, from + kBlock + i), g);
+      g = fma(b, blur_horizontally(w, from + 2 * kBlock + i), g);
+      g = add_if(less(splat(0), d), g, up);
+      g = add_if(less(d, splat(0)), g, -up);
+      R* out = t.grad + y * row + i;
+      if (i + W <= row) store(out, g);
+      else for (int k = 0; i + k < row; ++k) out[k] = g[k];
+    }
+}
+
+constexpr int kLossScratch = (2 * kProducts + 2 * kMaps + kProducts) * kBlock;  // two blocks of each, and the blurred one
+
+void loss_tile(LossTile& t, R* scratch) {
+  const Window w = gaussian_window();
+  R* products[2] = {scratch, scratch + kProducts * kBlock};
+  R* maps[2] = {scratch + 2 * kProducts * kBlock, scratch + (2 * kProducts + kMaps) * kBlock};
+  t.blurred = scratch + 2 * (kProducts + kMaps) * kBlock;
+  const int64_t values = t.i1 - t.i0 + 4 * kHalo;
+  loss_products(t, t.y0 - kRows, products[0]);
+  for (int64_t y = t.y0, step = 1; y < t.y1 + kRows; y += kRows, ++step) {  // maps lag half a block behind products, gradients a whole one
+    R *above = products[(step - 1) % 2], *below = products[step % 2], *map = maps[step % 2];
+    loss_products(t, y, below);
+    for (int p = 0; p < kProducts; ++p) blur_vertically(w, above + p * kBlock, below + p * kBlock, values, t.blurred + p * kBlock);
+    loss_maps(t, w, y - kRadius, map);
+    if (step == 1 || !t.grad) continue;
+    for (int m = 0; m < kMaps; ++m) blur_vertically(w, maps[(step - 1) % 2] + m * kBlock + kHalo, map + m * kBlock + kHalo, values - 2 * kHalo, t.blurred + m * kBlock + kHalo);
+    loss_grads(t, w, y - kRows);
   }
 }

@@ -22,6 +22,15 @@ inline V load(const R* p) {
   return v;
 }
 inline void store(R* p, V v) { __builtin_memcpy(p, &v, sizeof v); }
+// load(p + N), |N| < 16, near an aligned p: every unaligned load of 64 bytes is two, so these are joined from the aligned ones.
+template <int N>
+inline V load_at(const R* p) {
+#if SVRGS_LANES == 16
+  return (V)_mm512_alignr_epi32((__m512i)load(N < 0 ? p : p + W), (__m512i)load(N < 0 ? p - W : p), N & (W - 1));
+#else
+  return load(p + N);
+#endif
+}
 
 #if SVRGS_LANES == 16
 using M = __mmask16;
