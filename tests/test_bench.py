@@ -111,7 +111,7 @@ def test_stages_add_up(small):
     assert stages["forward"] > stages["blend"] and stages["backward"] > stages["raster_grads"]
     floors = {name: stage["floor_ms"] for name, stage in case["stages"].items()}
     parts = sum(floors[name] for name in ("forward", "loss", "backward", "adam"))
-    assert 0.8 * parts < floors["step"] < parts  # a step does not store its gradients
+    assert 0.5 * parts < floors["step"] < parts  # a step does not store its gradients
     assert "x floor" in as_text({"machine": {"cores": 1, "simd": "scalar", "simd_levels": ["scalar"], "peaks": {"1": peaks[1]}}, "cases": [case]})
 
 

@@ -115,19 +115,19 @@ def test_cases_cover_what_they_claim():
 
 # The contract is 2e-5 for images and 1e-4 relative L2 for gradients; these bounds are what is reached. Worst seen:
 IMAGE_BOUND = {
-    "rgb": 3.6e-7,  # 3.29e-7
-    "depth": 1.4e-6,  # 1.33e-6
-    "alpha": 3.7e-7,  # 3.49e-7
+    "rgb": 4.6e-7,  # 4.39e-7
+    "depth": 1.7e-6,  # 1.63e-6
+    "alpha": 4.4e-7,  # 4.12e-7
     "mask": 1.3e-6,  # 1.19e-6
-    "transmittance": 3.7e-7,  # 3.49e-7
+    "transmittance": 4.4e-7,  # 4.12e-7
 }
 GRADIENT_BOUND = {
     "means": 1.5e-6,  # 1.34e-6
     "log_scales": 1.3e-6,  # 1.19e-6
-    "quats": 3.0e-6,  # 2.67e-6
+    "quats": 3.0e-6,  # 2.71e-6
     "opacity_logits": 1.9e-6,  # 1.70e-6
-    "sh": 1.3e-6,  # 1.18e-6
-    "masks": 1.2e-6,  # 1.06e-6
+    "sh": 1.6e-6,  # 1.53e-6
+    "masks": 1.35e-6,  # 1.26e-6
 }
 
 
@@ -146,7 +146,7 @@ def test_float_levels_agree_with_the_reference(name, level):
 
 
 SIMD_IMAGE_BOUND = 1.4e-6  # worst seen: 1.32e-6, depth
-SIMD_GRADIENT_BOUND = 2.0e-6  # worst seen: 1.81e-6, quats
+SIMD_GRADIENT_BOUND = 2.0e-6  # worst seen: 1.86e-6, opacity_logits
 
 
 @pytest.mark.parametrize("level", [level for level in FLOAT_LEVELS if level != "scalar"])

@@ -282,7 +282,7 @@ def test_screen_filling_gaussians_touch_every_tile(level):
     n, camera = 300, scenes.camera(70, 50)
     scene = isotropic(np.column_stack([np.zeros((n, 2)), np.linspace(-1, 1, n)]), scale=1e3, opacity=0.01)
     images, grads = view_and_gradients(level, scene, camera)
-    assert rasterizer(level).work()["pairs"] == n * 5 * 4
+    assert rasterizer(level).work()["pairs"] == n * 3 * 2
     assert (images["hits"] == n).all()
     assert images["transmittance"] == pytest.approx(0.99**n, rel=1e-3)
     assert_in_range(images)
@@ -360,20 +360,20 @@ def test_longest_images_work(width, height):
 def test_too_many_pairs_are_refused_with_their_number():
     r, camera = rasterizer("scalar"), scenes.camera(64, 48)
     scene = typed(isotropic([(0, 0, z) for z in range(10)], scale=1e3), r.dtype)
-    r.forward(scene, camera, RenderOptions(max_pairs=120))
-    assert r.work()["pairs"] == 10 * 4 * 3
-    with pytest.raises(NativeError, match=r"120 .* pairs.* 119"):
-        r.forward(scene, camera, RenderOptions(max_pairs=119))
+    r.forward(scene, camera, RenderOptions(max_pairs=40))
+    assert r.work()["pairs"] == 10 * 2 * 2
+    with pytest.raises(NativeError, match=r"40 .* pairs.* 39"):
+        r.forward(scene, camera, RenderOptions(max_pairs=39))
     with pytest.raises(NativeError):  # there is no view to differentiate now
         r.backward({})
 
 
 def test_more_pairs_than_an_index_holds_are_refused_before_allocation():
-    """600 Gaussians on each of 2048² tiles: 2.5e9 pairs would need 60 GB."""
+    """2,400 Gaussians on each of 1024² tiles: 2.5e9 pairs would need 60 GB."""
     r = Rasterizer()
-    scene = typed(isotropic([(0, 0, 2 + 0.01 * k) for k in range(600)], scale=1e5), r.dtype)
+    scene = typed(isotropic([(0, 0, 2 + 0.01 * k) for k in range(2400)], scale=1e5), r.dtype)
     start = time.monotonic()
-    with pytest.raises(NativeError, match=f"{600 * 2048**2} .* pairs.* {2**31 - 1}"):
+    with pytest.raises(NativeError, match=f"{2400 * 1024**2} .* pairs.* {2**31 - 1}"):
         r.forward(scene, frontal(32_768, 32_768, focal=2e4), outputs=())
     assert time.monotonic() - start < 5
 

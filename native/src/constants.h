@@ -12,7 +12,7 @@
 #define SVRGS_STOP 1e-4
 #endif
 #ifndef SVRGS_TILE
-#define SVRGS_TILE 16
+#define SVRGS_TILE 32
 #endif
 #ifndef SVRGS_BLOCK_WIDTH
 #define SVRGS_BLOCK_WIDTH 4

@@ -77,7 +77,7 @@ inline Hit evaluate(const Local& l, V x, V y) {
 inline V clamped(V alpha) { return min(alpha, splat(R(kAlphaMax))); }
 
 // Up to kChunk entries of a tile's list, and for each block those that reach it.
-constexpr int kChunk = 128;
+constexpr int kChunk = 256;
 static_assert(kChunk <= 256 && kChunk % 16 == 0);
 
 struct Chunk {

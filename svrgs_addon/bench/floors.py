@@ -1,9 +1,9 @@
 """The least time each stage could take on this machine: operations over the measured FMA peak, or bytes over the measured
 memory peaks, whichever is more.
 
-An operation is one vector instruction of W lanes in an FMA slot: 2 W flop at the peak. What a block needs is counted for
-all its 16 pixels, so 16 / W instructions a slot; what a pair needs is done once whatever the lanes. Counts of slots follow
-performance.md 3.3 (two slots a cycle) and describe a good kernel, not the one measured.
+An operation is one vector instruction of W lanes that multiplies (and adds): 2 W flop at the peak. Additions, comparisons and
+moves are left out, as if they all ran beside: on some processors they do. What a block needs is counted for all its 16 pixels,
+so 16 / W instructions a slot; what a pair needs is done once whatever the lanes.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ LANES = {"scalar": 1, "baseline": 4, "avx2": 8, "avx512": 16, "float64": 1}
 BLOCK_PIXELS = 16
 
 # Slots per hit block, and per (Gaussian, tile) pair that hits a pixel.
-BLEND_BLOCK, BLEND_PAIR = 24, 60  # exponent, 2^x, alpha, colours and stop; per pair bounds and broadcasts
-GRADS_BLOCK, GRADS_PAIR = 46, 200  # the same again and nine sums in lanes; per pair their reduction over lanes
-COUNT_BLOCK = 2  # F: one addition each to K and N
-BEHIND_BLOCK = 12  # F behind the stop: exponent, 2^x, the alpha test, no colour
-GRADS_BEHIND_BLOCK = 20  # dF/dM and dF/dalpha there
+BLEND_BLOCK, BLEND_PAIR = 15, 20  # exponent 5, 2^x 6, weight 1, colours 3; per pair where its ellipse enters and leaves rows of blocks
+GRADS_BLOCK, GRADS_PAIR = 29, 30  # exponent 5, 2^x 6, weight 1, colours 7, dL/dalpha 5, moments 5; per pair sums over lanes
+COUNT_BLOCK = 1  # F: one more sum
+GRADS_MASK_BLOCK = 3  # dF/dM
+BEHIND_BLOCK = 12  # F behind the stop: exponent, 2^x, transmittance
+GRADS_BEHIND_BLOCK = 17  # the same, 1 / (1 - alpha) and dF/dM
 
 # Slots of one lane per visible Gaussian: covariance, projection, SH of degree 3; the derivative takes twice that.
 PROJECT_SLOTS, PARAMETER_SLOTS = 450, 900
@@ -35,7 +36,7 @@ PAIR = 8 + 8 + 2  # a tile entry is written and read once, its hit flags are wri
 EXTENT = 2 * 16  # first tile, rows and tiles of a Gaussian, read and written
 ADAM = 28  # per parameter: value and two moments read and written, gradient read
 
-LOSS_FLOP = 0.25e9 / (640 * 360 * 3)  # per pixel and channel: five blurs of 11 + 11 taps, three more for the gradient
+LOSS_FLOP = 0.25e9 / (640 * 360 * 3)  # per pixel and channel: four blurs of 11 + 11 taps, three more for the gradient
 LOSS_BYTES = 12  # image and target read, gradient written
 
 
@@ -49,7 +50,7 @@ def stage_floors(work: dict, facts: dict, level: str, peak: dict) -> dict[str, f
     stored = GEOMETRY + SH_BYTES * coefficients
     behind = max(0, work["hit_blocks_full"] - work["hit_blocks"])
     counters = COUNT_BLOCK * work["hit_blocks"] * block
-    grads = GRADS_BLOCK * work["hit_blocks"] + GRADS_BEHIND_BLOCK * behind
+    grads = (GRADS_BLOCK + GRADS_MASK_BLOCK) * work["hit_blocks"] + GRADS_BEHIND_BLOCK * behind
     floors = {
         "project": max(
             PROJECT_SLOTS * visible * lane,

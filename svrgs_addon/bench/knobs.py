@@ -40,7 +40,7 @@ BUILD_KNOBS = {
     "exp_degree": ("SVRGS_EXP_DEGREE", {"3": "3", "4": "4", "5": ""}),
     "alpha_cut": ("SVRGS_ALPHA_CUT", {f"{n:g}/255": f"{n / 255:.12g}" if n != 1 else "" for n in (0.5, 1, 2, 4)}),
     "stop": ("SVRGS_STOP", {"1e-2": "1e-2", "1e-3": "1e-3", "1e-4": "", "1e-5": "1e-5"}),
-    "tile": ("SVRGS_TILE", {"8": "8", "16": "", "32": "32"}),
+    "tile": ("SVRGS_TILE", {"8": "8", "16": "16", "32": ""}),
     "block": ("SVRGS_BLOCK_WIDTH", {"4x4": "", "8x2": "8", "16x1": "16"}),
 }
 
