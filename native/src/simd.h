@@ -103,17 +103,32 @@ inline R largest(V v) {
 }
 #endif
 
+#if SVRGS_LANES == 4 || SVRGS_LANES == 8
+using Bytes = std::conditional_t<W == 8, uint64_t, uint32_t>;
+struct SetBits {  // the positions of the set bits of every W bits, a byte each
+  Bytes positions[1 << W] = {};
+  constexpr SetBits() {
+    for (int set = 0; set < 1 << W; ++set)
+      for (int i = 0, n = 0; i < W; ++i)
+        if (set >> i & 1) positions[set] |= static_cast<Bytes>(i) << 8 * n++;
+  }
+};
+constexpr SetBits kSetBits;
+#endif
+
 // Appends first + i to list for each set bit i of `set`; writes up to 16 bytes from list + count on. Returns the new count.
 inline int append_lanes(uint8_t* list, int count, int first, uint32_t set) {
 #if SVRGS_LANES == 16
   const __m512i lanes = _mm512_add_epi32(_mm512_set1_epi32(first), _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
   const __m128i bytes = _mm512_cvtepi32_epi8(_mm512_maskz_compress_epi32(static_cast<__mmask16>(set), lanes));
   _mm_storeu_si128(reinterpret_cast<__m128i*>(list + count), bytes);
-  return count + __builtin_popcount(set);
+#elif SVRGS_LANES > 1
+  const Bytes bytes = kSetBits.positions[set] + static_cast<Bytes>(0x0101010101010101) * static_cast<Bytes>(first);
+  __builtin_memcpy(list + count, &bytes, sizeof bytes);
 #else
-  for (; set; set &= set - 1) list[count++] = static_cast<uint8_t>(first + __builtin_ctz(set));
-  return count;
+  list[count] = static_cast<uint8_t>(first);
 #endif
+  return count + __builtin_popcount(set);
 }
 
 // The sums of four vectors, to out[0..3].
