@@ -22,7 +22,7 @@ def measure_skips(case: Case, repeat: int, tell: Callable[[str], None]) -> list[
     for skip in SKIPS:
         tell(f"skip {skip}")
         entries.append(_native(trial, skip, repeat))
-    for measured in (_unused_gradients, _sparse_adam, _sh_bands):
+    for measured in (_mask, _behind_the_stop, _unused_gradients, _sparse_adam, _sh_bands):
         tell(f"skip {measured.__name__.strip('_')}")
         entries.append(measured(trial, repeat))
     return entries
@@ -47,6 +47,24 @@ def _native(trial: Trial, skip: str, repeat: int) -> dict:
         return {"on": seconds(trial.forward, "none"), "off": seconds(trial.forward, "none", without=without)}
 
     return _entry(skip, "forward", colours, repeat, float(change), **more)
+
+
+def _there_and_back(trial: Trial, mask_kind: str, full: bool) -> float:
+    """Seconds of an image and its gradients to everything."""
+    image_grads = trial.image_grads if mask_kind != "none" else {"rgb": trial.image_grads["rgb"]}
+    return seconds(trial.forward, mask_kind, full) + seconds(trial.rasterizer.backward, image_grads, WANTED)
+
+
+def _mask(trial: Trial, repeat: int) -> dict:
+    """Colours alone, against F and its gradient beside them, both up to the stop."""
+    once = {"on": ("none", False), "off": ("svr", False)}
+    return _entry("mask", "forward and backward", lambda: {name: _there_and_back(trial, *kind) for name, kind in once.items()}, repeat, None)
+
+
+def _behind_the_stop(trial: Trial, repeat: int) -> dict:
+    """F that stops with the colours, against F to the end of each ray: another F, so that no picture is compared."""
+    once = {"on": ("svr", False), "off": ("svr", True)}
+    return _entry("behind_the_stop", "forward and backward", lambda: {name: _there_and_back(trial, *kind) for name, kind in once.items()}, repeat, None)
 
 
 def _unused_gradients(trial: Trial, repeat: int) -> dict:
