@@ -9,6 +9,7 @@ constexpr int W = SVRGS_LANES;
 using IntR = std::conditional_t<sizeof(R) == 4, int32_t, int64_t>;
 using V = R __attribute__((vector_size(sizeof(R) * W)));
 using I = IntR __attribute__((vector_size(sizeof(R) * W)));
+using U = std::make_unsigned_t<IntR> __attribute__((vector_size(sizeof(R) * W)));  // may wrap around
 constexpr int kSub = kBlockPixels / W;  // vectors per 4x4 block
 
 using D = double __attribute__((vector_size(sizeof(double) * W)));
@@ -189,7 +190,7 @@ inline V exp2(V x) {
     const V f2 = f * f;  // pairs of terms side by side: a shorter chain than one term after the other
     V p = fma(exp2_end(f), f2, fma(splat(kExp2[3]), f, splat(kExp2[2])));
     p = fma(p, f2, fma(splat(kExp2[1]), f, splat(kExp2[0])));
-    return (V)((I)p + ((I)t << 23));
+    return (V)((U)p + ((U)t << 23));
   }
 }
 // log2 x for normal x > 0, error below 2e-7 of the larger of 1 and the result.
@@ -198,7 +199,7 @@ inline V log2(V x) {
     for (int i = 0; i < W; ++i) x[i] = std::log2(x[i]);
     return x;
   } else {
-    const I shifted = (I)x - 0x3f3504f3;  // bits of sqrt(1/2): the mantissa comes to lie in [sqrt(1/2), sqrt(2))
+    const I shifted = (I)((U)x - 0x3f3504f3);  // bits of sqrt(1/2): the mantissa comes to lie in [sqrt(1/2), sqrt(2))
     const V exponent = __builtin_convertvector(shifted >> 23, V);
     const V m = (V)((shifted & 0x7fffff) + 0x3f3504f3);
     const V s = (m - splat(1)) / (m + splat(1)), s2 = s * s;  // log m = 2 (s + s^3 / 3 + s^5 / 5 + ...), |s| < 0.172
