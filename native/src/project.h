@@ -44,21 +44,42 @@ inline void prefetch_sh(const Frame& f, uint32_t g) {
   for (int k = 0; k < 3 * (f.sh_degree + 1) * (f.sh_degree + 1) * size; k += 64) __builtin_prefetch(row + k);
 }
 
-// Which of the n <= W Gaussians from `first` on are in front of the camera and not too faint; one bit each.
-inline uint32_t in_front(const Frame& f, int64_t first, int n) {
-  const R *means = static_cast<const R*>(f.means) + 3 * first, *logits = static_cast<const R*>(f.opacity_logits) + first;
-  R rest[4 * W];
-  if (n < W) {  // the end of the scene: read nothing behind it
-    std::copy_n(means, 3 * n, rest), std::copy_n(logits, n, rest + 3 * W);
-    std::fill_n(rest + 3 * n, 3 * (W - n), R(0)), std::fill_n(rest + 3 * W + n, W - n, R(0));
-    means = rest, logits = rest + 3 * W;
+// The first n of W rows of `width` values; what lies behind the scene's end reads as 0.
+template <int width>
+inline const R* rows(const void* array, int64_t first, int n, R* spare) {
+  const R* at = static_cast<const R*>(array) + first * width;
+  if (n >= W) return at;
+  std::fill_n(spare, W * width, R(0));
+  std::copy_n(at, n * width, spare);
+  return spare;
+}
+
+// Which of the n <= W Gaussians from `first` on may be seen: in front of the camera, not too faint, and near enough to the
+// image for their largest scale. One bit each. No ellipse is wider than 1/255 of opacity 1 reaches along that scale.
+inline uint32_t may_be_seen(const Frame& f, int64_t first, int n) {
+  R spare[7 * W];
+  const R *means = rows<3>(f.means, first, n, spare), *scales = rows<3>(f.log_scales, first, n, spare + 3 * W),
+          *logits = rows<1>(f.opacity_logits, first, n, spare + 6 * W);
+  V x, y, z, scale;
+  for (int i = 0; i < W; ++i) {
+    x[i] = means[3 * i], y[i] = means[3 * i + 1], z[i] = means[3 * i + 2];
+    scale[i] = std::max(std::max(scales[3 * i], scales[3 * i + 1]), scales[3 * i + 2]);
   }
-  V x, y, z;
-  for (int i = 0; i < W; ++i) x[i] = means[3 * i], y[i] = means[3 * i + 1], z[i] = means[3 * i + 2];
   const double* m = f.viewmat;
-  const V depth = narrow(m[8] * wide(x) + m[9] * wide(y) + m[10] * wide(z) + m[11]);
+  const D wx = wide(x), wy = wide(y), wz = wide(z);
+  const auto camera = [&](int row) { return narrow(m[4 * row] * wx + m[4 * row + 1] * wy + m[4 * row + 2] * wz + m[4 * row + 3]); };
+  const V depth = camera(2), inv = splat(1) / depth, rx = camera(0) * inv, ry = camera(1) * inv;
   const M front = both(less(splat(R(kNear)), depth), less(depth, splat(R(kFar))));
-  return bits(both(front, at_least(load(logits), splat(R(kLogitCut))))) & ((1u << n) - 1);
+  const V limit_x = splat(R(kFrustumMargin * f.width / (2 * f.fx) + std::max(f.cx, f.width - f.cx) / f.fx));
+  const V limit_y = splat(R(kFrustumMargin * f.height / (2 * f.fy) + std::max(f.cy, f.height - f.cy) / f.fy));
+  const V tx = min(magnitude(rx), limit_x), ty = min(magnitude(ry), limit_y);
+  const V size = exp(scale) * splat(R(std::max(f.fx, f.fy))) * inv;  // of the largest scale across the view, pixels
+  const V reach = splat(kWhiten) * root(splat(kReachMargin - R(kLog2Cut)));
+  const V radius = reach * sqrt(fma(size * size, splat(1) + tx * tx + ty * ty, splat(R(kBlur)))) * R(1.001) + R(1);
+  const V px = rx * R(f.fx) + R(f.cx), py = ry * R(f.fy) + R(f.cy), spread_x = radius + magnitude(px) * R(1e-3), spread_y = radius + magnitude(py) * R(1e-3);
+  const M outside = either(either(less(px + spread_x, splat(0)), less(splat(R(f.width)), px - spread_x)),
+                           either(less(py + spread_y, splat(0)), less(splat(R(f.height)), py - spread_y)));
+  return bits(both(and_not(outside, front), at_least(load(logits), splat(R(kLogitCut))))) & ((1u << n) - 1);
 }
 
 using Four = R __attribute__((vector_size(4 * sizeof(R))));
@@ -173,7 +194,7 @@ int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* ids,
   uint32_t pending[W];
   int waiting = 0;
   for (int64_t first = begin; first < end; first += W) {
-    for (uint32_t left = in_front(f, first, static_cast<int>(std::min<int64_t>(W, end - first))); left; left &= left - 1) {
+    for (uint32_t left = may_be_seen(f, first, static_cast<int>(std::min<int64_t>(W, end - first))); left; left &= left - 1) {
       const uint32_t g = static_cast<uint32_t>(first + __builtin_ctz(left));
       prefetch_sh(f, g);
       pending[waiting++] = g;

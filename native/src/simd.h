@@ -38,6 +38,7 @@ using M = __mmask16;
 inline M less(V a, V b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
 inline M at_least(V a, V b) { return _mm512_cmp_ps_mask(a, b, _CMP_GE_OQ); }
 inline M both(M a, M b) { return a & b; }
+inline M either(M a, M b) { return a | b; }
 inline V select(M m, V yes, V no) { return _mm512_mask_blend_ps(m, no, yes); }
 inline V keep(M m, V v) { return _mm512_maskz_mov_ps(m, v); }
 inline bool any(M m) { return m != 0; }
@@ -59,6 +60,7 @@ using M = I;
 inline M less(V a, V b) { return a < b; }
 inline M at_least(V a, V b) { return a >= b; }
 inline M both(M a, M b) { return a & b; }
+inline M either(M a, M b) { return a | b; }
 inline V select(M m, V yes, V no) { return m ? yes : no; }
 inline V keep(M m, V v) { return (V)((I)v & m); }
 inline V add_if(M m, V a, V b) { return a + keep(m, b); }
