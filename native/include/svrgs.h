@@ -71,7 +71,7 @@ typedef struct {
 } svrgs_scene;
 
 typedef struct {
-  double viewmat[16]; /* world to camera, row-major */
+  double viewmat[16]; /* world to camera, row-major: a rotation and a translation */
   double fx, fy, cx, cy;
   int32_t width, height;
   double background[3];

@@ -38,6 +38,6 @@ constexpr int kBlockPixels = 16;                // a block is 16 lanes
 constexpr int kBlockWidth = SVRGS_BLOCK_WIDTH, kBlockHeight = kBlockPixels / kBlockWidth;
 constexpr int kBlockColumns = kTile / kBlockWidth;           // per tile
 constexpr int kBlocks = kTile * kTile / kBlockPixels;        // per tile
-using BlockBits = std::conditional_t<kBlocks <= 16, uint16_t, uint64_t>;
+using BlockMask = std::conditional_t<kBlocks <= 16, uint16_t, uint64_t>;
 
 }  // namespace svrgs

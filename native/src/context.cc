@@ -152,7 +152,7 @@ void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_o
   timed(SVRGS_TILES, [&] { find_tiles(o.max_pairs); });
   timed(SVRGS_SORT, [&] { sort_and_bin(); });
   const int64_t tiles = static_cast<int64_t>(frame_.tiles_x) * frame_.tiles_y;
-  frame_.hits = hits_.reserve<BlockBits>(pairs_);
+  frame_.hits = hits_.reserve<BlockMask>(pairs_);
   frame_.state = state_.reserve<char>(tiles * kBlocks * kFields * kBlockPixels * kernels_.real_size);
   timed(SVRGS_BLEND, [&] {
     for_each_tile([&](int64_t tile) {

@@ -70,7 +70,7 @@ struct Frame {
   // tile lists
   const int64_t* tile_begin;  // [tiles + 1]
   const TileEntry* entries;
-  BlockBits* hits;        // per slot: bit b set where the Gaussian hits a pixel of block b that counts
+  BlockMask* hits;        // per slot: bit b set where the Gaussian hits a pixel of block b that counts
   void* state;            // R[tiles][kBlocks][kFields][kBlockPixels]
 };
 

@@ -46,7 +46,7 @@ inline void prefetch_sh(const Frame& f, uint32_t g) {
 
 // The first n of W rows of `width` values; what lies behind the scene's end reads as 0.
 template <int width>
-inline const R* rows(const void* array, int64_t first, int n, R* spare) {
+inline const R* padded(const void* array, int64_t first, int n, R* spare) {
   const R* at = static_cast<const R*>(array) + first * width;
   if (n >= W) return at;
   std::fill_n(spare, W * width, R(0));
@@ -55,11 +55,11 @@ inline const R* rows(const void* array, int64_t first, int n, R* spare) {
 }
 
 // Which of the n <= W Gaussians from `first` on may be seen: in front of the camera, not too faint, and near enough to the
-// image for their largest scale. One bit each. No ellipse is wider than 1/255 of opacity 1 reaches along that scale.
+// image. One bit each. It errs on the side of projecting: a ball of the largest scale, fully opaque, bounds the ellipse.
 inline uint32_t may_be_seen(const Frame& f, int64_t first, int n) {
   R spare[7 * W];
-  const R *means = rows<3>(f.means, first, n, spare), *scales = rows<3>(f.log_scales, first, n, spare + 3 * W),
-          *logits = rows<1>(f.opacity_logits, first, n, spare + 6 * W);
+  const R *means = padded<3>(f.means, first, n, spare), *scales = padded<3>(f.log_scales, first, n, spare + 3 * W),
+          *logits = padded<1>(f.opacity_logits, first, n, spare + 6 * W);
   V x, y, z, scale;
   for (int i = 0; i < W; ++i) {
     x[i] = means[3 * i], y[i] = means[3 * i + 1], z[i] = means[3 * i + 2];

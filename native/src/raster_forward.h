@@ -2,8 +2,6 @@
 // reach, and each block walks its own list with its 16 pixels in registers. A lane carries the running transmittance T of
 // every hit; colours stop at the first T below 1e-4 (T never rises again), F goes on where Frame::full asks for it.
 
-using BlockMask = BlockBits;
-
 // A Gaussian as seen from one tile: (x, y) from its centre to the tile's corner pixel, the rest as in Splat.
 struct Local {
   R x, y, l11, l12, l22, log2_opacity, rgb[3], depth, mask;
@@ -54,6 +52,11 @@ struct AllLanes {  // of a tile's blocks; the same for every tile
 inline const AllLanes& all_lanes() {
   static const AllLanes lanes;
   return lanes;
+}
+
+// Which of W lanes of a block lie in the image.
+inline M in_image(const Frame& f, TileOrigin o, const Lanes& lanes, int h) {
+  return both(less(lanes.x[h], splat(static_cast<R>(f.width - o.x * kTile))), less(lanes.y[h], splat(static_cast<R>(f.height - o.y * kTile))));
 }
 
 struct Hit {
@@ -232,12 +235,10 @@ inline void store_pixels(const Frame& f, R* at, const Pixels& p) {
 // Clears a tile; returns its blocks with a pixel in the image. Pixels outside start with T = 0 and so never count as open.
 template <Walk walk>
 inline BlockMask start_tile(const Frame& f, TileOrigin o, R* state) {
-  const V right = splat(static_cast<R>(f.width - o.x * kTile)), bottom = splat(static_cast<R>(f.height - o.y * kTile));
   BlockMask inside = 0;
   for (int b = 0; b < kBlocks; ++b)
     for (int h = 0; h < kSub; ++h) {
-      const Lanes& lanes = all_lanes().block[b];
-      const M in = both(less(lanes.x[h], right), less(lanes.y[h], bottom));
+      const M in = in_image(f, o, all_lanes().block[b], h);
       Pixels p = {};
       p.T = keep(in, splat(1));
       store_pixels<walk>(f, block_state(state, b, h), p);

@@ -44,7 +44,6 @@ inline V keep(M m, V v) { return _mm512_maskz_mov_ps(m, v); }
 inline bool any(M m) { return m != 0; }
 inline uint32_t bits(M m) { return m; }
 inline M and_not(M a, M b) { return b & ~a; }  // b where not a
-
 inline V add_if(M m, V a, V b) { return _mm512_mask_add_ps(a, m, a, b); }
 inline V fma(V a, V b, V c) { return _mm512_fmadd_ps(a, b, c); }
 inline V fnma(V a, V b, V c) { return _mm512_fnmadd_ps(a, b, c); }
@@ -66,8 +65,6 @@ inline V keep(M m, V v) { return (V)((I)v & m); }
 inline V add_if(M m, V a, V b) { return a + keep(m, b); }
 inline V min(V a, V b) { return a < b ? a : b; }  // b where a is NaN, as the processor's own instruction does
 inline V max(V a, V b) { return a > b ? a : b; }
-inline bool any(M m);
-inline uint32_t bits(M m);
 inline M and_not(M a, M b) { return b & ~a; }
 #if SVRGS_LANES >= 8
 inline bool any(M m) { return !_mm256_testz_si256((__m256i)m, (__m256i)m); }

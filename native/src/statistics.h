@@ -1,16 +1,12 @@
 // Per-Gaussian statistics of a view, and how much work it was: both walk the tile lists again, for what the last forward pass
 // blended.
 
-// Transmittance of a tile's pixels, block-major, 1 inside the image.
+// Transmittance of a tile's pixels, block-major; starts at 1 inside the image and 0 outside.
 struct Transmittance {
   V T[kBlocks][kSub];
   Transmittance(const Frame& f, TileOrigin o) {
-    const V right = splat(static_cast<R>(f.width - o.x * kTile)), bottom = splat(static_cast<R>(f.height - o.y * kTile));
     for (int b = 0; b < kBlocks; ++b)
-      for (int h = 0; h < kSub; ++h) {
-        const Lanes& lanes = all_lanes().block[b];
-        T[b][h] = keep(both(less(lanes.x[h], right), less(lanes.y[h], bottom)), splat(1));
-      }
+      for (int h = 0; h < kSub; ++h) T[b][h] = keep(in_image(f, o, all_lanes().block[b], h), splat(1));
   }
 };
 
