@@ -59,7 +59,8 @@ def stages(profile: cProfile.Profile) -> dict[str, float]:
 
 
 def settings_of(request: dict):
-    from svrgs_addon.finetune.settings import Densify, prune_settings, train_settings
+    from svrgs_addon.finetune.plan import prune_settings, train_settings
+    from svrgs_addon.finetune.settings import Densify
 
     iterations, recovery, seed = request["iterations"], request["recovery"], request["seed"]
     if request["kind"] == "train":

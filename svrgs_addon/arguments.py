@@ -9,6 +9,9 @@ from . import __version__
 
 TRAIN_ITERATIONS, PRUNE_ITERATIONS, RECOVERY = 30_000, 3_000, 5_000
 MIN_CONTRIBUTION = 0.02
+LEARNED = "svr, svr-self, svr-even, svr-a, svr-b, maskgs (also -alpha, -beta, -gamma), compact3dgs, gns"
+RANKED = "lightgaussian, pup, contribution, max-contribution, opacity"
+METHODS = f"learned: {LEARNED}; by a score, once: {RANKED}; none: 3dgs"
 
 
 class Parser(argparse.ArgumentParser):
@@ -63,21 +66,30 @@ def _run(command):
     command.add_argument("--seed", type=_count, default=0)
     command.add_argument("--engine", choices=("native", "torch"), default="native")
     command.add_argument("--lambda-f", type=_weight, metavar="L", help="weight of the spatial mask (default: 1e-4; of svr-a 1e-2)")
+    command.add_argument("--lambda-m", type=_weight, metavar="L", help="weight of the term of maskgs, compact3dgs, gns (default: the method's own)")
+    command.add_argument("--paper", action="store_true", help="with --method svr: the paper's own form, whatever the default is")
     command.add_argument("--visible-mask", action="store_true", help="F stops with the colours instead of walking each ray to its end")
     command.add_argument("--views-by-loss", action="store_true", help="look at the half of the views with the lower loss every other time")
     command.add_argument("--resume", action="store_true", help="go on from the last checkpoint of the same job; without it, a job starts anew and forgets them")
     command.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
 
+def _size(command, whole: str):
+    size = command.add_mutually_exclusive_group()
+    size.add_argument("--target", type=_share, metavar="SHARE", help=f"share of {whole} to keep (default of lightgaussian: 0.34, of gns: 0.25)")
+    size.add_argument("--target-count", type=_positive, metavar="N", help="number of Gaussians to keep")
+
+
 def _train(commands):
     command = _command(commands, "train", "Trains a scene from photographs and COLMAP's sparse points.")
     _dataset(command)
     _run(command)
-    command.add_argument("--method", default="3dgs", help="3dgs, or one that learns masks on the way: svr, svr-self, svr-a, svr-b, maskgs (default: 3dgs)")
+    command.add_argument("--method", default="3dgs", help=f"{METHODS} (default: 3dgs)")
     command.add_argument("--iterations", type=_count, default=TRAIN_ITERATIONS, help=f"default: {TRAIN_ITERATIONS}")
     command.add_argument("--recovery", type=_count, metavar="N", help=f"steps after pruning (default: {RECOVERY} for methods that prune, else 0)")
     command.add_argument("--coarse-until", type=_count, default=0, metavar="N", help="look at photographs of half the size until this iteration (default: 0)")
     command.add_argument("--densify-until", type=_count, default=15_000, metavar="N", help="last iteration of densification (default: 15000)")
+    _size(command, "the Gaussians there are when densification ends")
     command.add_argument("--sh-degree", type=int, choices=range(4), default=3)
     command.add_argument("--out", type=Path, required=True, metavar="FILE")
 
@@ -87,16 +99,14 @@ def _prune(commands):
     command.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="splat files, folders of a splat and its COLMAP dataset, or folders of such")
     _dataset(command, required=False)
     _run(command)
-    command.add_argument("--method", default="svr", help="svr, svr-self, svr-a, svr-b, maskgs, opacity, contribution, 3dgs (default: svr)")
-    command.add_argument("--iterations", type=_count, default=PRUNE_ITERATIONS, metavar="N", help=f"steps of mask learning (default: {PRUNE_ITERATIONS})")
+    command.add_argument("--method", default="svr", help=f"{METHODS} (default: svr)")
+    command.add_argument("--iterations", type=_count, default=PRUNE_ITERATIONS, metavar="N", help=f"steps in which the method learns what to prune (default: {PRUNE_ITERATIONS})")
     command.add_argument("--recovery", type=_count, default=RECOVERY, metavar="N", help=f"steps after it (default: {RECOVERY})")
     command.add_argument(
         "--min-contribution", type=_small_share, metavar="A",
         help=f"first drop what never covers this much of a pixel in a training view (default: {MIN_CONTRIBUTION} where masks are learned, else 0)",
     )  # fmt: skip
-    size = command.add_mutually_exclusive_group()
-    size.add_argument("--target", type=_share, metavar="SHARE", help="share of the Gaussians to keep, e.g. 0.25")
-    size.add_argument("--target-count", type=_positive, metavar="N", help="number of Gaussians to keep")
+    _size(command, "the Gaussians")
     command.add_argument("--out", type=Path, metavar="FILE|DIR", help="a file for one scene, a folder for several (default: beside each scene)")
     command.add_argument("--report", type=Path, metavar="DIR", help="write an HTML page there (one folder a scene if there are several)")
     command.add_argument("--overwrite", action="store_true", help="with several scenes: also those whose output exists")

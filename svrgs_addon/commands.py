@@ -36,18 +36,18 @@ def render(options: Options) -> int:
 
 def train(options: Options) -> int:
     from . import jobs
-    from .finetune.settings import Densify, method_named, train_settings
+    from .finetune.methods import method_named
+    from .finetune.plan import train_settings
+    from .finetune.settings import Densify
     from .progress import StopRequest
 
     _set_threads(options)
-    learns = method_named(options.method).learns_masks
-    if method_named(options.method).score:
-        raise SceneError(f"method '{options.method}' prunes trained scenes; train with 3dgs or a method that learns masks")
-    recovery = options.recovery if options.recovery is not None else RECOVERY * learns
+    method = _method(options)
+    recovery = options.recovery if options.recovery is not None else RECOVERY * method_named(method).prunes
     settings = train_settings(
-        options.method, options.iterations, recovery, lambda_f=options.lambda_f, seed=options.seed, full=not options.visible_mask,
-        background=options.background, densify=Densify(until=options.densify_until), coarse_until=options.coarse_until,
-        views_by_loss=options.views_by_loss,
+        method, options.iterations, recovery, lambda_f=options.lambda_f, lambda_m=options.lambda_m, seed=options.seed,
+        full=not options.visible_mask, background=options.background, densify=Densify(until=options.densify_until),
+        coarse_until=options.coarse_until, views_by_loss=options.views_by_loss, target=options.target_count or 0, share=options.target or 0.0,
     )  # fmt: skip
     job = _job(options)
     jobs.check_outputs(job)
@@ -59,10 +59,9 @@ def train(options: Options) -> int:
 
 def prune(options: Options) -> int:
     from . import batch_list
-    from .finetune.settings import method_named
     from .worker import run_in_child
 
-    method_named(options.method)  # one that does not exist is a matter of the command, not of each scene
+    _method(options)  # one that does not exist is a matter of the command, not of each scene
     items = batch_list.expand(options.scenes, options.colmap, options.out, options.report)
     if len(items) == 1 and not options.batch:
         result = prune_one(argparse.Namespace(**_item_options(options, items[0], options.report)))
@@ -90,14 +89,14 @@ def _item_options(options: Options, item: Item, report: Path | None) -> dict:
 def prune_one(options: Options) -> dict:
     """One scene: options.scene, .colmap, .out, .report beside those of the command line; returns the JSON result."""
     from . import jobs
-    from .finetune.settings import prune_settings
+    from .finetune.plan import prune_settings
     from .progress import StopRequest
 
     _set_threads(options)
     if options.colmap is None:
         raise SceneError(f"{options.scene}: pruning needs the photographs it was trained on; give --colmap DIR")
     settings = prune_settings(
-        options.method, options.iterations, options.recovery, lambda_f=options.lambda_f, seed=options.seed,
+        _method(options), options.iterations, options.recovery, lambda_f=options.lambda_f, lambda_m=options.lambda_m, seed=options.seed,
         full=not options.visible_mask, background=tuple(options.background), target=_target(options),
         min_contribution=_min_contribution(options), views_by_loss=options.views_by_loss,
     )  # fmt: skip
@@ -108,18 +107,31 @@ def prune_one(options: Options) -> dict:
         return jobs.prune(options.scene, dataset, settings, replace(job, stop=stop))
 
 
+def _method(options: Options) -> str:
+    """The method's name; SceneError where it does not exist, or --paper does not fit."""
+    from .finetune.methods import PAPER, method_named
+
+    method_named(options.method)
+    if options.paper and options.method != "svr":
+        raise SceneError(f"--paper is the paper's form of method 'svr', not of '{options.method}'")
+    return PAPER if options.paper else options.method
+
+
 def _min_contribution(options: Options) -> float:
-    from .finetune.settings import method_named
+    from .finetune.methods import method_named
 
     if options.min_contribution is not None:
         return options.min_contribution
-    return MIN_CONTRIBUTION if method_named(options.method).learns_masks else 0.0
+    return MIN_CONTRIBUTION if method_named(_method(options)).first_cut else 0.0
 
 
 def _target(options: Options) -> int:
+    from .finetune.methods import method_named
+
     if options.target_count is not None:
         return options.target_count
-    return max(1, round(options.target * splat_files.describe(options.scene)["count"])) if options.target else 0
+    share = options.target or method_named(_method(options)).share
+    return max(1, round(share * splat_files.describe(options.scene)["count"])) if share else 0
 
 
 def evaluate(options: Options) -> int:

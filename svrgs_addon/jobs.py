@@ -20,8 +20,9 @@ from .errors import SceneError
 from .evaluate import evaluate, mean_psnr, refuse_unseen, render_options, shown
 from .finetune import checkpoint, loop, masks, scores
 from .finetune.engine import NativeEngine
+from .finetune.methods import method_named
 from .finetune.model import Model, scene_from_points
-from .finetune.settings import Settings, method_named
+from .finetune.settings import Settings
 from .images import to_float
 from .metrics import psnr
 from .native import Rasterizer, RenderOptions
@@ -125,26 +126,28 @@ def check_request(dataset: Dataset, settings: Settings):
     """Finds out before the work whether dataset and settings allow it. Raises SceneError."""
     if not dataset.train_indices:
         raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
-    ranks = bool(method_named(settings.method).score)
-    if ranks and not settings.target:
+    ranks, asked = method_named(settings.method).ranks, settings.target or settings.share
+    if ranks and not asked:
         raise SceneError(f"method '{settings.method}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
-    if settings.target and not ranks and not any(phase.masks for phase in settings.phases):
-        raise SceneError(f"method '{settings.method}' without iterations of mask learning prunes nothing, so it cannot reach a target")
+    if asked and not ranks and not any(phase.active for phase in settings.phases):
+        raise SceneError(f"method '{settings.method}' without iterations in which it prunes cannot reach a target")
 
 
 def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
     """Drops what no view misses: opacity < 1/255, which is exact, and alpha T below settings.min_contribution in every
-    training view, as far as a target count allows. Score methods drop all but the target count.
+    training view, as far as a target count allows. Methods that rank drop all but the target count.
     """
     scene = scene.select(~invisible(scene))
-    score = method_named(settings.method).score
-    if score == "opacity":
-        return scene.select(scores.top(scene.opacity_logits, settings.target))
-    if not score and not settings.min_contribution:
+    method = method_named(settings.method)
+    looks = [dataset.cameras[i] for i in dataset.train_indices], Rasterizer(), render_options(scene, settings.background)
+    if settings.min_contribution:
+        _, peaks, _ = scores.contribution(scene, *looks)
+        keep = (peaks >= settings.min_contribution) | scores.top(peaks, settings.target)
+        masks.refuse_emptying(keep, scene.count)
+        scene = scene.select(keep)
+    if not method.ranks:
         return scene
-    cameras = [dataset.cameras[i] for i in dataset.train_indices]
-    sums, peaks, _ = scores.contribution(scene, cameras, Rasterizer(), render_options(scene, settings.background))
-    keep = scores.top(sums, settings.target) if score else (peaks >= settings.min_contribution) | scores.top(peaks, settings.target)
+    keep = scores.top(method.score(scene, *looks), settings.target)
     masks.refuse_emptying(keep, scene.count)
     return scene.select(keep)
 
@@ -200,9 +203,9 @@ def curve_psnr(run: loop.Run) -> float | None:
     views = dataset.test_indices[:: max(1, len(dataset.test_indices) // CURVE_VIEWS)][:CURVE_VIEWS]
     if not views:
         return None
-    kept = masks.decided(model).astype(np.uint8) if model.learns_masks else None
+    kept = run.method.existing(model) if model.learns_masks else None
     options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
-    return mean_psnr(model, dataset, views, run.engine.rasterizer, options, kept)
+    return mean_psnr(model, dataset, views, run.engine.rasterizer, options, None if kept is None else kept.astype(np.uint8))
 
 
 def measured(scene: Scene, dataset: Dataset, options: JobOptions, path: Path | None = None) -> dict:
@@ -218,6 +221,8 @@ def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
         "out": str(options.out),
         "method": settings.method,
         "lambda_f": settings.lambda_f if method_named(settings.method).mask_kind != "none" else None,
+        "lambda_m": settings.lambda_m or None,
+        "target": run.target or None,
         "seconds": clock.total,
         "seconds_by_phase": clock.phases,
         "iterations": run.iteration,

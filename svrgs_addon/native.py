@@ -17,12 +17,13 @@ import numpy as np
 from .camera import Camera
 from .errors import Cancelled, NativeError
 
-INTERFACE_VERSION = 2
+INTERFACE_VERSION = 3
 LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
 MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
 COUNTS = ("hits", "kept")
 LOSS_IMAGES = ("rgb", "depth", "alpha", "mask")  # those a gradient may come from
+MOMENTS = ("uu", "uv", "vv", "uuu", "uuv", "uvv", "vvv", "uuuu", "uuuv", "uuvv", "uvvv", "vvvv")
 GRADS = ("means", "log_scales", "quats", "opacity_logits", "sh", "masks", "means2d")
 SKIPS = {"exact_tiles": 1, "block_tests": 2, "opacity_bounds": 4, "termination": 8}
 STAGES = ("project", "tiles", "sort", "blend", "raster_grads", "parameter_grads", "loss")
@@ -222,13 +223,23 @@ class Rasterizer:
         _call("svrgs_backward_update", self._context, c.byref(grads_in), c.byref(update), c.byref(grads_out), c.byref(bad))
         return grads, bad.value
 
-    def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray):
-        """Adds the last view to per-Gaussian statistics (N,): sum of alpha T float64, max alpha T float32, pixels int64."""
+    def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray, through: np.ndarray | None = None):
+        """Adds the last view to per-Gaussian statistics (N,): sum of alpha T float64, max alpha T float32, pixels int64, sum of T float64."""
         if self._view is None:
             raise NativeError("there is no rendered view to score: call forward first")
         n = (len(self._view[0]),)
         _call("svrgs_scores", self._context, c.c_void_p(_check_out(sum_, "sum", n, np.float64)),
-              c.c_void_p(_check_out(max_, "max", n, np.float32)), c.c_void_p(_check_out(hits, "hits", n, np.int64)))
+              c.c_void_p(_check_out(max_, "max", n, np.float32)), c.c_void_p(_check_out(hits, "hits", n, np.int64)),
+              c.c_void_p(None if through is None else _check_out(through, "through", n, np.float64)))
+
+    def moments(self) -> np.ndarray:
+        """(V, 12) float64, a row per visible Gaussian of the last view: sums over pixels of w u^a v^b in the order of MOMENTS, w the
+        squared change of the colours with alpha; see svrgs.h."""
+        if self._view is None:
+            raise NativeError("there is no rendered view to take moments of: call forward first")
+        rows = np.empty((self.work()["visible"], len(MOMENTS)))
+        _call("svrgs_moments", self._context, c.c_void_p(rows.ctypes.data))
+        return rows
 
     def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
         """(mean |image - target|, SSIM, dL/dimage or None) of (H, W, 3) images; L = l1_weight L1 + ssim_weight (1 - SSIM)."""

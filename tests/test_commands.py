@@ -20,7 +20,7 @@ import tiny_dataset
 from svrgs_addon import commands, jobs
 from svrgs_addon.evaluate import render_options
 from svrgs_addon.finetune import scores
-from svrgs_addon.finetune.settings import METHODS
+from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.formats import read_ply, write_ply
 from svrgs_addon.images import read_image
 from svrgs_addon.native import Rasterizer, RenderOptions
@@ -205,7 +205,7 @@ def test_report_is_one_page_with_table_plots_and_pictures(pruned):
     assert not re.search(r'(src|href)="(?!data:)', page) and "http-equiv" in page and "@import" not in page
 
 
-@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if not method.score])
+@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if not method.ranks and not method.share])
 def test_every_method_runs(tiny, svrgs, tmp_path, method):
     result = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *SHORT, "--out", tmp_path / "o.ply", "--json").json
     assert result["method"] == method and result["lambda_f"] == (METHODS[method].lambda_f or None)
@@ -399,7 +399,7 @@ REFUSED = [  # what is broken, the command, what the sentence says
     *((nothing, f"{command} --lpips-weights {{work}}/no.pt", ("--lpips-weights", "no.pt")) for command in (PRUNE, TRAIN, EVAL, COMPARE)),
     (nothing, f"{PRUNE} --method dropout", ("method 'dropout' is unknown", "svr, ")),
     (nothing, f"{TRAIN} --method dropout", ("method 'dropout' is unknown",)),
-    (nothing, f"{TRAIN} --method opacity", ("prunes trained scenes",)),
+    (nothing, f"{TRAIN} --method opacity", ("needs --target",)),
     *((nothing, f"{PRUNE} --lambda-f={value}", ("--lambda-f", f"'{value}' is not a weight")) for value in ("-1", "nan", "inf", "much")),
     (nothing, f"{PRUNE} --method maskgs --lambda-f 1e-4", ("method 'maskgs' has no spatial mask",)),
     *((nothing, f"{PRUNE} --target {value}", ("--target", f"'{value}' is not a share")) for value in ("0", "1.5", "half")),

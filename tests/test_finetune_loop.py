@@ -15,7 +15,8 @@ from svrgs_addon.finetune import densify, loop, masks
 from svrgs_addon.finetune.engine import NativeEngine, StepResult
 from svrgs_addon.finetune.loop import Run, run_to_end
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model, scene_from_points
-from svrgs_addon.finetune.settings import Densify, Phase, Rates, Settings, prune_settings, recovery_phase, train_settings
+from svrgs_addon.finetune.plan import prune_settings, train_settings
+from svrgs_addon.finetune.settings import Densify, Phase, Rates, Settings, recovery_phase
 from svrgs_addon.finetune.torch_engine import TorchEngine
 from svrgs_addon.metrics import psnr
 from svrgs_addon.native import Rasterizer
@@ -95,7 +96,7 @@ def test_phases_follow_one_another_and_number_their_own_steps():
     found = []
     for iteration in range(settings.total):
         phase, number = settings.at(iteration)
-        found.append((phase.name, number, phase.masks))
+        found.append((phase.name, number, phase.active))
     assert found == [("prune", 1, True), ("prune", 2, True), ("prune", 3, True), ("recover", 1, False), ("recover", 2, False)]
 
 
@@ -338,7 +339,7 @@ def test_the_settled_go_between_events_where_asked():
     """Otherwise nothing changes before the event, and the others do not change at all."""
     scene, counts = scenes.random_scene(400, sh_degree=0), []
     for drop in (False, True):
-        phase = Phase("prune", 120, Rates(), masks=True, prune_every=1_000)
+        phase = Phase("prune", 120, Rates(), active=True, prune_every=1_000)
         settings = Settings("svr", (phase,), mask_init=3.0, drop_settled=drop)
         run = Run(Model.of(scene), photographed(scene), settings, Puller())
         run.advance()
@@ -381,7 +382,7 @@ def test_a_scene_is_not_emptied(left, before, refused):
 
 def test_a_refused_event_leaves_the_model_as_it_was():
     scene = scenes.random_scene(30, sh_degree=0)
-    phase = Phase("prune", 8, Rates(), masks=True, prune_every=4)
+    phase = Phase("prune", 8, Rates(), active=True, prune_every=4)
     run = Run(Model.of(scene), photographed(scene), Settings("svr", (phase,), mask_init=-30.0), Puller())
     for _ in range(3):
         run.advance()
@@ -395,7 +396,7 @@ def test_a_refused_event_leaves_the_model_as_it_was():
 def test_mask_events_keep_their_times():
     """Every prune_every, and at the end of the phase, where the decision falls too and the logits go."""
     scene = scenes.random_scene(400, sh_degree=0)
-    phases = (Phase("prune", 10, Rates(), masks=True, prune_every=4), recovery_phase(3))
+    phases = (Phase("prune", 10, Rates(), active=True, prune_every=4), recovery_phase(3))
     run = Run(Model.of(scene), photographed(scene), Settings("svr", phases, mask_init=logit(0.1), target=20), Puller())
     counts = []
     while not run.finished:
@@ -410,7 +411,7 @@ def test_mask_events_keep_their_times():
 def test_the_end_of_mask_learning_is_an_event_of_its_own():
     """Here the only one; the target is too large to remove anything more."""
     scene = scenes.random_scene(1_000, sh_degree=0)
-    phase = Phase("prune", 3, Rates(), masks=True)
+    phase = Phase("prune", 3, Rates(), active=True)
     settings = Settings("svr", (phase,), mask_init=logit(0.1), target=1_000)
     run = to_the_end(Run(Model.of(scene), photographed(scene), settings, Puller()))
     assert run.model.count == pytest.approx(651, abs=75)
@@ -418,7 +419,7 @@ def test_the_end_of_mask_learning_is_an_event_of_its_own():
 
 def test_densification_is_a_mask_event_too():
     scene = scenes.random_scene(1_000, sh_degree=0, opacity=5.0)
-    phase = Phase("train", 6, Rates(), Densify(start=1, until=100, every=5), masks=True, prune_every=2)
+    phase = Phase("train", 6, Rates(), Densify(start=1, until=100, every=5), active=True, prune_every=2)
     run = Run(Model.of(scene), photographed(scene), Settings("svr", (phase,), mask_init=logit(0.1)), Puller())
     counts = []
     for _ in range(5):
@@ -531,7 +532,7 @@ def training(engine=None, dtype=np.float32) -> Run:
     truth = scenes.random_scene(150, 2, 1, scale=0.2)
     dataset = photographed(truth)
     rule = Densify(start=5, until=31, every=10, reset_every=25, gradient=2e-5, small=0.1)
-    phases = (Phase("train", 45, Rates(), rule, masks=True, prune_every=10, sh_every=15), recovery_phase(15))
+    phases = (Phase("train", 45, Rates(), rule, active=True, prune_every=10, sh_every=15), recovery_phase(15))
     settings = Settings("svr", phases, lambda_f=1e-3, mask_init=1.0, seed=4)
     return Run(Model.of(disturbed(truth), dtype), dataset, settings, engine or NativeEngine())
 
@@ -641,7 +642,7 @@ def pruned(method: str, **weights) -> tuple[np.ndarray, np.ndarray, float]:
     """Which of the front and of the hidden are still there after masks and recovery, (49,) bool each; PSNR, dB."""
     scene = half_hidden()
     dataset = photographed(scene)
-    phases = (Phase("prune", 60, Rates(position_first=5e-6, mask=0.1), masks=True, prune_every=20), recovery_phase(20))
+    phases = (Phase("prune", 60, Rates(position_first=5e-6, mask=0.1), active=True, prune_every=20), recovery_phase(20))
     settings = Settings(method, phases, mask_init=2.0, seed=1, **weights)
     run = to_the_end(Run(Model.of(scene), dataset, settings, NativeEngine()))
     kept = np.isin(np.arange(scene.count), run.model.origin)

@@ -23,7 +23,8 @@ import tiny_dataset
 from svrgs_addon import jobs
 from svrgs_addon.dataset import load_dataset
 from svrgs_addon.errors import Cancelled, FormatError, SceneError
-from svrgs_addon.finetune.settings import Densify, prune_settings, train_settings
+from svrgs_addon.finetune.plan import prune_settings, train_settings
+from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.formats import read_ply, write_ply
 from svrgs_addon.progress import StopRequest
 

@@ -90,7 +90,7 @@ def test_bits_are_spread_to_every_third_place():
 
 # --- in a run
 
-GROWING = Phase("train", 45, Rates(), Densify(start=5, until=36, every=10, reset_every=25, gradient=2e-5, small=0.1), masks=True, prune_every=10)
+GROWING = Phase("train", 45, Rates(), Densify(start=5, until=36, every=10, reset_every=25, gradient=2e-5, small=0.1), active=True, prune_every=10)
 
 
 class Noting(Run):

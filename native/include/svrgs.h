@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 2
+#define SVRGS_INTERFACE_VERSION 3
 
 typedef void real; /* float or double, by the context's level */
 
@@ -157,8 +157,16 @@ SVRGS_API int32_t svrgs_measure_machine(int32_t level, svrgs_machine *);
 SVRGS_API int32_t svrgs_backward(svrgs_context *, const svrgs_image_grads *, const svrgs_grads *);
 
 /* Adds the last view to per-Gaussian statistics, each (N,) and optional: sum of alpha_i T_i over pixels, its maximum,
-   and the number of pixels blended. */
-SVRGS_API int32_t svrgs_scores(svrgs_context *, double *sum, float *max, int64_t *hits);
+   the number of pixels blended, and the sum of T_i over them. */
+SVRGS_API int32_t svrgs_scores(svrgs_context *, double *sum, float *max, int64_t *hits, double *through);
+
+/* How much the last view's colours would change if a Gaussian's shape on the screen did: sums over pixels of w u^a v^b, with
+   w = sum over the channels of (alpha_i dC/dalpha_i)^2, and (u, v) = L (pixel - centre), L upper triangular with a positive
+   diagonal and alpha_i = opacity 2^-(u^2 + v^2). A row for each visible Gaussian, in the order of svrgs_visible(), (V, SVRGS_MOMENTS):
+   uu, uv, vv, uuu, uuv, uvv, vvv, uuuu, uuuv, uuvv, uvvv, vvvv. Together with the projection's Jacobian they are the
+   sensitivity of PUP 3D-GS. */
+#define SVRGS_MOMENTS 12
+SVRGS_API int32_t svrgs_moments(svrgs_context *, double *moments);
 
 /* L = l1_weight * mean|a - b| + ssim_weight * (1 - SSIM(a, b)); SSIM: 11x11 Gaussian window, sigma 1.5, zero padding,
    C1 = 1e-4, C2 = 9e-4, mean over pixels and channels. image, target, grad: (H, W, 3). grad (dL/dimage) is optional.

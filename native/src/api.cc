@@ -184,11 +184,19 @@ int32_t svrgs_backward_update(svrgs_context* c, const svrgs_image_grads* in, con
   });
 }
 
-int32_t svrgs_scores(svrgs_context* c, double* sum, float* max, int64_t* hits) {
+int32_t svrgs_scores(svrgs_context* c, double* sum, float* max, int64_t* hits, double* through) {
   return guarded([&] {
     require(c, "an argument is missing");
     require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
-    c->context.scores(sum, max, hits);
+    c->context.scores({sum, max, hits, through});
+  });
+}
+
+int32_t svrgs_moments(svrgs_context* c, double* moments) {
+  return guarded([&] {
+    require(c && moments, "an argument is missing");
+    require(c->context.holds_view(), "there is no rendered view to take moments of: call svrgs_forward first");
+    c->context.moments(moments);
   });
 }
 

@@ -178,12 +178,18 @@ int64_t Context::backward(const svrgs_image_grads& in, const svrgs_grads& out, c
   return nonfinite;
 }
 
-void Context::scores(double* sum, float* max, int64_t* hits) {
+void Context::scores(const Scores& out) {
   char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
   for_each_tile([&](int64_t tile) { kernels_.scores_tile(frame_, tile, slots); });
   parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
-    kernels_.scores_range(frame_, slots, begin, end, sum, max, hits);
+    kernels_.scores_range(frame_, slots, begin, end, out);
   });
+}
+
+void Context::moments(double* rows) {
+  char* slots = slots_.reserve<char>(pairs_ * SVRGS_MOMENTS * kernels_.real_size);
+  for_each_tile([&](int64_t tile) { kernels_.moments_tile(frame_, tile, slots); });
+  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.moments_range(frame_, slots, begin, end, rows); });
 }
 
 svrgs_work Context::work(bool count_pixels) const {

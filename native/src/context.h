@@ -46,7 +46,8 @@ class Context {
   void forward(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);
   // Gradients into `out`, and into an Adam step where there is an update; returns the rows that step left alone.
   int64_t backward(const svrgs_image_grads&, const svrgs_grads& out, const svrgs_update*);
-  void scores(double* sum, float* max, int64_t* hits);
+  void scores(const Scores&);
+  void moments(double* rows);
   void loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
 
   const uint32_t* visible() const { return frame_.visible; }

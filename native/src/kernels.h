@@ -5,6 +5,13 @@
 
 namespace svrgs {
 
+struct Scores {  // each (N,) and optional
+  double* sum;
+  float* max;
+  int64_t* hits;
+  double* through;
+};
+
 struct Kernels {
   int real_size, splat_size;
   int64_t (*project_range)(const Frame&, int64_t begin, int64_t end, uint32_t* ids, uint32_t* depth_keys);
@@ -15,7 +22,9 @@ struct Kernels {
   int64_t (*gradients_range)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const svrgs_update*, const void* slots,
                              int64_t begin, int64_t end);
   void (*scores_tile)(const Frame&, int64_t tile, void* slots);
-  void (*scores_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* sum, float* max, int64_t* hits);
+  void (*scores_range)(const Frame&, const void* slots, int64_t begin, int64_t end, const Scores&);
+  void (*moments_tile)(const Frame&, int64_t tile, void* slots);
+  void (*moments_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* rows);
   void (*count_tile)(const Frame&, int64_t tile, svrgs_work&);
   int64_t loss_scratch;  // reals a thread needs
   void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);

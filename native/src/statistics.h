@@ -13,21 +13,21 @@ struct Transmittance {
 // One Gaussian over one part of a block: its hits, what it blends where, and T moved on.
 struct Blended {
   M hit, live;
-  V weight;
+  V weight, through;  // alpha T, T
 };
 
 inline Blended blend_again(const Local& l, int block, int h, V& T) {
   const Lanes& lanes = all_lanes().block[block];
   const Hit e = evaluate(l, lanes.x[h], lanes.y[h]);
   const M open = at_least(T, splat(R(kStop)));
-  if (l.mask == 0) return {e.hit, both(e.hit, open), splat(0)};
-  const V weight = keep(e.hit, clamped(e.alpha) * T);
+  if (l.mask == 0) return {e.hit, both(e.hit, open), splat(0), splat(0)};
+  const V before = T, weight = keep(e.hit, clamped(e.alpha) * T);
   T -= weight;
   const M live = both(e.hit, at_least(T, splat(R(kStop))));
-  return {e.hit, live, keep(live, weight)};
+  return {e.hit, live, keep(live, weight), keep(live, before)};
 }
 
-// Slot of each pair: sum of alpha T, its maximum, pixels blended.
+// Slot of each pair: sum of alpha T, its maximum, pixels blended, sum of T.
 void scores_tile(const Frame& f, int64_t tile, void* slots) {
   const TileOrigin o = tile_origin(f, tile);
   Transmittance t(f, o);
@@ -35,20 +35,21 @@ void scores_tile(const Frame& f, int64_t tile, void* slots) {
     const TileEntry entry = f.entries[e];
     const Local l = localise(splat_of(f, entry), o);
     if (l.mask == 0) continue;
-    V total = splat(0), best = splat(0), pixels = splat(0);
+    V total = splat(0), best = splat(0), pixels = splat(0), through = splat(0);
     for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
       for (int b = __builtin_ctzll(left), h = 0; h < kSub; ++h) {
         const Blended w = blend_again(l, b, h, t.T[b][h]);
         total += w.weight;
         best = max(best, w.weight);
         pixels = add_if(w.live, pixels, splat(1));
+        through += w.through;
       }
     R* slot = static_cast<R*>(slots) + static_cast<int64_t>(entry.slot) * kSlotWidth;
-    slot[0] = sum(total), slot[1] = largest(best), slot[2] = sum(pixels);
+    slot[0] = sum(total), slot[1] = largest(best), slot[2] = sum(pixels), slot[3] = sum(through);
   }
 }
 
-void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* sum_out, float* max_out, int64_t* hits_out) {
+void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end, const Scores& out) {
   for (int64_t i = begin; i < end; ++i) {
     const uint32_t id = f.visible[i];
     const SplatTiles& t = f.tiles[f.places[i]];
@@ -56,9 +57,80 @@ void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end,
     for (uint32_t k = 0; k < t.tiles; ++k) {
       if (!f.hits[t.slot + k]) continue;
       const R* slot = static_cast<const R*>(slots) + static_cast<int64_t>(t.slot + k) * kSlotWidth;
-      if (sum_out) sum_out[id] += static_cast<double>(slot[0]);
-      if (max_out) max_out[id] = std::max(max_out[id], static_cast<float>(slot[1]));
-      if (hits_out) hits_out[id] += static_cast<int64_t>(slot[2]);
+      if (out.sum) out.sum[id] += static_cast<double>(slot[0]);
+      if (out.max) out.max[id] = std::max(out.max[id], static_cast<float>(slot[1]));
+      if (out.hits) out.hits[id] += static_cast<int64_t>(slot[2]);
+      if (out.through) out.through[id] += static_cast<double>(slot[3]);
+    }
+  }
+}
+
+// A tile's pixels on the way to the stop: T, and what is still to come of each channel, background included.
+struct Remaining {
+  V T[kBlocks][kSub], rgb[kBlocks][kSub][3];
+  Remaining(const Frame& f, int64_t tile) {
+    const TileOrigin o = tile_origin(f, tile);
+    R* const state = tile_state(f, tile);
+    for (int b = 0; b < kBlocks; ++b)
+      for (int h = 0; h < kSub; ++h) {
+        const R* const at = block_state(state, b, h);
+        const M inside = in_image(f, o, all_lanes().block[b], h);
+        T[b][h] = keep(inside, splat(1));
+        for (int c = 0; c < 3; ++c)
+          rgb[b][h][c] = keep(inside, fma(kept(at, kFinalT), splat(static_cast<R>(f.background[c])), kept(at, Field(kRed + c))));
+      }
+  }
+};
+
+// w = sum over the channels of (alpha dC/dalpha)^2 at the pixels of one part of a block, alpha's clamp let through nowhere; `left`
+// and T are moved on. With the colour S still to come behind a Gaussian, alpha dC/dalpha = alpha (T c - S / (1 - alpha)).
+inline V sensitivity(const Local& l, const Hit& e, V& T, V left[3]) {
+  const V alpha = clamped(e.alpha), weight = keep(e.hit, alpha * T), before = T, inv = reciprocal(splat(1) - alpha);
+  T -= weight;
+  const M live = both(e.hit, at_least(T, splat(R(kStop))));
+  V w = splat(0);
+  for (int c = 0; c < 3; ++c) {
+    left[c] -= keep(live, weight * splat(l.rgb[c]));
+    const V d = alpha * (before * splat(l.rgb[c]) - left[c] * inv);
+    w = fma(d, d, w);
+  }
+  return keep(both(live, less(e.alpha, splat(R(kAlphaMax)))), w);
+}
+
+// Slot of each pair: the moments of w in (u, v), in the order of SVRGS_MOMENTS.
+void moments_tile(const Frame& f, int64_t tile, void* slots) {
+  const TileOrigin o = tile_origin(f, tile);
+  Remaining t(f, tile);
+  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
+    const TileEntry entry = f.entries[e];
+    const Local l = localise(splat_of(f, entry), o);
+    if (l.mask == 0) continue;
+    V m[SVRGS_MOMENTS] = {};
+    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+      for (int b = __builtin_ctzll(left), h = 0; h < kSub; ++h) {
+        const Lanes& lanes = all_lanes().block[b];
+        const Hit hit = evaluate(l, lanes.x[h], lanes.y[h]);
+        const V w = sensitivity(l, hit, t.T[b][h], t.rgb[b][h]), u = keep(hit.hit, hit.u), v = keep(hit.hit, hit.v), uu = u * u, uv = u * v, vv = v * v;
+        const V wuu = w * uu, wuv = w * uv, wvv = w * vv;
+        const V found[SVRGS_MOMENTS] = {wuu, wuv, wvv, wuu * u, wuu * v, wuv * v, wvv * v, wuu * uu, wuu * uv, wuu * vv, wuv * vv, wvv * vv};
+        for (int k = 0; k < SVRGS_MOMENTS; ++k) m[k] += found[k];
+      }
+    R* slot = static_cast<R*>(slots) + static_cast<int64_t>(entry.slot) * SVRGS_MOMENTS;
+    for (int k = 0; k < SVRGS_MOMENTS; ++k) slot[k] = sum(m[k]);
+  }
+}
+
+// Rows [begin, end) of the visible Gaussians.
+void moments_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* out) {
+  for (int64_t i = begin; i < end; ++i) {
+    const SplatTiles& t = f.tiles[f.places[i]];
+    double* row = out + i * SVRGS_MOMENTS;
+    std::fill_n(row, SVRGS_MOMENTS, 0.0);
+    if (f.masks && !f.masks[f.visible[i]]) continue;
+    for (uint32_t k = 0; k < t.tiles; ++k) {
+      if (!f.hits[t.slot + k]) continue;
+      const R* slot = static_cast<const R*>(slots) + static_cast<int64_t>(t.slot + k) * SVRGS_MOMENTS;
+      for (int m = 0; m < SVRGS_MOMENTS; ++m) row[m] += static_cast<double>(slot[m]);
     }
   }
 }

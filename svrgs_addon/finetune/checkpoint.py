@@ -17,7 +17,7 @@ from ..errors import FormatError
 from .densify import Statistics
 from .loop import Curves, Run
 
-SCHEMA = 3
+SCHEMA = 4
 KEPT = 2  # newest checkpoints kept
 _PARTS = ("values", "first", "second")
 
@@ -38,6 +38,8 @@ def save(run: Run, folder: Path, identity: str) -> Path:
         "epoch": [run.views.epoch, run.views.position],
         "initial_count": run.initial_count,
         "unordered": run.unordered,
+        "target": run.target,
+        "method": run.method.state(),
         "loss": run.loss,
         "nonfinite": run.nonfinite,
         "seconds": run.seconds,
@@ -84,6 +86,8 @@ def _apply(run: Run, folder: Path, manifest: dict):
         run.views.losses, run.views.left_out = arrays["views.losses"], arrays["views.left_out"]
     run.views.epoch, run.views.position = manifest["epoch"]
     run.iteration, run.initial_count, run.unordered = manifest["iteration"], manifest["initial_count"], manifest["unordered"]
+    run.target = manifest["target"]
+    run.method.restore(manifest["method"])
     run.loss, run.nonfinite, run.seconds = manifest["loss"], manifest["nonfinite"], manifest["seconds"]
     run.curves = Curves(**manifest["curves"])
 

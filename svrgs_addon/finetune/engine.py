@@ -12,6 +12,7 @@ import numpy as np
 from ..camera import Camera
 from ..native import Rasterizer, RenderOptions
 from .model import MASK, PARAMETERS, Model
+from .penalties import MeanExistence, OpacityPressure
 
 BETAS, EPS = (0.9, 0.999), 1e-15
 
@@ -31,6 +32,8 @@ class Step:
     slope: np.ndarray | None = None  # (N,) dM/dlogit
     lambda_f: float = 0.0
     lambda_m: float = 0.0
+    gates: bool = False  # masks multiply scale too (Compact3DGS), and learn only while open
+    penalty: MeanExistence | OpacityPressure | None = None
     update: bool = True  # False: gradients only (3DGS takes no optimiser step where it densifies)
     want_means2d: bool = False
 
@@ -44,6 +47,11 @@ class Step:
         """(mean M)^2 (MaskGaussian)."""
         return float(self.masks.mean()) ** 2 if self.masks is not None else 0.0
 
+    @property
+    def reaching_all(self) -> set[str]:
+        """Parameters with a gradient on every Gaussian, seen or not."""
+        return ({MASK} if self.lambda_m else set()) | ({self.penalty.parameter} if self.penalty else set())
+
 
 @dataclass
 class StepResult:
@@ -55,13 +63,14 @@ class StepResult:
     visible: np.ndarray  # (V,) uint32
     means2d: np.ndarray | None = None  # (V, 2) dL/d(projected centre), pixels
     global_loss: float = 0.0  # (mean M)^2
+    penalty: float = 0.0  # weighted
     nonfinite: int = 0  # rows skipped because their gradient was not finite
 
     def image_loss(self, step: Step) -> float:
         return step.l1_weight * self.l1 + step.ssim_weight * (1 - self.ssim)
 
     def loss(self, step: Step) -> float:
-        return self.image_loss(step) + step.lambda_f * self.mask_loss + step.lambda_m * self.global_loss
+        return self.image_loss(step) + step.lambda_f * self.mask_loss + step.lambda_m * self.global_loss + self.penalty
 
 
 def mask_loss_grad(mask: np.ndarray, weight: float) -> tuple[float, np.ndarray]:
@@ -89,31 +98,52 @@ class NativeEngine:
         image_grads, mask_loss = {"rgb": d_rgb}, 0.0
         if step.spatial:
             mask_loss, image_grads["mask"] = mask_loss_grad(images["mask"], step.lambda_f)
+        result = StepResult(l1, ssim, mask_loss, r.visible(), global_loss=step.global_loss)
+        if step.penalty:
+            result.penalty = float(step.penalty.value(model.values[step.penalty.parameter], np))
         wanted = ("means2d",) if step.want_means2d else ()
         if not step.update:
-            grads = r.backward(image_grads, wanted)
-            return StepResult(l1, ssim, mask_loss, r.visible(), grads.get("means2d"), step.global_loss)
+            result.means2d = r.backward(image_grads, wanted).get("means2d")
+            return result
         if step.masks is not None:
             wanted += ("masks",)
-        grads, bad = self._update(model, step, image_grads, wanted)
-        result = StepResult(l1, ssim, mask_loss, r.visible(), grads.get("means2d"), step.global_loss, bad)
+        stored = step.gates or not step.reaching_all <= {MASK}  # gradients that something is added to, or that others follow from
+        update = self._update_stored if stored else self._update
+        grads, result.nonfinite = update(model, step, image_grads, wanted, result.visible)
+        result.means2d = grads.get("means2d")
         if step.masks is not None:
-            result.nonfinite += self._update_masks(model, step, grads["masks"], result.visible)
+            result.nonfinite += self._step_rows(model, step, MASK, mask_logit_rows(step, grads, result.visible), result.visible)
         return result
 
-    def _update(self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...]) -> tuple[dict, int]:
+    def _update(self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...], ids: np.ndarray) -> tuple[dict, int]:
         tensors = {name: (model.values[name], model.first[name], model.second[name]) for name in PARAMETERS}
         rates = {name: _row_rates(name, step.rates, model) for name in PARAMETERS}
         return self.rasterizer.backward_update(image_grads, tensors, rates, step=step.number, betas=BETAS, eps=EPS, wanted=wanted)
 
-    def _update_masks(self, model: Model, step: Step, grads: np.ndarray, ids: np.ndarray) -> int:
-        d_logits = grads * step.slope[ids]
-        if step.lambda_m:  # reaches every Gaussian, seen or not
-            dense = global_mask_grad(step.masks, step.slope, step.lambda_m)
-            dense[ids] += d_logits
-            d_logits, ids = dense, None
-        tensors = model.values[MASK], model.first[MASK], model.second[MASK]
-        return self.rasterizer.adam(*tensors, d_logits, ids, lr=step.rates[MASK], step=step.number, betas=BETAS, eps=EPS)
+    def _update_stored(self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...], ids: np.ndarray) -> tuple[dict, int]:
+        """The same with the gradients in between, for a penalty to be added to them."""
+        grads = self.rasterizer.backward(image_grads, (*PARAMETERS, *wanted))
+        return grads, sum(self._step_rows(model, step, name, grads[name], ids) for name in PARAMETERS)
+
+    def _step_rows(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray) -> int:
+        """Adam on one parameter's rows `ids`, or on all rows where something reaches all."""
+        if name in step.reaching_all:
+            dense = np.zeros(model.values[name].shape, model.dtype)
+            if name == MASK and step.lambda_m:
+                dense += global_mask_grad(step.masks, step.slope, step.lambda_m)
+            if step.penalty and step.penalty.parameter == name:
+                dense += step.penalty.grad(model.values[name])
+            dense[ids] += rows
+            rows, ids = dense, None
+        tensors = model.values[name], model.first[name], model.second[name]
+        rates = _row_rates(name, step.rates, model)
+        return self.rasterizer.adam(*tensors, rows, ids, lr=rates, step=step.number, betas=BETAS, eps=EPS)
+
+
+def mask_logit_rows(step: Step, grads: dict[str, np.ndarray], ids: np.ndarray) -> np.ndarray:
+    """dL/dlogit (V,) of the visible Gaussians' masks; a gate's comes from scale as well (methods/compact3dgs.py)."""
+    d_masks = grads["masks"] + grads["log_scales"].sum(axis=1) if step.gates else grads["masks"]
+    return d_masks * step.slope[ids]
 
 
 def _row_rates(name: str, rates: dict[str, float], model: Model):

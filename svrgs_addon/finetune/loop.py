@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,14 +16,14 @@ from ..errors import Cancelled, SceneError
 from ..native import RenderOptions
 from . import densify, masks
 from .engine import Step, StepResult
+from .methods import method_named
 from .model import Model
 from .order import morton_order
-from .settings import Densify, Phase, Settings, method_named
+from .settings import Densify, Phase, Settings
 from .views import Views, as_real, fitting_reduction
 
 SMOOTHING = 0.05  # of the loss shown
 CURVE_POINTS = 40
-SETTLED_EVERY = 50  # steps between two looks for masks that have settled
 UNORDERED = 0.1  # of the Gaussians: so many were added since rows were last put in order that it is worth doing again
 
 
@@ -56,6 +56,8 @@ class Run:
     def __init__(self, model: Model, dataset: Dataset, settings: Settings, engine, antialiased: bool = False):
         self.model, self.dataset, self.settings, self.engine = model, dataset, settings, engine
         self.antialiased = antialiased
+        self.method = method_named(settings.method)
+        self.target = settings.target  # 0: none, or a share of a number not known yet
         self.iteration = 0
         self.statistics = densify.Statistics(model.count)
         self.views = Views(dataset.train_indices, settings.seed, settings.views_by_loss)
@@ -85,14 +87,14 @@ class Run:
         phase, number = self.phase()
         if not self.iteration:
             self._into_order()
-        self._set_masks(phase)
+        self._enter(phase, number)
         (view, reduction), target = self._next_photograph()
         step = self._step(phase, number, self.dataset.cameras[view].reduced(reduction), target)
         result = self.engine.step(self.model, step)
         self._record(result, step, view)
         self.iteration += 1
         self._density_control(phase, number, step, result)
-        self._prune_by_masks(phase, number)
+        self._prune(phase, number)
         self.seconds[phase.name] = self.seconds.get(phase.name, 0.0) + time.perf_counter() - started
 
     def close(self):
@@ -124,16 +126,17 @@ class Run:
         view, reduction = look
         return as_real(self.dataset.image(view), self.model.dtype, reduction)
 
-    def _set_masks(self, phase: Phase):
-        if phase.masks and not self.model.learns_masks:
-            self.model.add_masks(self.settings.mask_init)
-        elif not phase.masks and self.model.learns_masks:
+    def _enter(self, phase: Phase, number: int):
+        if phase.active:
+            self.method.enter(self.model, self.settings)
+            if self.settings.share and not self.target and not _grows(phase, number):
+                self.target = max(1, round(self.settings.share * self.model.count))
+        elif self.model.learns_masks:
             self.model.drop_masks()
 
     def _step(self, phase: Phase, number: int, camera: Camera, target: np.ndarray) -> Step:
         s = self.settings
-        drawn, slope = masks.draw(self.model, s.seed, self.iteration) if phase.masks else (None, None)
-        return Step(
+        step = Step(
             camera=camera,
             target=target,
             number=self.iteration + 1,
@@ -141,19 +144,25 @@ class Run:
             options=self.render_options(phase, number),
             l1_weight=s.l1_weight,
             ssim_weight=s.ssim_weight,
-            masks=drawn,
-            slope=slope,
-            lambda_f=s.lambda_f if phase.masks else 0.0,
-            lambda_m=s.lambda_m if phase.masks else 0.0,
             update=not self._densifies(phase, number),
             want_means2d=phase.densify is not None and number < phase.densify.until,
         )
+        return replace(step, **self.method.terms(self, phase, number)) if phase.active else step
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:
         s = self.settings
-        kind = method_named(s.method).mask_kind if phase.masks else "none"
+        kind = self.method.mask_kind if phase.active else "none"
         degree = number // phase.sh_every if phase.sh_every else 3
         return RenderOptions(min(degree, 3), self.antialiased, s.full, kind, s.mask_to_shape, background=s.background)
+
+    @property
+    def score_options(self) -> RenderOptions:
+        """How Gaussians are looked at to be ranked: with all their bands, without masks."""
+        return RenderOptions(antialiased=self.antialiased, background=self.settings.background)
+
+    @property
+    def training_cameras(self) -> list[Camera]:
+        return [self.dataset.cameras[i] for i in self.dataset.train_indices]
 
     @staticmethod
     def _densifies(phase: Phase, number: int) -> bool:
@@ -184,9 +193,8 @@ class Run:
         keep = densify.densify(self.model, self.statistics, rule, self.extent, rng)
         self.unordered += self.model.count - before
         keep &= densify.worth_keeping(self.model, rule, self.extent, number > rule.reset_every)
-        if phase.masks:
-            keep &= masks.ever_drawn(self.model, self.settings.seed, self.iteration, self.settings.draws)
-        self._keep(keep)
+        survivors = self.method.survivors(self) if phase.active else None
+        self._keep(keep if survivors is None else keep & survivors)
         last = number + rule.every >= rule.until
         if self.unordered > (0 if last else UNORDERED * self.model.count):
             self._into_order()
@@ -198,23 +206,26 @@ class Run:
             self.model.reorder(morton_order(self.model.means))
         self.unordered = 0
 
-    def _prune_by_masks(self, phase: Phase, number: int):
-        if not phase.masks:
-            return
-        densifying = phase.densify is not None and number < phase.densify.until
+    def _prune(self, phase: Phase, number: int):
+        """What the method drops after a step outside densification, and when its phase ends."""
         last = number == phase.steps
-        if last or (not densifying and number % phase.prune_every == 0):
-            self._keep(masks.ever_drawn(self.model, self.settings.seed, self.iteration, self.settings.draws))
-        elif self.settings.drop_settled and not densifying and number % SETTLED_EVERY == 0:
-            self._keep(~masks.settled(self.model))
-        if last:
-            self._keep(masks.decided(self.model, self.settings.target))
+        if phase.active and (last or not _grows(phase, number)):
+            self._keep(self.method.after_step(self, phase, number))
+        if phase.active and last:
+            self._keep(self.method.decided(self))
 
-    def _keep(self, keep: np.ndarray):
+    def _keep(self, keep: np.ndarray | None):
+        if keep is None:
+            return
         masks.refuse_emptying(keep, self.initial_count)
         if not keep.all():
             self.model.keep(keep)
             self.statistics = densify.Statistics(self.model.count)
+
+
+def _grows(phase: Phase, number: int) -> bool:
+    """Whether step `number` of the phase lies within densification, and others follow in it."""
+    return phase.densify is not None and number < min(phase.densify.until, phase.steps)
 
 
 def run_to_end(

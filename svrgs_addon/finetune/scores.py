@@ -1,4 +1,4 @@
-"""Scores that rank Gaussians once, without learning: opacity, and contribution to the training views."""
+"""Scores that rank Gaussians once, without learning: what they contribute to a set of views."""
 
 from __future__ import annotations
 
@@ -11,11 +11,22 @@ from ..scene import Scene
 
 def contribution(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Per Gaussian over all views: sum of alpha T (float64), its maximum (float32), pixels blended (int64); (N,) each."""
-    sums, peaks, hits = np.zeros(scene.count), np.zeros(scene.count, np.float32), np.zeros(scene.count, np.int64)
+    return _statistics(scene, cameras, rasterizer, options)[:3]
+
+
+def significance(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+    """(N,) float64: sum over views and the pixels a Gaussian is blended in of its opacity times T (LightGaussian)."""
+    *_, through = _statistics(scene, cameras, rasterizer, options)
+    return through / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
+
+
+def _statistics(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, ...]:
+    n = scene.count
+    arrays = np.zeros(n), np.zeros(n, np.float32), np.zeros(n, np.int64), np.zeros(n)
     for camera in cameras:
         rasterizer.forward(scene, camera, options, outputs=())
-        rasterizer.add_scores(sums, peaks, hits)
-    return sums, peaks, hits
+        rasterizer.add_scores(*arrays)
+    return arrays
 
 
 def top(score: np.ndarray, count: int) -> np.ndarray:

@@ -4,32 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..errors import SceneError
-
-
-@dataclass(frozen=True)
-class Method:
-    """What makes one pruning method differ from the others."""
-
-    mask_kind: str = "none"  # spatial mask and gradient: a name of native.MASK_KINDS
-    learns_masks: bool = False
-    lambda_f: float = 0.0  # weight of mean F^2
-    lambda_m: float = 0.0  # weight of (mean M)^2
-    score: str = ""  # ranks Gaussians once instead of learning masks
-
-
-METHODS = {
-    "svr": Method("svr", True, lambda_f=1e-4),
-    "svr-self": Method("self", True, lambda_f=1e-4),  # the paper's prose: dF/dM from the self term alone
-    "svr-even": Method("even", True, lambda_f=1e-4),  # each Gaussian's push scaled to one footprint, so that size does not matter
-    "svr-a": Method("a", True, lambda_f=1e-2),  # F_A is a share, at most 1: the same push needs a larger weight
-    "svr-b": Method("b", True, lambda_f=1e-4),
-    "maskgs": Method(learns_masks=True, lambda_m=5e-4),
-    "3dgs": Method(),
-    "opacity": Method(score="opacity"),
-    "contribution": Method(score="contribution"),
-}
-
 
 @dataclass(frozen=True)
 class Rates:
@@ -87,8 +61,8 @@ class Phase:
     steps: int
     rates: Rates
     densify: Densify | None = None
-    masks: bool = False
-    prune_every: int = 1_000  # 10-draw pruning events, outside densification
+    active: bool = False  # the method is at work: masks are learned, opacities pressed, and at the end it decides what stays
+    prune_every: int = 1_000  # its pruning events, outside densification; 0: none
     sh_every: int = 0  # raise the SH degree every so many steps; 0: all bands from the start
     coarse_until: int = 0  # steps up to this one look at reduced photographs
     coarse_factor: int = 2  # pixels a side that become one at first, a power of 2; halved in equal stretches
@@ -106,8 +80,8 @@ class Settings:
 
     method: str
     phases: tuple[Phase, ...]
-    lambda_f: float = 0.0
-    lambda_m: float = 0.0
+    lambda_f: float = 0.0  # weight of mean F^2
+    lambda_m: float = 0.0  # of the method's term of all masks
     full: bool = True  # F walks each ray to its end
     mask_to_shape: bool = False
     seed: int = 0
@@ -119,7 +93,8 @@ class Settings:
     l1_weight: float = 0.8
     ssim_weight: float = 0.2
     min_contribution: float = 0.0  # before all else, drop what never reaches this alpha T in a training view
-    target: int = 0  # Gaussians to keep at the end of the mask phase; 0: whatever survives
+    target: int = 0  # Gaussians to keep when the method decides; 0: whatever survives
+    share: float = 0.0  # instead of a target: of the Gaussians there are once densification has ended
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
@@ -136,42 +111,6 @@ class Settings:
         raise IndexError("the run is finished")
 
 
-def method_named(name: str) -> Method:
-    if name not in METHODS:
-        raise SceneError(f"method '{name}' is unknown; choose one of {', '.join(METHODS)}")
-    return METHODS[name]
-
-
 def recovery_phase(steps: int, position_first: float = 5e-6) -> Phase:
     """LightGaussian's recovery: the plain 3DGS loss, nothing added, nothing pruned, rates fading."""
     return Phase("recover", steps, Rates(position_first=position_first, position_steps=max(steps, 1), decay=0.95))
-
-
-def weights(method: str, lambda_f: float | None) -> dict:
-    m = method_named(method)
-    if lambda_f is not None and m.mask_kind == "none":
-        raise SceneError(f"method '{method}' has no spatial mask to weigh: leave lambda-f out, or use an svr method")
-    return {"method": method, "lambda_f": m.lambda_f if lambda_f is None else lambda_f, "lambda_m": m.lambda_m}
-
-
-def train_settings(
-    method: str, iterations: int, recovery: int, *, lambda_f: float | None = None, densify: Densify = Densify(), coarse_until: int = 0, **rest
-) -> Settings:
-    """`svrgs train`: 3DGS from the sparse points, masks learned along the way where the method has them."""
-    masks = method_named(method).learns_masks
-    phases = [Phase("train", iterations, Rates(), densify, masks, sh_every=1_000, coarse_until=coarse_until)]
-    if recovery:
-        phases.append(recovery_phase(recovery, Rates().at(iterations, 1.0)["means"]))
-    return Settings(phases=tuple(phases), **weights(method, lambda_f), **rest)
-
-
-def prune_settings(method: str, iterations: int, recovery: int, *, lambda_f: float | None = None, prune_every: int = 500, **rest) -> Settings:
-    """`svrgs prune`: masks on an already trained scene, then recovery. Score methods skip the first phase."""
-    phases = []
-    if method_named(method).learns_masks and iterations:
-        phases.append(Phase("prune", iterations, Rates(position_first=5e-6, position_steps=iterations), masks=True, prune_every=prune_every))
-    if recovery:
-        phases.append(recovery_phase(recovery))
-    return Settings(phases=tuple(phases), **weights(method, lambda_f), **rest)
-
-

@@ -101,9 +101,12 @@ class TorchEngine:
         masks = None if step.masks is None else straight_through(step, leaves[MASK])
         images = self._render(step, leaves, masks, means2d)
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
+        penalty = step.penalty.value(leaves[step.penalty.parameter], torch) if step.penalty else torch.zeros(())
+        loss = loss + penalty
         loss.backward()
         ids = row_ids(self.rasterizer)
         result = StepResult(l1.item(), similarity.item(), mask_loss.item(), self.rasterizer.visible(), global_loss=step.global_loss)
+        result.penalty = penalty.item()
         if step.want_means2d:
             result.means2d = means2d.grad[ids].numpy()
         if step.update:
@@ -125,8 +128,10 @@ class TorchEngine:
     def _render(self, step: Step, leaves: dict[str, Tensor], masks: Tensor | None, means2d: Tensor) -> dict[str, Tensor]:
         outputs = ("rgb", "mask") if step.spatial else ("rgb",)
         sh = torch.cat([leaves["sh"], leaves["sh_rest"]], dim=1)
-        parameters = [sh if name == "sh" else leaves[name] for name in PARAMETERS]
-        images = Rasterize.apply(self.rasterizer, step, outputs, *parameters, masks, means2d)
+        parameters = {name: sh if name == "sh" else leaves[name] for name in PARAMETERS}
+        if step.gates:  # g s, in logarithms; a closed gate is the mask 0, whatever the scale
+            parameters["log_scales"] = parameters["log_scales"] + torch.log(torch.where(torch.from_numpy(step.masks) > 0, masks, 1.0))[:, None]
+        images = Rasterize.apply(self.rasterizer, step, outputs, *parameters.values(), masks, means2d)
         return dict(zip(outputs, images, strict=True))
 
 
@@ -157,12 +162,12 @@ def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) ->
 def _rows_left_alone(learned: dict[str, Tensor], step: Step, ids: Tensor) -> tuple[dict[str, Tensor], int]:
     """By name, the rows (N,) bool that Adam must not change: not seen, or not finite; and the number of the latter.
 
-    The global mask loss reaches every mask, seen or not.
+    What reaches all Gaussians changes those too that are not seen.
     """
     finite = {name: leaf.grad[:, None].flatten(1).isfinite().all(dim=1) for name, leaf in learned.items()}
     finite["sh"] = finite["sh_rest"] = finite["sh"] & finite["sh_rest"]
     seen = torch.zeros(len(finite["means"]), dtype=torch.bool)
     seen[ids] = True
-    reached = {name: torch.ones_like(seen) if name == MASK and step.lambda_m else seen for name in learned}
+    reached = {name: torch.ones_like(seen) if name in step.reaching_all else seen for name in learned}
     bad = sum(int((reached[name] & ~finite[name]).sum()) for name in learned if name != "sh_rest")
     return {name: ~(reached[name] & finite[name]) for name in learned}, bad

@@ -1,0 +1,54 @@
+"""Compact3DGS's mask alone (arXiv 2311.13681 section 3.1): a deterministic gate on opacity and scale, and lambda mean sigmoid(m).
+
+The gate is g = 1[sigmoid(m) > 0.01] in value and sigmoid(m) in gradient. It scales the activated opacity o and scales s, so
+
+    dL/dg = (dL/do) o + sum_k (dL/ds_k) s_k = dL/dM + sum_k dL/dlog_scale_k       where g = 1
+
+(alpha is proportional to o, so the first term is what the rasteriser calls dL/dM), and 0 where g = 0: what is closed is not drawn
+and learns no more from the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model import MASK, Model
+from ..penalties import MeanExistence, sigmoid
+from ..scores import top
+from ..settings import Phase
+from .base import Keep
+from .masked import Masked
+
+if TYPE_CHECKING:
+    from ..loop import Run
+
+THRESHOLD = np.log(0.01 / 0.99)  # of the logit: sigmoid(m) > 0.01
+MASK_RATE = 0.01
+
+
+@dataclass
+class Compact3DGS(Masked):
+    """Nothing is drawn: events and the end drop what the gate has closed."""
+
+    lambda_m: float = 5e-4
+    mask_init: float = 1.0
+
+    def terms(self, run: Run, phase: Phase, number: int) -> dict:
+        logits = run.model.values[MASK]
+        open_, p = logits > THRESHOLD, sigmoid(logits, np)
+        rates = phase.rates.at(number, run.extent)
+        rates[MASK] *= MASK_RATE / phase.rates.mask
+        slope = (p * (1 - p) * open_).astype(logits.dtype)
+        return {"masks": open_.astype(np.uint8), "slope": slope, "gates": True, "penalty": MeanExistence(run.settings.lambda_m), "rates": rates}
+
+    def survivors(self, run: Run) -> Keep:
+        return self.existing(run.model)
+
+    def decided(self, run: Run) -> Keep:
+        return top(run.model.values[MASK], run.target) if run.target else self.existing(run.model)
+
+    def existing(self, model: Model) -> Keep:
+        return model.values[MASK] > THRESHOLD

@@ -1,0 +1,117 @@
+"""PUP 3D-GS's sensitivity: how much all views would change if a Gaussian moved or changed its size, as log det of a 6x6 matrix.
+
+    H = sum over views, pixels, channels of g g^T,    g = dC/d(mean, log-scale)
+
+A colour depends on these six through alpha alone (the turn of its own view-dependent colour is left out), and alpha through the
+centre mu and the covariance Sigma on the screen: with w = L (pixel - mu), L^T L k^2 = Sigma^-1 and k^2 = 2 ln 2,
+
+    d ln alpha = k^2 w^T L dmu + k^4/2 w^T (L dSigma L^T) w = t^T J,    t = (u, v, uu, uv, vv)
+
+so that a view's share of H is J^T S J, S the sum over its pixels of W t t^T (W: native.Rasterizer.moments).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..camera import Camera
+from ..native import MOMENTS, Rasterizer, RenderOptions
+from ..scene import Scene
+from .densify import rotation_matrices
+from .views import fitting_reduction
+
+REDUCTION = 4  # published: views at a quarter of their size
+BLUR = 0.3  # pixels^2
+FRUSTUM_MARGIN = 0.3
+K2 = 2 * np.log(2)
+ROWS = 32_768  # Gaussians at a time
+_UPPER = np.triu_indices(6)
+# S[i, j] is the moment of t_i t_j.
+_T = ("u", "v", "uu", "uv", "vv")
+_S = np.array([[MOMENTS.index("".join(sorted(a + b))) for b in _T] for a in _T])
+
+
+def log_determinants(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+    """(N,) float64, -inf where H is singular: never seen, or along a line at most."""
+    sums = np.zeros((scene.count, len(_UPPER[0])))
+    for camera in cameras:
+        view = camera.reduced(fitting_reduction(REDUCTION, camera.width, camera.height))
+        rasterizer.forward(scene, view, options, outputs=())
+        ids, moments = rasterizer.visible(), rasterizer.moments()
+        for start in range(0, len(ids), ROWS):
+            rows = ids[start : start + ROWS]
+            sums[rows] += _share(moments[start : start + ROWS], jacobians(scene, view, rows))
+    result = np.empty(scene.count)
+    for start in range(0, scene.count, ROWS):
+        part = slice(start, start + ROWS)
+        result[part] = _log_det(sums[part])
+    return result
+
+
+def _share(moments: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """J^T S J, upper triangle (V, 21), of moments (V, 12) and J (V, 5, 6)."""
+    return (J.swapaxes(1, 2) @ moments[:, _S] @ J)[:, *_UPPER]
+
+
+def _log_det(upper: np.ndarray) -> np.ndarray:
+    H = np.zeros((len(upper), 6, 6))
+    H[:, *_UPPER] = H[:, _UPPER[1], _UPPER[0]] = upper
+    scale = np.sqrt(np.einsum("nii->ni", H))  # to a unit diagonal first: positions and log-scales have different units
+    seen = (scale > 0).all(axis=1)
+    scale = np.where(seen[:, None], scale, 1.0)
+    sign, log_det = np.linalg.slogdet(H / (scale[:, :, None] * scale[:, None, :]))
+    return np.where(seen & (sign > 0), log_det + 2 * np.log(scale).sum(axis=1), -np.inf)
+
+
+def jacobians(scene: Scene, camera: Camera, ids: np.ndarray) -> np.ndarray:
+    """J (V, 5, 6) of the Gaussians `ids`, float64: d ln alpha = t^T J d(mean, log-scale), at any pixel."""
+    W, K = camera.viewmat[:3, :3], camera.K
+    points = scene.means[ids].astype(np.float64) @ W.T + camera.viewmat[:3, 3]
+    axes = W @ rotation_matrices(scene.quats[ids].astype(np.float64)) * np.exp(scene.log_scales[ids].astype(np.float64))[:, None, :]  # (V, 3, 3)
+    P, dP = screen_jacobian(points, K, camera.width, camera.height)
+    half = P @ axes  # (V, 2, 3): half axes on the screen
+    L = whitening(half @ half.swapaxes(1, 2) + BLUR * np.eye(2))
+    white = L @ half
+    d_cov = np.empty((len(ids), 6, 2, 2))  # L dSigma L^T
+    for k in range(3):
+        turned = white @ (L @ dP[:, k] @ axes).swapaxes(1, 2)  # in the camera's axes
+        d_cov[:, k] = turned + turned.swapaxes(1, 2)
+        d_cov[:, 3 + k] = 2 * white[:, :, k, None] * white[:, None, :, k]
+    J = np.zeros((len(ids), 5, 6))
+    J[:, :2, :3] = K2 * L @ centre_jacobian(points, K)
+    J[:, 2:] = K2**2 / 2 * np.stack([d_cov[..., 0, 0], 2 * d_cov[..., 0, 1], d_cov[..., 1, 1]], axis=1)
+    J[:, :, :3] = J[:, :, :3] @ W  # to the world's
+    return J
+
+
+def whitening(cov: np.ndarray) -> np.ndarray:
+    """L (V, 2, 2), upper triangular: L^T L = cov^-1 / k^2."""
+    xx, xy, yy = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
+    L = np.zeros_like(cov)
+    L[:, 0, 0] = np.sqrt(yy / (K2 * (xx * yy - xy * xy)))
+    L[:, 0, 1] = -L[:, 0, 0] * xy / yy
+    L[:, 1, 1] = 1 / np.sqrt(K2 * yy)
+    return L
+
+
+def centre_jacobian(points: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """d(pixel)/d(camera point) (V, 2, 3) at points (V, 3)."""
+    x, y, z = points.T
+    zero = np.zeros_like(z)
+    return np.stack([np.stack([K[0, 0] / z, zero, -K[0, 0] * x / z**2], 1), np.stack([zero, K[1, 1] / z, -K[1, 1] * y / z**2], 1)], 1)
+
+
+def screen_jacobian(points: np.ndarray, K: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """The Jacobian P (V, 2, 3) that carries shapes to the screen, x/z and y/z clamped to the widened view, and dP/d(camera point) (V, 3, 2, 3)."""
+    focal, principal, size, z = K.diagonal()[:2], K[:2, 2], np.array([width, height]), points[:, 2:]
+    margin = FRUSTUM_MARGIN * size / (2 * focal)
+    slope = points[:, :2] / z
+    clamped = np.clip(slope, -principal / focal - margin, (size - principal) / focal + margin)
+    free = slope == clamped
+    P, dP = np.zeros((len(points), 2, 3)), np.zeros((len(points), 3, 2, 3))
+    for r in range(2):
+        f = focal[r] / z[:, 0]
+        P[:, r, r], P[:, r, 2] = f, -f * clamped[:, r]
+        dP[:, 2, r, r], dP[:, 2, r, 2] = -f / z[:, 0], f * (clamped[:, r] + free[:, r] * slope[:, r]) / z[:, 0]
+        dP[:, r, r, 2] = -f * free[:, r] / z[:, 0]
+    return P, dP
