@@ -70,6 +70,7 @@ def _run(command):
     command.add_argument("--paper", action="store_true", help="with --method svr: the paper's own form, whatever the default is")
     command.add_argument("--visible-mask", action="store_true", help="F stops with the colours instead of walking each ray to its end")
     command.add_argument("--views-by-loss", action="store_true", help="look at the half of the views with the lower loss every other time")
+    command.add_argument("--schedule", type=_schedule, default=1.0, metavar="X", help="every step count times X, pruning decisions included; a quick try is 0.1 (default: 1)")
     command.add_argument("--resume", action="store_true", help="go on from the last checkpoint of the same job; without it, a job starts anew and forgets them")
     command.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
@@ -161,6 +162,10 @@ def _gigabytes(text: str) -> float:
 
 def _share(text: str) -> float:
     return _parsed(float, text, lambda value: 0 < value <= 1, "a share above 0 and up to 1")
+
+
+def _schedule(text: str) -> float:
+    return _parsed(float, text, lambda value: 0.001 <= value <= 10, "a factor of 0.001 to 10")
 
 
 def _small_share(text: str) -> float:

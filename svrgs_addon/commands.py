@@ -48,6 +48,7 @@ def train(options: Options) -> int:
         method, options.iterations, recovery, lambda_f=options.lambda_f, lambda_m=options.lambda_m, seed=options.seed,
         full=not options.visible_mask, background=options.background, densify=Densify(until=options.densify_until),
         coarse_until=options.coarse_until, views_by_loss=options.views_by_loss, target=options.target_count or 0, share=options.target or 0.0,
+        schedule=options.schedule,
     )  # fmt: skip
     job = _job(options)
     jobs.check_outputs(job)
@@ -98,7 +99,7 @@ def prune_one(options: Options) -> dict:
     settings = prune_settings(
         _method(options), options.iterations, options.recovery, lambda_f=options.lambda_f, lambda_m=options.lambda_m, seed=options.seed,
         full=not options.visible_mask, background=tuple(options.background), target=_target(options),
-        min_contribution=_min_contribution(options), views_by_loss=options.views_by_loss,
+        min_contribution=_min_contribution(options), views_by_loss=options.views_by_loss, schedule=options.schedule,
     )  # fmt: skip
     job = _job(options, options.report)
     jobs.check_outputs(job)

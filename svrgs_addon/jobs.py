@@ -230,6 +230,7 @@ def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
         "peak_memory_bytes": peak_memory(),
         "nonfinite_gradients": run.nonfinite,
         "seed": settings.seed,
+        "curves": vars(run.curves),
     }
 
 

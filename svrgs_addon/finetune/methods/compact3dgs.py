@@ -18,7 +18,7 @@ import numpy as np
 from ..model import MASK, Model
 from ..penalties import MeanExistence, sigmoid
 from ..scores import top
-from ..settings import Phase
+from ..settings import Phase, Rates
 from .base import Keep
 from .masked import Masked
 
@@ -40,7 +40,7 @@ class Compact3DGS(Masked):
         logits = run.model.values[MASK]
         open_, p = logits > THRESHOLD, sigmoid(logits, np)
         rates = phase.rates.at(number, run.extent)
-        rates[MASK] *= MASK_RATE / phase.rates.mask
+        rates[MASK] *= MASK_RATE / Rates().mask
         slope = (p * (1 - p) * open_).astype(logits.dtype)
         return {"masks": open_.astype(np.uint8), "slope": slope, "gates": True, "penalty": MeanExistence(run.settings.lambda_m), "rates": rates}
 

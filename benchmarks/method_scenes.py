@@ -1,0 +1,41 @@
+"""The datasets of an experiment, with photographs made smaller where asked."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import OpenImageIO as oiio
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def prepared(name: str, folder: Path | None, work: Path, shrink: int) -> list[str]:
+    """The flags --colmap and --images of a scene; folder None: the generated one, made in `work`."""
+    work.mkdir(parents=True, exist_ok=True)
+    if folder is None:
+        if name != "demo":
+            sys.exit(f"scene '{name}' has no folder: give --scene {name}=DIR")
+        folder = work / "dataset"
+        subprocess.run([sys.executable, "-m", "tests.demo_scene", str(folder)], cwd=ROOT, check=True, stdout=sys.stderr)
+    if shrink == 1:
+        return ["--colmap", str(folder)]
+    images = work / f"images_{shrink}"
+    for source in sorted((folder / "images").rglob("*")):
+        smaller = images / source.relative_to(folder / "images")
+        if source.is_file() and not smaller.exists():
+            shrunk(source, smaller, shrink)
+    return ["--colmap", str(folder), "--images", str(images)]
+
+
+def shrunk(source: Path, target: Path, shrink: int):
+    """A photograph with `shrink` x `shrink` pixels averaged into one."""
+    image = oiio.ImageBuf(str(source))
+    spec = image.spec()
+    region = oiio.ROI(0, spec.width // shrink, 0, spec.height // shrink, 0, 1, 0, spec.nchannels)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    small = oiio.ImageBufAlgo.resize(image, filtername="box", roi=region)
+    small.specmod().attribute("compression", "jpeg:97")
+    if not small.write(str(target)):
+        sys.exit(f"{target}: {small.geterror()}")

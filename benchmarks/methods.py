@@ -1,0 +1,160 @@
+"""Every method in the same trainer: scenes x methods x seeds, one row of figures a run.
+
+    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study table|lambda|pareto] [--schedule 0.1] [--shrink 2] [--seeds 1]
+    .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # the generated scene, made if it is not there
+    .venv/bin/python benchmarks/methods.py --show docs                              # rows -> docs/results.md and its charts
+
+Rows go to --rows (default docs/results/rows.jsonl), one JSON object a line; runs whose row is there are not run again, so an
+experiment that was stopped goes on where it was. Scenes between runs lie in --work (default build/methods).
+
+    table   `svrgs train` with each method from the sparse points, all with the published schedule times --schedule
+    lambda  the paper's sweep of lambda_F, from the sparse points
+    pareto  `svrgs prune` of the table's 3DGS scene, every method with its own strength swept
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from method_report import write_report
+from method_scenes import prepared
+
+ROOT = Path(__file__).resolve().parents[1]
+KEPT = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame", "iterations", "before", "curves", "peak_memory_bytes")
+ITERATIONS, RECOVERY = 30_000, 5_000
+
+TABLE = {
+    "3DGS": ["--method", "3dgs", "--recovery", str(RECOVERY)],
+    "LightGaussian": ["--method", "lightgaussian"],
+    "Compact3DGS": ["--method", "compact3dgs"],
+    "MaskGS alpha": ["--method", "maskgs-alpha"],
+    "MaskGS beta": ["--method", "maskgs-beta"],
+    "MaskGS gamma": ["--method", "maskgs-gamma"],
+    "GNS pressure": ["--method", "gns"],
+    "SVR-GS (paper)": ["--method", "svr", "--paper"],
+    "Scenario A": ["--method", "svr-a"],
+    "Scenario B": ["--method", "svr-b"],
+    "SVR-GS, self term": ["--method", "svr-self"],
+    "SVR-GS, even": ["--method", "svr-even"],
+}
+LAMBDAS = ("1e-4", "1.25e-4", "1.6e-4", "2e-4")
+TARGETS = ("0.5", "0.25", "0.125", "0.0625")
+
+
+def strengths(method: str, flag: str, values: tuple[str, ...]) -> dict[str, list[str]]:
+    return {f"{method} {value}": ["--method", method, flag, value] for value in values}
+
+
+def pareto() -> dict[str, list[str]]:
+    runs = {"3dgs": ["--method", "3dgs"]}
+    for method in ("lightgaussian", "contribution", "max-contribution", "pup", "opacity", "gns"):
+        runs |= strengths(method, "--target", TARGETS)
+    for method in ("svr", "svr-self", "svr-even"):
+        runs |= strengths(method, "--lambda-f", ("2.5e-5", "1e-4", "4e-4", "1.6e-3"))
+    runs |= strengths("svr-b", "--lambda-f", ("1e-4", "4e-4"))
+    runs |= strengths("svr-a", "--lambda-f", ("1e-2", "4e-2"))
+    runs |= strengths("maskgs", "--lambda-m", ("2.5e-2", "1e-1", "4e-1", "1.6"))
+    runs |= strengths("compact3dgs", "--lambda-m", ("5e-4", "2e-3", "8e-3"))
+    return runs
+
+
+STUDIES = {
+    "table": TABLE,
+    "lambda": {f"lambda_F {value}": ["--method", "svr", "--paper", "--lambda-f", value] for value in LAMBDAS},
+    "pareto": pareto(),
+}
+
+
+def requests(options: argparse.Namespace) -> Iterator[dict]:
+    """What identifies each run; scene by scene, so that a stopped experiment has whole scenes."""
+    for scene in options.scene:
+        for seed in range(options.seeds):
+            for study in options.study:
+                for label, flags in STUDIES[study].items():
+                    if options.only and not any(word in label for word in options.only):
+                        continue
+                    name = scene.partition("=")[0]
+                    yield {"study": study, "scene": name, "run": label, "flags": flags, "seed": seed, "schedule": options.schedule, "shrink": options.shrink}
+
+
+def command(request: dict, data: list[str], work: Path) -> list[str]:
+    """The svrgs command of a run; data: its --colmap and --images."""
+    out = work / f"{request['study']}.ply"
+    trained = work / f"trained-{request['seed']}-{request['schedule']}.ply"
+    common = [*request["flags"], *data, "--seed", str(request["seed"]), "--schedule", str(request["schedule"]), "--json", "--quiet"]
+    start = [sys.executable, "-m", "svrgs_addon"]
+    if request["study"] == "pareto":
+        return [*start, "prune", str(trained), "--out", str(out), *common]
+    return [*start, "train", "--out", str(trained if request["run"] == "3DGS" else out), *common]
+
+
+def measured(request: dict, data: list[str], work: Path) -> dict:
+    """The row of a run: its request and its figures, or why there are none."""
+    started = time.time()
+    done = subprocess.run(command(request, data, work), cwd=ROOT, capture_output=True, text=True)
+    if done.returncode:
+        return {**request, "error": (done.stderr.strip().splitlines() or ["no message"])[-1]}
+    result = json.loads(done.stdout)
+    return {**request, "wall_seconds": time.time() - started, **{key: result[key] for key in KEPT if key in result}}
+
+
+def key(row: dict) -> str:
+    return json.dumps([row[name] for name in ("study", "scene", "run", "flags", "seed", "schedule", "shrink")])
+
+
+def read_rows(path: Path) -> list[dict]:
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def run(options: argparse.Namespace):
+    done = {key(row) for row in read_rows(options.rows) if "error" not in row}
+    options.rows.parent.mkdir(parents=True, exist_ok=True)
+    for request in requests(options):
+        if key(request) in done:
+            continue
+        work = options.work / request["scene"]
+        data = prepared(request["scene"], folder_of(options, request["scene"]), work, request["shrink"])
+        row = measured(request, data, work)
+        with options.rows.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        figures = row.get("error") or f"{row['count']:,} Gaussians, {row['psnr']:.2f} dB, {row['wall_seconds']:.0f} s"
+        print(f"{row['scene']}, {row['study']}, {row['run']}, seed {row['seed']}: {figures}", flush=True)
+
+
+def folder_of(options: argparse.Namespace, scene: str) -> Path | None:
+    """Where a scene's dataset lies; None for the generated one, unless it is given."""
+    return next((Path(folder) for name, _, folder in (given.partition("=") for given in options.scene) if name == scene and folder), None)
+
+
+def parsed() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", action="append", default=[], metavar="NAME=DIR", help="a COLMAP dataset; 'demo' alone: the generated scene")
+    parser.add_argument("--study", action="append", choices=list(STUDIES), help="default: all")
+    parser.add_argument("--only", action="append", metavar="WORD", help="only runs whose name has it")
+    parser.add_argument("--schedule", type=float, default=0.1, help="share of the published 30 000 + 5 000 iterations (default: 0.1)")
+    parser.add_argument("--shrink", type=int, default=1, help="pixels a side that become one (default: 1)")
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--rows", type=Path, default=ROOT / "docs" / "results" / "rows.jsonl")
+    parser.add_argument("--work", type=Path, default=ROOT / "build" / "methods")
+    parser.add_argument("--show", type=Path, metavar="DIR", help="write results.md and results/*.svg there from the rows, run nothing")
+    options = parser.parse_args()
+    options.study = options.study or list(STUDIES)
+    return options
+
+
+def main():
+    options = parsed()
+    if options.show:
+        write_report(read_rows(options.rows), options.show)
+    else:
+        run(options)
+
+
+if __name__ == "__main__":
+    main()
