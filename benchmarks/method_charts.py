@@ -1,0 +1,50 @@
+"""Charts of the comparison of methods, as SVG files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("svg")
+matplotlib.rcParams |= {"svg.hashsalt": "svrgs", "svg.fonttype": "none", "font.size": 9, "axes.grid": True, "grid.color": "#e3e1dc"}
+import matplotlib.pyplot as plt  # noqa: E402  (its backend is chosen first)
+
+MARKERS = "osD^v<>PX*hd"
+
+
+def pareto_chart(curves: dict[str, list[tuple[int, float]]], before: tuple[int, float], title: str, path: Path):
+    """curves: points (Gaussians, dB) of each method, by rising count; before: those of the scene that was pruned."""
+    figure, axes = plt.subplots(figsize=(7.5, 5))
+    for k, (method, points) in enumerate(curves.items()):
+        ours = method.startswith("svr")
+        axes.plot(*zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", label=method, linewidth=2 if ours else 1, markersize=4, color=f"C{k % 10}" if k < 10 else "black")
+    axes.plot(*before, "k+", markersize=10, label="before")
+    axes.set_xscale("log")
+    axes.set_xlabel("Gaussians left")
+    axes.set_ylabel("PSNR of the test views, dB")
+    axes.set_title(title)
+    axes.legend(fontsize=8)
+    _save(figure, path)
+
+
+def curve_chart(runs: list[tuple[str, dict]], title: str, path: Path):
+    """runs: label and curves (iteration, count, psnr: lists) of each run."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
+    for label, curves in runs:
+        left.plot(curves["iteration"], curves["count"], label=label)
+        right.plot(curves["iteration"], [value if value is not None else float("nan") for value in curves["psnr"]], label=label)
+    left.set_ylabel("Gaussians")
+    left.set_ylim(bottom=0)
+    right.set_ylabel("PSNR, dB")
+    for axes in (left, right):
+        axes.set_xlabel("iteration")
+    left.legend(fontsize=8)
+    figure.suptitle(title)
+    _save(figure, path)
+
+
+def _save(figure, path: Path):
+    figure.tight_layout()
+    figure.savefig(path, metadata={"Date": None})
+    plt.close(figure)

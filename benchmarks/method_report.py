@@ -1,0 +1,141 @@
+"""Rows of benchmarks/methods.py -> results.md: the paper's two tables, its sweep of lambda_F, and count against PSNR."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+from statistics import fmean
+
+from method_charts import curve_chart, pareto_chart
+
+SCENARIOS = ("Scenario A", "Scenario B", "SVR-GS (paper)")  # the paper's Table 2
+PAPER, BASE, RIVAL = "SVR-GS (paper)", "3DGS", "MaskGS alpha"
+HEAD = "| {} | PSNR | SSIM | LPIPS | FLIP | Gaussians | 3DGS over it | MB | seconds | ms a frame |"
+INTRO = """# Every method in the same trainer
+
+Made by `benchmarks/methods.py --show docs` from the rows in [results/rows.jsonl](results/rows.jsonl), which the same program makes:
+
+{commands}
+
+Each row is one run of `svrgs train` or `svrgs prune` from the command line, on the processor alone. Test views are every 8th photograph.
+What is scaled with `--schedule`: every milestone and step count; masks learn faster by as much as they have fewer steps, weights
+of the loss stay. Photographs were made smaller by `--shrink`. What each method is, and where it departs from its source: [methods.md](methods.md).
+"""
+
+
+def write_report(rows: list[dict], folder: Path):
+    """results.md in `folder` and its charts in `folder`/results, from the rows that have figures."""
+    rows = [row for row in rows if "error" not in row]
+    charts = folder / "results"
+    charts.mkdir(parents=True, exist_ok=True)
+    parts = [INTRO.format(commands=commands(rows)), table_part(rows), scenario_part(rows), lambda_part(rows, charts), pareto_part(rows, charts)]
+    (folder / "results.md").write_text("\n".join(part for part in parts if part))
+
+
+def commands(rows: list[dict]) -> str:
+    kinds: dict[tuple, set] = defaultdict(set)
+    for row in rows:
+        kinds[row["study"], row["schedule"], row["shrink"]].add(row["scene"])
+    lines = []
+    for (study, schedule, shrink), scenes in sorted(kinds.items()):
+        named = " ".join(f"--scene {scene}" if scene == "demo" else f"--scene {scene}=DIR" for scene in sorted(scenes))
+        lines.append(f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g} --shrink {shrink} {named}")
+    return "\n".join(lines)
+
+
+def groups(rows: Iterable[dict], *names: str) -> dict[tuple, list[dict]]:
+    found: dict[tuple, list[dict]] = defaultdict(list)
+    for row in rows:
+        found[tuple(row[name] for name in names)].append(row)
+    return dict(found)
+
+
+def mean(rows: list[dict], name: str) -> float | None:
+    values = [row[name] for row in rows if row.get(name) is not None]
+    return fmean(values) if values else None
+
+
+def line(label: str, rows: list[dict], base: list[dict]) -> str:
+    """One table line: means over seeds (and scenes, of the ratio of counts the ratio of sums, as the paper has it)."""
+    lpips, count = mean(rows, "lpips"), mean(rows, "count")
+    ratio = f"{mean(base, 'count') / count:.2f}" if base else ""
+    return (
+        f"| {label} | {mean(rows, 'psnr'):.2f} | {mean(rows, 'ssim'):.4f} | {'no weights' if lpips is None else f'{lpips:.4f}'} | {mean(rows, 'flip'):.4f} "
+        f"| {count:,.0f} | {ratio} | {mean(rows, 'bytes') / 1e6:.1f} | {mean(rows, 'seconds'):.0f} | {mean(rows, 'ms_per_frame'):.1f} |"
+    )
+
+
+def table(rows: list[dict], title: str, labels: Iterable[str] | None = None) -> list[str]:
+    by_run = groups(rows, "run")
+    base = by_run.get((BASE,), [])
+    labels = [label for label in (labels or [run for (run,) in by_run]) if (label,) in by_run]
+    return [HEAD.format(title), "|---" * 10 + "|", *(line(label, by_run[label,], base) for label in labels)]
+
+
+def table_part(rows: list[dict]) -> str:
+    """Table 1 for every schedule: each scene, and the mean of the scenes that have every run."""
+    lines = ["## From the sparse points", ""]
+    for (schedule, shrink), those in groups((r for r in rows if r["study"] == "table"), "schedule", "shrink").items():
+        lines += [f"Schedule {schedule:g}, photographs 1/{shrink} a side.", ""]
+        by_scene = groups(those, "scene")
+        runs = max((list(groups(scene_rows, "run")) for scene_rows in by_scene.values()), key=len)
+        for (scene,), scene_rows in by_scene.items():
+            lines += [*table(scene_rows, scene, [run for (run,) in runs]), ""]
+        whole = [row for (scene,), scene_rows in by_scene.items() if len(groups(scene_rows, "run")) == len(runs) for row in scene_rows]
+        if len(groups(whole, "scene")) > 1:
+            lines += [*table(whole, f"mean of {len(groups(whole, 'scene'))} scenes", [run for (run,) in runs]), "", ratios(whole), ""]
+    return "\n".join(lines)
+
+
+def ratios(rows: list[dict]) -> str:
+    """The paper's claim in its own terms."""
+    by_run = groups(rows, "run")
+    if not all((name,) in by_run for name in (PAPER, BASE, RIVAL)):
+        return ""
+    sentences = []
+    for other in (RIVAL, BASE):
+        fewer = mean(by_run[other,], "count") / mean(by_run[PAPER,], "count")
+        drop = mean(by_run[PAPER,], "psnr") - mean(by_run[other,], "psnr")
+        sentences.append(f"{fewer:.2f} times fewer Gaussians than {other} at {drop:+.2f} dB")
+    return f"SVR-GS as in the paper: {'; '.join(sentences)}. The paper: 1.79 times fewer than MaskGS at -0.50 dB, 5.63 times fewer than 3DGS at -0.40 dB."
+
+
+def scenario_part(rows: list[dict]) -> str:
+    """Table 2: the paper's scenarios."""
+    found = [r for r in rows if r["study"] == "table" and r["run"] in SCENARIOS]
+    lines = ["## Scenarios A and B", ""]
+    for (schedule, shrink), those in groups(found, "schedule", "shrink").items():
+        scenes = len(groups(those, "scene"))
+        lines += [*table(those, f"mean of {scenes} scenes, schedule {schedule:g}, 1/{shrink}", SCENARIOS), ""]
+    return "\n".join(lines) if found else ""
+
+
+def lambda_part(rows: list[dict], charts: Path) -> str:
+    """The sweep of lambda_F: counts and PSNR over iterations."""
+    lines = ["## Sweep of λ_F", ""]
+    for (scene, schedule), those in groups((r for r in rows if r["study"] == "lambda"), "scene", "schedule").items():
+        name = f"lambda-{scene}-{schedule:g}"
+        curve_chart([(row["run"].replace("lambda_F", "λ_F"), row["curves"]) for row in those], f"{scene}, schedule {schedule:g}", charts / f"{name}.svg")
+        lines += [*table(those, f"{scene}, schedule {schedule:g}"), "", f"![count and PSNR over iterations](results/{name}.svg)", ""]
+    return "\n".join(lines) if len(lines) > 2 else ""
+
+
+def pareto_part(rows: list[dict], charts: Path) -> str:
+    """Count against PSNR, one line a method."""
+    lines = ["## Pruning a trained scene: count against PSNR, every method with its own strength swept", ""]
+    for (scene, schedule, shrink), those in groups((r for r in rows if r["study"] == "pareto"), "scene", "schedule", "shrink").items():
+        name = f"pareto-{scene}-{schedule:g}"
+        before = those[0]["before"]
+        curves = {method: sorted((row["count"], row["psnr"]) for row in group) for (method,), group in groups(named(those), "method").items()}
+        pareto_chart(curves, (before["count"], before["psnr"]), f"{scene}, schedule {schedule:g}, photographs 1/{shrink}", charts / f"{name}.svg")
+        lines += [f"![{scene}](results/{name}.svg)", "", "| method and strength | Gaussians | PSNR | seconds |", "|---|---|---|---|"]
+        lines += [f"| {row['run']} | {row['count']:,} | {row['psnr']:.2f} | {row['seconds']:.0f} |" for row in sorted(those, key=lambda r: (r["run"].split()[0], -r["count"]))]
+        lines += [f"| before | {before['count']:,} | {before['psnr']:.2f} | |", ""]
+    return "\n".join(lines) if len(lines) > 2 else ""
+
+
+def named(rows: list[dict]) -> list[dict]:
+    return [{**row, "method": row["run"].split()[0]} for row in rows]
+
+
