@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from pictures import photographed
 from reference import rasterize as reference
 from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import checkpoint, methods, scores, sensitivity
-from svrgs_addon.finetune.engine import NativeEngine
+from svrgs_addon.finetune.engine import NativeEngine, mask_logit_rows
 from svrgs_addon.finetune.loop import Run
 from svrgs_addon.finetune.methods import METHODS, compact3dgs, gns, lightgaussian, method_named
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
@@ -27,6 +28,7 @@ from svrgs_addon.native import RenderOptions
 from svrgs_addon.scene import Scene
 
 LEARNED = [name for name, method in METHODS.items() if method.prunes and not method.ranks]
+FAMILIES = ("svr", "maskgs-alpha", "compact3dgs", "gns", "lightgaussian", "pup", "3dgs")  # one of each file, and pup
 RANKED = [name for name, method in METHODS.items() if method.ranks]
 BACKGROUND = (0.2, 0.5, 0.9)
 
@@ -156,8 +158,8 @@ def test_a_share_counts_from_the_end_of_densification(method):
 # --- one map for all rows, and checkpoints
 
 
-@pytest.mark.parametrize("iteration", [8, 33, 47, 58, 62])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("iteration", [8, 33, 47, 62])
+@pytest.mark.parametrize("method", FAMILIES)
 def test_a_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tmp_path, method, iteration):
     whole, first, second = grown_run(method), grown_run(method), grown_run(method)
     while first.iteration < iteration:
@@ -190,9 +192,9 @@ def test_logits_follow_their_gaussians(method):
 # --- engines
 
 
-@pytest.mark.parametrize("method", LEARNED)
+@pytest.mark.parametrize("method", FAMILIES[:4])
 def test_every_learned_method_ends_alike_with_either_engine(method):
-    """In float64, through growth, reset, pruning and recovery. Worst seen: 2e-14 of the largest value."""
+    """In float64, through growth, reset, pruning and recovery. Worst seen: 2.1e-14 of the largest value."""
     native, torch_ = (to_the_end(grown_run(method, engine("float64"), np.float64)) for engine in (NativeEngine, TorchEngine))
     np.testing.assert_array_equal(native.model.origin, torch_.model.origin)
     assert native.method.state() == pytest.approx(torch_.method.state(), rel=1e-12)
@@ -234,8 +236,6 @@ def test_the_gates_gradient_is_that_of_opacity_and_scale():
     image = r.forward(model, view, step.options, step.masks)["rgb"]
     grads = r.backward({"rgb": r.loss(image, target)[2]}, ("masks", "log_scales"))
     ids = r.visible()
-    from svrgs_addon.finetune.engine import mask_logit_rows
-
     found = mask_logit_rows(step, grads, ids) / step.slope[ids]
     assert np.abs(found).max() > 1e-4
     np.testing.assert_allclose(found, numeric[ids], rtol=0, atol=2e-4 * np.abs(numeric).max())  # |a - b| has corners
@@ -304,7 +304,7 @@ CAMERAS = [scenes.camera(29, 23), scenes.camera(33, 21, eye=(1.5, -1.0, -3.5), r
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_scores_are_those_of_the_reference(level):
-    """Sum and maximum of alpha T, and LightGaussian's sum of opacity T. Worst seen: 5e-6 of the largest in float32."""
+    """Sum and maximum of alpha T, and LightGaussian's sum of opacity T. Worst seen: 1.7e-7 of the largest in float32, 3e-16 in float64."""
     r = rasterizer(level)
     scene = typed(scenes.random_scene(40, 6, 1, scale=0.3), r.dtype)
     scene.count = 40
@@ -317,9 +317,9 @@ def test_scores_are_those_of_the_reference(level):
         expected[2] += opacity * T.sum(axis=0)
     arguments = scene, CAMERAS, r, RenderOptions()
     found = METHODS["contribution"].score(*arguments), METHODS["max-contribution"].score(*arguments), scores.significance(*arguments)
-    bound = 1e-12 if level == "float64" else 5e-5
-    for value, wanted, factor in zip(found, expected, (1, 1e5 if level == "float64" else 1, 1), strict=True):  # the maximum is kept in float32
-        np.testing.assert_allclose(value, wanted, rtol=0, atol=bound * factor * wanted.max())
+    bounds = (1e-13, 1e-7, 1e-13) if level == "float64" else (2e-6,) * 3  # the maximum is kept in float32
+    for value, wanted, bound in zip(found, expected, bounds, strict=True):
+        np.testing.assert_allclose(value, wanted, rtol=0, atol=bound * wanted.max())
 
 
 def test_lightgaussians_volume_counts_for_little_and_is_clamped():
@@ -338,6 +338,21 @@ def test_lightgaussian_keeps_34_percent_unless_told_otherwise():
 # --- pup
 
 
+VIEWS = {"front": CAMERAS[0], "rolled": CAMERAS[1], "inside": scenes.camera(24, 40, eye=(0.3, 0.2, -0.9))}
+
+
+def small_scene(dtype):
+    """30 Gaussians of one colour each: what turns with the view is no part of the sensitivity."""
+    scene = typed(scenes.random_scene(30, 3, 0, scale=0.3), dtype)
+    scene.count = 30
+    return scene
+
+
+@functools.cache
+def expected_sensitivities(view: str) -> np.ndarray:
+    return sensitivities(small_scene(np.float64), VIEWS[view])
+
+
 def sensitivities(scene, camera) -> np.ndarray:
     """H (N, 6, 6) by brute force: the reference's Jacobian of every colour in every mean and log-scale."""
     tensors = [torch.tensor(np.asarray(getattr(scene, name), np.float64)) for name in PARAMETERS]
@@ -352,13 +367,11 @@ def sensitivities(scene, camera) -> np.ndarray:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("camera", [*CAMERAS, scenes.camera(24, 40, eye=(0.3, 0.2, -0.9))], ids=["front", "rolled", "inside"])
-def test_sensitivities_are_those_of_the_reference(level, camera):
-    """Worst seen, of each matrix's largest value: 5e-14 in float64, 2e-4 in float32."""
-    r = rasterizer(level)
-    scene = typed(scenes.random_scene(30, 3, 0, scale=0.3), r.dtype)
-    scene.count = 30
-    expected = sensitivities(scene, camera)
+@pytest.mark.parametrize("view", VIEWS)
+def test_sensitivities_are_those_of_the_reference(level, view):
+    """Worst seen, of each matrix's largest value: 3.9e-14 in float64, 2.5e-5 in float32."""
+    r, camera = rasterizer(level), VIEWS[view]
+    scene, expected = small_scene(r.dtype), expected_sensitivities(view)
     r.forward(scene, camera, RenderOptions(background=BACKGROUND), outputs=())
     ids = r.visible()
     found = np.zeros((30, 6, 6))
@@ -369,16 +382,14 @@ def test_sensitivities_are_those_of_the_reference(level, camera):
     assert (scale > 0).sum() > 10
     assert np.abs(found[scale == 0]).max(initial=0) == 0
     worst = (np.abs(found - expected).max(axis=(1, 2))[scale > 0] / scale[scale > 0]).max()
-    assert worst < (1e-11 if level == "float64" else 1e-3)
+    assert worst < (1e-12 if level == "float64" else 2e-4)
 
 
 def test_pup_ranks_by_the_determinant_over_all_views():
-    scene = typed(scenes.random_scene(30, 3, 0, scale=0.3), np.float64)
-    scene.count = 30
+    scene = small_scene(np.float64)
     scene.means[7] = (0, 0, -50)  # behind every camera
     expected = sum(sensitivities(scene, camera) for camera in CAMERAS)
-    small = [camera.reduced(1) for camera in CAMERAS]
-    found = sensitivity.log_determinants(scene, small, rasterizer("float64"), RenderOptions(background=BACKGROUND))
+    found = sensitivity.log_determinants(scene, CAMERAS, rasterizer("float64"), RenderOptions(background=BACKGROUND))
     sign, log_det = np.linalg.slogdet(expected)
     sure = (sign > 0) & (np.linalg.cond(expected) < 1e10)
     assert sure.sum() > 10 and found[7] == -np.inf
