@@ -95,10 +95,11 @@ void run(const Case& c, int32_t level) {
   const svrgs_grads out = {means.data(), log_scales.data(), quats.data(), logits.data(), sh.data(), masks.data(), means2d.data()};
   measure("backward", [&] { return svrgs_backward(context, &in, &out); });
 
-  std::vector<double> sum(n);
+  std::vector<double> sum(n), through(n), moments(SVRGS_MOMENTS * rows);
   std::vector<float> most(n);
   std::vector<int64_t> hits(n);
-  measure("scores", [&] { return svrgs_scores(context, sum.data(), most.data(), hits.data()); });
+  measure("scores", [&] { return svrgs_scores(context, sum.data(), most.data(), hits.data(), through.data()); });
+  measure("moments", [&] { return svrgs_moments(context, moments.data()); });
 
   const std::vector<double> rates(values, 1e-3);
   const svrgs_adam_settings settings = {rates.data(), 0.9, 0.999, 1e-15, 0.1, 0.001};
