@@ -17,7 +17,7 @@ import numpy as np
 from .camera import Camera
 from .errors import Cancelled, NativeError
 
-INTERFACE_VERSION = 3
+INTERFACE_VERSION = 4
 LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
 MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
@@ -240,6 +240,14 @@ class Rasterizer:
         rows = np.empty((self.work()["visible"], len(MOMENTS)))
         _call("svrgs_moments", self._context, c.c_void_p(rows.ctypes.data))
         return rows
+
+    def add_removal(self, cost: np.ndarray, residuals: np.ndarray):
+        """Adds to cost (N,) float64 by how much the sum of squared residuals (H, W, 3) of the last view, colours less
+        photograph, would grow without each Gaussian alone; see svrgs.h."""
+        if self._view is None:
+            raise NativeError("there is no rendered view to score: call forward first")
+        _call("svrgs_removal", self._context, c.c_void_p(_check(residuals, "residuals", (*self._shape[:2], 3), self.dtype)),
+              c.c_void_p(_check_out(cost, "cost", (len(self._view[0]),), np.float64)))
 
     def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
         """(mean |image - target|, SSIM, dL/dimage or None) of (H, W, 3) images; L = l1_weight L1 + ssim_weight (1 - SSIM)."""

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 3
+#define SVRGS_INTERFACE_VERSION 4
 
 typedef void real; /* float or double, by the context's level */
 
@@ -167,6 +167,11 @@ SVRGS_API int32_t svrgs_scores(svrgs_context *, double *sum, float *max, int64_t
    sensitivity of PUP 3D-GS. */
 #define SVRGS_MOMENTS 12
 SVRGS_API int32_t svrgs_moments(svrgs_context *, double *moments);
+
+/* Adds to cost (N,) by how much the last view's sum of squared residuals, (H, W, 3) colours less photograph, would grow without
+   each Gaussian alone: sum over pixels and channels of d^2 - 2 r d with d = alpha_i T_i (c_i - b_i), b_i the colour behind it.
+   Exact: a colour is linear in the existence of one Gaussian. With residuals of 0: the sum of d^2. */
+SVRGS_API int32_t svrgs_removal(svrgs_context *, const real *residuals, double *cost);
 
 /* L = l1_weight * mean|a - b| + ssim_weight * (1 - SSIM(a, b)); SSIM: 11x11 Gaussian window, sigma 1.5, zero padding,
    C1 = 1e-4, C2 = 9e-4, mean over pixels and channels. image, target, grad: (H, W, 3). grad (dL/dimage) is optional.

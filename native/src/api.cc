@@ -200,6 +200,14 @@ int32_t svrgs_moments(svrgs_context* c, double* moments) {
   });
 }
 
+int32_t svrgs_removal(svrgs_context* c, const real* residuals, double* cost) {
+  return guarded([&] {
+    require(c && residuals && cost, "an argument is missing");
+    require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
+    c->context.removal(residuals, cost);
+  });
+}
+
 int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int32_t height, int32_t width, double l1_weight, double ssim_weight, real* grad, double values[2]) {
   return guarded([&] {
     require(c && image && target && values, "an argument is missing");

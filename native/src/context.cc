@@ -192,6 +192,12 @@ void Context::moments(double* rows) {
   parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.moments_range(frame_, slots, begin, end, rows); });
 }
 
+void Context::removal(const void* residuals, double* cost) {
+  char* slots = slots_.reserve<char>(pairs_ * kernels_.real_size);
+  for_each_tile([&](int64_t tile) { kernels_.removal_tile(frame_, tile, residuals, slots); });
+  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.removal_range(frame_, slots, begin, end, cost); });
+}
+
 svrgs_work Context::work(bool count_pixels) const {
   svrgs_work work = {};
   work.visible = frame_.visible_count, work.pairs = pairs_;

@@ -48,6 +48,7 @@ class Context {
   int64_t backward(const svrgs_image_grads&, const svrgs_grads& out, const svrgs_update*);
   void scores(const Scores&);
   void moments(double* rows);
+  void removal(const void* residuals, double* cost);
   void loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
 
   const uint32_t* visible() const { return frame_.visible; }

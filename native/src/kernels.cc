@@ -47,6 +47,6 @@ namespace level = SVRGS_LEVEL;
 const Kernels SVRGS_TABLE_NAME = {
     sizeof(level::R), sizeof(Splat<level::R>), level::project_range, level::fill_spans, level::forward_tile, level::write_tile,
     level::backward_tile, level::gradients_range, level::scores_tile, level::scores_range, level::moments_tile,
-    level::moments_range, level::count_tile,
+    level::moments_range, level::removal_tile, level::removal_range, level::count_tile,
     level::kLossScratch, level::loss_pass, level::adam_pass, level::multiply_adds};
 }

@@ -25,6 +25,8 @@ struct Kernels {
   void (*scores_range)(const Frame&, const void* slots, int64_t begin, int64_t end, const Scores&);
   void (*moments_tile)(const Frame&, int64_t tile, void* slots);
   void (*moments_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* rows);
+  void (*removal_tile)(const Frame&, int64_t tile, const void* residuals, void* slots);
+  void (*removal_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* cost);
   void (*count_tile)(const Frame&, int64_t tile, svrgs_work&);
   int64_t loss_scratch;  // reals a thread needs
   void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);

@@ -82,19 +82,65 @@ struct Remaining {
   }
 };
 
-// w = sum over the channels of (alpha dC/dalpha)^2 at the pixels of one part of a block, alpha's clamp let through nowhere; `left`
-// and T are moved on. With the colour S still to come behind a Gaussian, alpha dC/dalpha = alpha (T c - S / (1 - alpha)).
-inline V sensitivity(const Local& l, const Hit& e, V& T, V left[3]) {
+// What a Gaussian makes of the colours of one part of a block, d = alpha T (c - b) with b the colour behind it: without it they
+// would be lower by d. With the colour S still to come behind it, d = alpha (T c - S / (1 - alpha)); `left` and T are moved on.
+struct Share {
+  V rgb[3];
+  M live;
+};
+inline Share share(const Local& l, const Hit& e, V& T, V left[3]) {
   const V alpha = clamped(e.alpha), weight = keep(e.hit, alpha * T), before = T, inv = reciprocal(splat(1) - alpha);
   T -= weight;
-  const M live = both(e.hit, at_least(T, splat(R(kStop))));
-  V w = splat(0);
+  Share s;
+  s.live = both(e.hit, at_least(T, splat(R(kStop))));
   for (int c = 0; c < 3; ++c) {
-    left[c] -= keep(live, weight * splat(l.rgb[c]));
-    const V d = alpha * (before * splat(l.rgb[c]) - left[c] * inv);
-    w = fma(d, d, w);
+    left[c] -= keep(s.live, weight * splat(l.rgb[c]));
+    s.rgb[c] = keep(s.live, alpha * (before * splat(l.rgb[c]) - left[c] * inv));
   }
-  return keep(both(live, less(e.alpha, splat(R(kAlphaMax)))), w);
+  return s;
+}
+
+// w = sum over the channels of (alpha dC/dalpha)^2, alpha's clamp let through nowhere: alpha dC/dalpha is the share.
+inline V sensitivity(const Local& l, const Hit& e, V& T, V left[3]) {
+  const Share s = share(l, e, T, left);
+  return keep(less(e.alpha, splat(R(kAlphaMax))), fma(s.rgb[0], s.rgb[0], fma(s.rgb[1], s.rgb[1], s.rgb[2] * s.rgb[2])));
+}
+
+// Slot of each pair: by how much the sum of squared residuals (H, W, 3) would grow without the Gaussian, sum of d^2 - 2 r d.
+void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slots) {
+  const TileOrigin o = tile_origin(f, tile);
+  const R* const r = static_cast<const R*>(residuals);
+  Remaining t(f, tile);
+  V doubled[kBlocks][kSub][3] = {};
+  for (int y = o.y * kTile; y < std::min((o.y + 1) * kTile, f.height); ++y)
+    for (int x = o.x * kTile; x < std::min((o.x + 1) * kTile, f.width); ++x) {
+      const int column = x % kTile, row = y % kTile, lane = row % kBlockHeight * kBlockWidth + column % kBlockWidth;
+      V(&block)[kSub][3] = doubled[row / kBlockHeight * kBlockColumns + column / kBlockWidth];
+      for (int c = 0; c < 3; ++c) block[lane / W][c][lane % W] = 2 * r[(static_cast<int64_t>(y) * f.width + x) * 3 + c];
+    }
+  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
+    const TileEntry entry = f.entries[e];
+    const Local l = localise(splat_of(f, entry), o);
+    if (l.mask == 0) continue;
+    V cost = splat(0);
+    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+      for (int b = __builtin_ctzll(left), h = 0; h < kSub; ++h) {
+        const Lanes& lanes = all_lanes().block[b];
+        const Share s = share(l, evaluate(l, lanes.x[h], lanes.y[h]), t.T[b][h], t.rgb[b][h]);
+        for (int c = 0; c < 3; ++c) cost = fma(s.rgb[c], s.rgb[c] - doubled[b][h][c], cost);
+      }
+    static_cast<R*>(slots)[entry.slot] = sum(cost);
+  }
+}
+
+void removal_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* cost) {
+  for (int64_t i = begin; i < end; ++i) {
+    const uint32_t id = f.visible[i];
+    const SplatTiles& t = f.tiles[f.places[i]];
+    if (f.masks && !f.masks[id]) continue;
+    for (uint32_t k = 0; k < t.tiles; ++k)
+      if (f.hits[t.slot + k]) cost[id] += static_cast<double>(static_cast<const R*>(slots)[t.slot + k]);
+  }
 }
 
 // Slot of each pair: the moments of w in (u, v), in the order of SVRGS_MOMENTS.
