@@ -17,7 +17,6 @@ import numpy as np
 
 from ..model import MASK, Model
 from ..penalties import MeanExistence, sigmoid
-from ..scores import top
 from ..settings import Phase
 from .base import Keep
 from .masked import Masked
@@ -42,13 +41,14 @@ class Compact3DGS(Masked):
         rates = phase.rates.at(number, run.extent)
         rates[MASK] *= MASK_RATE / phase.rates.mask
         slope = (p * (1 - p) * open_).astype(logits.dtype)
-        return {"masks": open_.astype(np.uint8), "slope": slope, "gates": True, "penalty": MeanExistence(run.settings.lambda_m), "rates": rates}
+        return {"masks": open_.astype(np.uint8), "slope": slope, "gates": True, "penalty": MeanExistence(run.settings.lambda_m * run.strength), "rates": rates}
 
     def survivors(self, run: Run) -> Keep:
         return self.existing(run.model)
 
-    def decided(self, run: Run) -> Keep:
-        return top(run.model.values[MASK], run.target) if run.target else self.existing(run.model)
-
     def existing(self, model: Model) -> Keep:
         return model.values[MASK] > THRESHOLD
+
+    def expected(self, model: Model) -> float:
+        """Open gates, those near the threshold in part, so that it is seen coming."""
+        return float(sigmoid(model.values[MASK] - THRESHOLD, np).sum(dtype=np.float64))
