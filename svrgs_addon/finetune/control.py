@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 LOOKS = 100  # at q, in a phase
 BEGUN = 0.02  # of q: masks give way from here on ...
 LATEST = 0.3  # ... or from this part of the phase on
-HOLD_FROM = 0.8  # of the phase
+HOLD_FROM = 0.85  # of the phase
 AHEAD = 0.08  # of the phase
-GAIN = 0.6  # of ln(strength), for a speed wrong by that of the line
+GAIN = 0.8  # of ln(strength), for a speed wrong by that of the line
 SMOOTHING = 0.5  # of the speed seen
 LIMIT = math.log(1e4)  # of |ln(strength)|
 VIEWS = 6  # training views that the drop is measured on
@@ -58,7 +58,8 @@ class Control:
         every = max(1, phase.steps // LOOKS)
         if not self.start or number % every and number < phase.steps:
             return
-        q, self.reached = self.progress(run), int(run.method.existing(run.model).sum())
+        self.reached = int(run.method.existing(run.model).sum())
+        q = self.progress(run, (number / phase.steps) ** 2)
         self.speed += SMOOTHING * ((q - self.last) / every - self.speed)
         self.last = q
         if not self.begun and (q > BEGUN or number > LATEST * phase.steps):
@@ -73,12 +74,14 @@ class Control:
         wrong = ((line - self.last) / ahead - self.speed) * length
         self.log_strength = min(max(self.log_strength + GAIN * min(max(wrong, -1.0), 1.0), -LIMIT), LIMIT)
 
-    def progress(self, run: Run) -> float:
+    def progress(self, run: Run, settled: float) -> float:
+        """q; of the number that counts, the share `settled` is what masks would leave, the rest E: smooth at first, exact at the end."""
         if run.settings.max_drop:
             return (self.start - psnr_of(run, run.method.existing(run.model))) / run.settings.max_drop
         if run.target >= self.start:
             return 1.0
-        return math.log(self.start / max(run.method.expected(run.model), 1.0)) / math.log(self.start / run.target)
+        count = settled * self.reached + (1 - settled) * run.method.expected(run.model)
+        return math.log(self.start / max(count, 1.0)) / math.log(self.start / run.target)
 
 
 def control_for(settings: Settings, learns_masks: bool) -> Control | None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..model import MASK, Model
 from ..penalties import MeanExistence, sigmoid
+from ..scores import top
 from ..settings import Phase
 from .base import Keep
 from .masked import Masked
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 THRESHOLD = np.log(0.01 / 0.99)  # of the logit: sigmoid(m) > 0.01
 MASK_RATE = 0.01
+NEARNESS = 0.2  # in logits: gates so near the threshold count in part
 
 
 @dataclass
@@ -44,11 +46,12 @@ class Compact3DGS(Masked):
         return {"masks": open_.astype(np.uint8), "slope": slope, "gates": True, "penalty": MeanExistence(run.settings.lambda_m * run.strength), "rates": rates}
 
     def survivors(self, run: Run) -> Keep:
-        return self.existing(run.model)
+        keep = self.existing(run.model)
+        return keep | top(run.model.values[MASK], run.target) if run.target else keep
 
     def existing(self, model: Model) -> Keep:
         return model.values[MASK] > THRESHOLD
 
     def expected(self, model: Model) -> float:
         """Open gates, those near the threshold in part, so that it is seen coming."""
-        return float(sigmoid(model.values[MASK] - THRESHOLD, np).sum(dtype=np.float64))
+        return float(sigmoid((model.values[MASK] - THRESHOLD) / NEARNESS, np).sum(dtype=np.float64))
