@@ -111,6 +111,8 @@ def _method(options: Options) -> str:
     """The method's name; SceneError where it does not exist, or --paper does not fit."""
     from .finetune.methods import PAPER, method_named
 
+    if options.method == PAPER:  # a name for results, not for requests
+        raise SceneError(f"method '{PAPER}' is unknown: it is chosen by --method svr --paper")
     method_named(options.method)
     if options.paper and options.method != "svr":
         raise SceneError(f"--paper is the paper's form of method 'svr', not of '{options.method}'")
