@@ -75,10 +75,11 @@ def _run(command):
     command.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
 
-def _size(command, whole: str):
+def _size(command, whole: str) -> argparse._MutuallyExclusiveGroup:
     size = command.add_mutually_exclusive_group()
-    size.add_argument("--target", type=_share, metavar="SHARE", help=f"share of {whole} to keep (default of lightgaussian: 0.34, of gns: 0.25)")
+    size.add_argument("--target", type=_share, metavar="SHARE", help=f"share of {whole} to keep (lightgaussian: 0.34, gns: 0.25)")
     size.add_argument("--target-count", type=_positive, metavar="N", help="number of Gaussians to keep")
+    return size
 
 
 def _train(commands):
@@ -107,7 +108,10 @@ def _prune(commands):
         "--min-contribution", type=_small_share, metavar="A",
         help=f"first drop what never covers this much of a pixel in a training view (default: {MIN_CONTRIBUTION} where masks are learned, else 0)",
     )  # fmt: skip
-    _size(command, "the Gaussians")
+    _size(command, "the Gaussians").add_argument(
+        "--max-drop", type=_decibels, default=0.0, metavar="DB",
+        help="as few Gaussians as lose no more than this on a few training views, before recovery; of methods that learn masks",
+    )  # fmt: skip
     command.add_argument("--out", type=Path, metavar="FILE|DIR", help="a file for one scene, a folder for several (default: beside each scene)")
     command.add_argument("--report", type=Path, metavar="DIR", help="write an HTML page there (one folder a scene if there are several)")
     command.add_argument("--overwrite", action="store_true", help="with several scenes: also those whose output exists")
@@ -158,6 +162,10 @@ def _weight(text: str) -> float:
 
 def _gigabytes(text: str) -> float:
     return _parsed(float, text, lambda value: 0 <= value < float("inf"), "a number of gigabytes")
+
+
+def _decibels(text: str) -> float:
+    return _parsed(float, text, lambda value: 0 < value < float("inf"), "a number of dB above 0")
 
 
 def _share(text: str) -> float:

@@ -98,7 +98,7 @@ def prune_one(options: Options) -> dict:
         raise SceneError(f"{options.scene}: pruning needs the photographs it was trained on; give --colmap DIR")
     settings = prune_settings(
         _method(options), options.iterations, options.recovery, lambda_f=options.lambda_f, lambda_m=options.lambda_m, seed=options.seed,
-        full=not options.visible_mask, background=tuple(options.background), target=_target(options),
+        full=not options.visible_mask, background=tuple(options.background), target=_target(options), max_drop=options.max_drop,
         min_contribution=_min_contribution(options), views_by_loss=options.views_by_loss, schedule=options.schedule,
     )  # fmt: skip
     job = _job(options, options.report)
@@ -112,6 +112,8 @@ def _method(options: Options) -> str:
     """The method's name; SceneError where it does not exist, or --paper does not fit."""
     from .finetune.methods import PAPER, method_named
 
+    if options.method == PAPER:  # a name for results, not for requests
+        raise SceneError(f"method '{PAPER}' is unknown: it is chosen by --method svr --paper")
     method_named(options.method)
     if options.paper and options.method != "svr":
         raise SceneError(f"--paper is the paper's form of method 'svr', not of '{options.method}'")
@@ -131,7 +133,7 @@ def _target(options: Options) -> int:
 
     if options.target_count is not None:
         return options.target_count
-    share = options.target or method_named(_method(options)).share
+    share = options.target or (0.0 if options.max_drop else method_named(_method(options)).share)
     return max(1, round(share * splat_files.describe(options.scene)["count"])) if share else 0
 
 

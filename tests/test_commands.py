@@ -214,6 +214,41 @@ def test_every_method_runs(tiny, svrgs, tmp_path, method):
     assert result["iterations"] == (4 if method == "3dgs" else 12)
 
 
+@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if method.ranks or method.share])
+def test_every_method_with_a_budget_prunes_to_it(tiny, svrgs, tmp_path, method):
+    """Asked for, or its own where it has one."""
+    for target in (("--target-count", 70), ("--target", 0.5), ()):
+        words = ("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *target, *SHORT, "--out", tmp_path / "o.ply", "--json")
+        if not target and not METHODS[method].share:
+            refused(svrgs(*words), f"method '{method}' needs --target")
+            continue
+        share = METHODS[method].share or 0.5
+        expected = {"--target-count": 70, "--target": tiny_dataset.COUNT // 2}.get(target and target[0], round(share * tiny_dataset.COUNT))
+        assert svrgs(*words).json["count"] == expected
+
+
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "3dgs"])
+def test_every_method_trains_to_a_share(tiny, svrgs, tmp_path, method):
+    """Of the Gaussians there are when densification ends: here of the sparse points, which none has multiplied."""
+    words = ("--method", method, "--target", 0.5, "--iterations", 60, "--recovery", 5, "--sh-degree", 0, "--densify-until", 20, "--quiet", "--json")
+    result = svrgs("train", "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json
+    assert result["count"] == result["target"] == tiny_dataset.SEEN // 2 and result["iterations"] == 65
+
+
+def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
+    words = ("--colmap", tiny.folder, "--paper", *SHORT, "--out", tmp_path / "o.ply", "--json")
+    result = svrgs("prune", tiny.splat, *words).json
+    assert (result["method"], result["lambda_f"], result["first_cut"]) == ("svr-paper", 1e-4, tiny_dataset.FAINT)
+    refused(svrgs("prune", tiny.splat, *words, "--method", "maskgs"), "--paper", "'maskgs'")
+    refused(svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", "svr-paper", "--out", tmp_path / "p.ply"), "unknown")
+
+
+def test_help_lists_every_method(svrgs):
+    for command in ("train", "prune"):
+        text = "".join(svrgs(command, "--help").out.split())  # lines break at hyphens
+        assert all(name.removeprefix("maskgs") in text for name in METHODS)
+
+
 def test_opacity_keeps_the_most_opaque(tiny, svrgs, tmp_path):
     words = ("--method", "opacity", "--target-count", 50, "--recovery", 0, "--quiet", "--json")
     assert svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"] == 50

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..atomic import atomic_write
 from ..errors import FormatError
+from .control import Control
 from .densify import Statistics
 from .loop import Curves, Run
 
@@ -40,6 +41,7 @@ def save(run: Run, folder: Path, identity: str) -> Path:
         "unordered": run.unordered,
         "target": run.target,
         "method": run.method.state(),
+        "control": asdict(run.control) if run.control else None,
         "loss": run.loss,
         "nonfinite": run.nonfinite,
         "seconds": run.seconds,
@@ -88,6 +90,7 @@ def _apply(run: Run, folder: Path, manifest: dict):
     run.iteration, run.initial_count, run.unordered = manifest["iteration"], manifest["initial_count"], manifest["unordered"]
     run.target = manifest["target"]
     run.method.restore(manifest["method"])
+    run.control = Control(**manifest["control"]) if manifest["control"] else None
     run.loss, run.nonfinite, run.seconds = manifest["loss"], manifest["nonfinite"], manifest["seconds"]
     run.curves = Curves(**manifest["curves"])
 

@@ -15,6 +15,7 @@ from ..dataset import Dataset
 from ..errors import Cancelled, SceneError
 from ..native import RenderOptions
 from . import densify, masks
+from .control import control_for
 from .engine import Step, StepResult
 from .methods import method_named
 from .model import Model
@@ -57,6 +58,7 @@ class Run:
         self.model, self.dataset, self.settings, self.engine = model, dataset, settings, engine
         self.antialiased = antialiased
         self.method = method_named(settings.method)
+        self.control = control_for(settings, self.method.learns_masks)
         self.target = settings.target  # 0: none, or a share of a number not known yet
         self.iteration = 0
         self.statistics = densify.Statistics(model.count)
@@ -131,6 +133,8 @@ class Run:
             self.method.enter(self.model, self.settings)
             if self.settings.share and not self.target and not _grows(phase, number):
                 self.target = max(1, round(self.settings.share * self.model.count))
+            if self.control and not _grows(phase, number):
+                self.control.before(self)
         elif self.model.learns_masks:
             self.model.drop_masks()
 
@@ -154,6 +158,11 @@ class Run:
         kind = self.method.mask_kind if phase.active else "none"
         degree = number // phase.sh_every if phase.sh_every else 3
         return RenderOptions(min(degree, 3), self.antialiased, s.full, kind, s.mask_to_shape, background=s.background)
+
+    @property
+    def strength(self) -> float:
+        """What the method's weights are multiplied by."""
+        return self.control.strength if self.control else 1.0
 
     @property
     def score_options(self) -> RenderOptions:
@@ -209,6 +218,8 @@ class Run:
     def _prune(self, phase: Phase, number: int):
         """What the method drops after a step outside densification, and when its phase ends."""
         last = number == phase.steps
+        if phase.active and self.control and not _grows(phase, number):
+            self.control.look(self, phase, number)
         if phase.active and (last or not _grows(phase, number)):
             self._keep(self.method.after_step(self, phase, number))
         if phase.active and last:

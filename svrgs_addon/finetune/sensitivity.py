@@ -56,7 +56,7 @@ def _share(moments: np.ndarray, J: np.ndarray) -> np.ndarray:
 def _log_det(upper: np.ndarray) -> np.ndarray:
     H = np.zeros((len(upper), 6, 6))
     H[:, *_UPPER] = H[:, _UPPER[1], _UPPER[0]] = upper
-    scale = np.sqrt(np.einsum("nii->ni", H))  # to a unit diagonal first: positions and log-scales have different units
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", H), 0))  # to a unit diagonal first: positions and log-scales have different units
     seen = (scale > 0).all(axis=1)
     scale = np.where(seen[:, None], scale, 1.0)
     sign, log_det = np.linalg.slogdet(H / (scale[:, :, None] * scale[:, None, :]))

@@ -79,6 +79,10 @@ class Method:
         """What would stay if it ended now and no target were asked for."""
         return None
 
+    def expected(self, model: Model) -> float:
+        """How many Gaussians exist, as far as masks have decided; of methods that learn masks."""
+        raise NotImplementedError
+
     def score(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
         """(N,) importance of every Gaussian to the cameras' views; of methods that rank."""
         raise NotImplementedError

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 THRESHOLD = np.log(0.01 / 0.99)  # of the logit: sigmoid(m) > 0.01
 MASK_RATE = 0.01
+NEARNESS = 0.2  # in logits: gates so near the threshold count in part
 
 
 @dataclass
@@ -42,13 +43,15 @@ class Compact3DGS(Masked):
         rates = phase.rates.at(number, run.extent)
         rates[MASK] *= MASK_RATE / Rates().mask
         slope = (p * (1 - p) * open_).astype(logits.dtype)
-        return {"masks": open_.astype(np.uint8), "slope": slope, "gates": True, "penalty": MeanExistence(run.settings.lambda_m), "rates": rates}
+        return {"masks": open_.astype(np.uint8), "slope": slope, "gates": True, "penalty": MeanExistence(run.settings.lambda_m * run.strength), "rates": rates}
 
     def survivors(self, run: Run) -> Keep:
-        return self.existing(run.model)
-
-    def decided(self, run: Run) -> Keep:
-        return top(run.model.values[MASK], run.target) if run.target else self.existing(run.model)
+        keep = self.existing(run.model)
+        return keep | top(run.model.values[MASK], run.target) if run.target else keep
 
     def existing(self, model: Model) -> Keep:
         return model.values[MASK] > THRESHOLD
+
+    def expected(self, model: Model) -> float:
+        """Open gates, those near the threshold in part, so that it is seen coming."""
+        return float(sigmoid((model.values[MASK] - THRESHOLD) / NEARNESS, np).sum(dtype=np.float64))

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from .. import masks
-from ..model import Model
+from ..control import fewest_within
+from ..model import MASK, Model
+from ..penalties import sigmoid
 from ..settings import Phase, Rates, Settings
 from .base import Keep, Method
 
@@ -33,7 +37,7 @@ class Masked(Method):
 
     def terms(self, run: Run, phase: Phase, number: int) -> dict:
         drawn, slope = masks.draw(run.model, run.settings.seed, run.iteration)
-        return {"masks": drawn, "slope": slope, "lambda_f": run.settings.lambda_f, "lambda_m": run.settings.lambda_m}
+        return {"masks": drawn, "slope": slope, "lambda_f": run.settings.lambda_f * run.strength, "lambda_m": run.settings.lambda_m * run.strength}
 
     def survivors(self, run: Run) -> Keep:
         return masks.ever_drawn(run.model, run.settings.seed, run.iteration, run.settings.draws)
@@ -45,7 +49,14 @@ class Masked(Method):
         return keep
 
     def decided(self, run: Run) -> Keep:
-        return masks.decided(run.model, run.target)
+        """p > 0.5, or else exactly what was asked for, the most probable first."""
+        if run.settings.max_drop:
+            return fewest_within(run, run.model.values[MASK])
+        return masks.decided(run.model, run.target) if run.target else self.existing(run.model)
 
     def existing(self, model: Model) -> Keep:
         return masks.decided(model)
+
+    def expected(self, model: Model) -> float:
+        """The sum of all p."""
+        return float(sigmoid(model.values[MASK], np).sum(dtype=np.float64))
