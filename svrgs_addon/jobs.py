@@ -127,7 +127,7 @@ def check_request(dataset: Dataset, settings: Settings):
     if not dataset.train_indices:
         raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
     ranks, asked = method_named(settings.method).ranks, settings.target or settings.share
-    if settings.max_drop and not (method_named(settings.method).learns_masks and any(phase.active for phase in settings.phases)):
+    if settings.max_drop and not (method_named(settings.method).holds_drop and any(phase.active for phase in settings.phases)):
         raise SceneError(f"method '{settings.method}' cannot take --max-drop: that needs masks, and iterations in which they are learned")
     if ranks and not asked:
         raise SceneError(f"method '{settings.method}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
@@ -222,7 +222,7 @@ def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
     return {
         "out": str(options.out),
         "method": settings.method,
-        "lambda_f": settings.lambda_f if method_named(settings.method).mask_kind != "none" else None,
+        "lambda_f": settings.lambda_f if method_named(settings.method).lambda_f else None,
         "lambda_m": settings.lambda_m or None,
         "target": run.target or None,
         "reached": run.control.reached if run.control else None,

@@ -209,7 +209,8 @@ def test_report_is_one_page_with_table_plots_and_pictures(pruned):
 def test_every_method_runs(tiny, svrgs, tmp_path, method):
     result = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *SHORT, "--out", tmp_path / "o.ply", "--json").json
     assert result["method"] == method and result["lambda_f"] == (METHODS[method].lambda_f or None)
-    assert result["count"] == tiny_dataset.COUNT - result["first_cut"], "so few steps cannot have pruned more"
+    left = tiny_dataset.COUNT - result["first_cut"]
+    assert result["count"] < left if method == "svr-worth" else result["count"] == left, "masks cannot have learned in so few steps"
     assert result["first_cut"] > tiny_dataset.FAINT if METHODS[method].learns_masks else result["first_cut"] == tiny_dataset.FAINT
     assert result["iterations"] == (4 if method == "3dgs" else 12)
 

@@ -28,7 +28,7 @@ from svrgs_addon.native import RenderOptions
 from svrgs_addon.scene import Scene
 
 LEARNED = [name for name, method in METHODS.items() if method.prunes and not method.ranks]
-FAMILIES = ("svr", "maskgs-alpha", "compact3dgs", "gns", "lightgaussian", "pup", "3dgs")  # one of each file, and pup
+FAMILIES = ("svr", "svr-worth", "maskgs-alpha", "compact3dgs", "gns", "lightgaussian", "pup", "3dgs")  # one of each file, and pup
 RANKED = [name for name, method in METHODS.items() if method.ranks]
 BACKGROUND = (0.2, 0.5, 0.9)
 

@@ -96,11 +96,11 @@ def psnr_of(run: Run, kept: np.ndarray | None) -> float:
     return mean_psnr(run.model, run.dataset, views, run.engine.rasterizer, run.score_options, None if kept is None else kept.astype(np.uint8))
 
 
-def fewest_within(run: Run, score: np.ndarray) -> np.ndarray:
-    """(N,) bool: the fewest of the highest scores that lose no more than settings.max_drop dB, found by bisection."""
+def fewest_within(run: Run, score: np.ndarray, floor: float) -> np.ndarray:
+    """(N,) bool: the fewest of the highest scores with a PSNR (psnr_of) of `floor` dB at least, found by bisection."""
     few, enough = 0, run.model.count
     while enough - few > max(1, run.model.count // 1_000):
         middle = (few + enough) // 2
-        within = run.control.start - psnr_of(run, top(score, middle)) <= run.settings.max_drop
+        within = psnr_of(run, top(score, middle)) >= floor
         few, enough = (few, middle) if within else (middle, enough)
     return top(score, enough)

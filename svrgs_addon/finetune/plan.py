@@ -59,7 +59,7 @@ def _scaled_densify(d: Densify, steps) -> Densify:
 def weights(m: Method, name: str, trained: bool, lambda_f: float | None, lambda_m: float | None) -> dict[str, float]:
     """The weights asked for, or else the method's own. Raises SceneError for one the method does not have."""
     own = dict(zip(("lambda_f", "lambda_m"), m.weights(trained), strict=True))
-    if lambda_f is not None and m.mask_kind == "none":
+    if lambda_f is not None and not m.lambda_f:
         raise SceneError(f"method '{name}' has no spatial mask to weigh: leave lambda-f out, or use an svr method")
     if lambda_m is not None and not own["lambda_m"]:
         raise SceneError(f"method '{name}' has no term that lambda-m weighs: leave it out, or use maskgs, compact3dgs or gns")

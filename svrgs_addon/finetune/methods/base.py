@@ -26,7 +26,7 @@ class Method:
     One object a run: what it learns about the run and must survive a checkpoint is in state().
     """
 
-    lambda_f: float = 0.0  # default weight of mean F^2
+    lambda_f: float = 0.0  # default weight of mean F^2; 0: the method has no spatial mask
     lambda_m: float = 0.0  # default weight of the method's term of all masks
     mask_kind: str = "none"  # spatial mask and gradient while masks are learned: a name of native.MASK_KINDS
     mask_init: float = 9.0  # existence logit at the start
@@ -34,6 +34,7 @@ class Method:
     prunes: bool = True
     learns_masks: bool = False
     ranks: bool = False  # decides by score() alone
+    holds_drop: bool = False  # can stop where settings.max_drop dB are lost
     first_cut: bool = False  # pruning a trained scene starts with what contributes next to nothing to any view
 
     # --- the schedule

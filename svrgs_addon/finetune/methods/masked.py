@@ -25,6 +25,7 @@ class Masked(Method):
     """Masks drawn from the logits, straight-through gradients, events of 10 draws, and p > 0.5 (or the target) at the end."""
 
     learns_masks: bool = True
+    holds_drop: bool = True
     first_cut: bool = True
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
@@ -51,7 +52,7 @@ class Masked(Method):
     def decided(self, run: Run) -> Keep:
         """p > 0.5, or else exactly what was asked for, the most probable first."""
         if run.settings.max_drop:
-            return fewest_within(run, run.model.values[MASK])
+            return fewest_within(run, run.model.values[MASK], run.control.start - run.settings.max_drop)
         return masks.decided(run.model, run.target) if run.target else self.existing(run.model)
 
     def existing(self, model: Model) -> Keep:
