@@ -1,6 +1,7 @@
 # make setup   virtual environment, pinned packages, native core; .venv/bin/svrgs stands ready
 # make demo    generates a scene, trains it, prunes it, leaves a report
 # make test    all tests
+# make zip     the Blender extension, dist/svrgs-VERSION.zip, built and checked by Blender's own builder
 PYTHON ?= python3.11
 VENV := .venv
 PY := $(VENV)/bin/python
@@ -11,7 +12,7 @@ SUDO := $(shell test "$$(id -u)" = 0 || echo sudo)
 INSTALL := $(SUDO) apt-get update -qq && $(SUDO) apt-get install -y -qq --no-install-recommends
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check
 
-.PHONY: setup native demo test clean
+.PHONY: setup native demo test zip clean
 
 setup: $(VENV)/.ready native
 	$(PY) -m compileall -q svrgs_addon
@@ -36,6 +37,14 @@ demo: setup
 test: setup
 	$(PY) -m pytest
 
+# Blender's builder is a script inside the bpy package; it runs without starting Blender.
+EXTENSION = $(PY) $(shell $(PY) -c "import importlib.util as u, pathlib as p; print(next(p.Path(u.find_spec('bpy').origin).parent.glob('*/scripts/addons_core/bl_pkg/cli/blender_ext.py')))")
+
+zip: setup
+	mkdir -p dist && rm -f dist/*.zip
+	$(EXTENSION) build --source-dir . --output-dir dist
+	$(EXTENSION) validate dist/*.zip
+
 clean:
 	$(MAKE) -C native clean
-	rm -rf build $(VENV)
+	rm -rf build dist $(VENV)

@@ -1,0 +1,15 @@
+"""What the user sees: one file per panel. Panels know operators and properties by name only."""
+
+from . import scene
+
+MODULES = (scene,)
+
+
+def register():
+    for module in MODULES:
+        module.register()
+
+
+def unregister():
+    for module in reversed(MODULES):
+        module.unregister()
