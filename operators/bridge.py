@@ -1,38 +1,39 @@
 """Blender's data <-> the product's: the only place where one becomes the other.
 
-A splat is a point cloud, or a mesh of points where Blender cannot make one (4.2), with the attributes of Blender 5.3's
-own splats. Coordinates are the file's; the object's matrix turns them into Blender's. What those attributes cannot hold
-bit by bit lies beside them under names of our own, so that a file comes out as it went in.
+A splat is a point cloud, or a mesh of points where Blender cannot make one (4.2), with the attributes of Blender 5.3's own
+splats (svrgs_addon/attribute_layout.py). Its coordinates are the file's; the object's matrix, or its root's, turns them into
+Blender's. A posed photograph is a camera that knows the size of its picture.
 """
 
 from __future__ import annotations
-
-import json
-import re
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..svrgs_addon import activation
+from ..svrgs_addon import lens as lenses
+from ..svrgs_addon.attribute_layout import BASE, REQUIRED, from_attributes, notes_of, to_attributes
+from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
-from ..svrgs_addon.scene import SH_COEFFICIENTS, Scene
+from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.transform import UNIFORM, stretch
 
-POSITION, SCALE, ROTATION, BASE, SH = "position", "scale", "rotation", "radiance:base", "radiance:sh_"
-RAW_SCALE, RAW_ROTATION, RAW_OPACITY = "svrgs:log_scale", "svrgs:quaternion", "svrgs:opacity_logit"
-RESERVED = re.compile(r"(position|scale|rotation|radius|removed|material_index|id)$|[.]|radiance:|svrgs:|ply:")
-NOTES = "svrgs"  # property of the data-block: what the file said beside its numbers, JSON
+NOTES = "svrgs"  # property of a splat's data-block
+SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
+ROOT = "svrgs_root"  # property of the empty that holds what shares file coordinates
 TYPES = ("MESH", "POINTCLOUD")
-AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender z up
-VALUE = {"FLOAT_VECTOR": "vector", "FLOAT2": "vector", "FLOAT_COLOR": "color", "FLOAT4": "vector"}  # others: value
+AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
+FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
+VALUE = {"FLOAT_VECTOR": "vector", "FLOAT2": "vector", "FLOAT4": "vector", "FLOAT_COLOR": "color"}  # others: value
 WIDTH = {"FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "FLOAT4": 4, "QUATERNION": 4, "INT32_2D": 2}  # others: 1
-NAME_LIMIT = 60  # of the 63 bytes older versions allow
-STORED_AS = {"f4": ("FLOAT", "f4"), "f8": ("INT32_2D", "i4"), "u4": ("INT", "i4")}  # smaller integers as numbers: INT
+
+
+# --- splats
 
 
 def is_splat(obj: bpy.types.Object | None) -> bool:
     """Whether the object is a splat: ours, or Blender 5.3's own."""
-    return obj is not None and obj.type in TYPES and all(_attribute(obj.data, name) for name in (SCALE, ROTATION, BASE))
+    return obj is not None and obj.type in TYPES and all(_attribute(obj.data, name) for name in REQUIRED)
 
 
 def count(obj: bpy.types.Object) -> int:
@@ -40,29 +41,33 @@ def count(obj: bpy.types.Object) -> int:
     return len(obj.data.vertices if obj.type == "MESH" else obj.data.points)
 
 
-# --- Scene -> object
-
-
 def object_from_scene(name: str, scene: Scene, collection: bpy.types.Collection, matrix: Matrix = AXES) -> bpy.types.Object:
-    """A new splat in the collection, its data in the scene's coordinates; matrix: these to Blender's world."""
+    """A new splat in the collection, its data in the scene's coordinates; matrix: from these to Blender's world."""
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(scene.count)
-    _fill(mesh, scene)
+    for attribute, kind, values in to_attributes(scene):
+        _set(mesh, attribute, kind, values)
     obj = bpy.data.objects.new(name, mesh)
-    if _can_make_point_clouds():
+    if "POINTCLOUD" in bpy.ops.object.convert.get_rna_type().properties["target"].enum_items:  # from 4.5 on
         _to_point_cloud(obj)
-    obj.data[NOTES] = json.dumps(_notes(scene))
+    obj.data[NOTES] = notes_of(scene)
     obj.matrix_world = matrix
     collection.objects.link(obj)
     return obj
 
 
-def _can_make_point_clouds() -> bool:
-    return "POINTCLOUD" in bpy.ops.object.convert.get_rna_type().properties["target"].enum_items  # from 4.5 on
+def scene_from_object(obj: bpy.types.Object) -> Scene:
+    """The Gaussians of a splat, in its local coordinates: those of the file. Raises SceneError."""
+    if not is_splat(obj):
+        raise SceneError(f"'{obj.name}' is no Gaussian splat" if obj else "there is no object")
+    if obj.mode == "EDIT":
+        obj.update_from_editmode()
+    numbers = [a.name for a in obj.data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
+    return from_attributes(lambda name: _get(obj.data, name), numbers, obj.data.get(NOTES, ""))
 
 
 def _to_point_cloud(obj: bpy.types.Object):
-    """Turns the mesh object into a point cloud, in a scene of its own: selection and mode of the user's stay as they are."""
+    """Turns the mesh object into a point cloud, in a scene of its own: the user's selection and mode stay as they are."""
     mesh, name = obj.data, obj.data.name
     aside = bpy.data.scenes.new("svrgs")
     try:
@@ -84,102 +89,11 @@ def _to_point_cloud(obj: bpy.types.Object):
         obj.data.type = "GAUSSIAN_SPLAT"
 
 
-def _fill(data: bpy.types.Mesh, scene: Scene):
-    base = np.concatenate([scene.sh[:, 0], activation.opacities(scene.opacity_logits)[:, None]], axis=1)
-    _set(data, POSITION, "FLOAT_VECTOR", scene.means)
-    _set(data, SCALE, "FLOAT_VECTOR", activation.scales(scene.log_scales))
-    _set(data, ROTATION, "QUATERNION", activation.rotations(scene.quats))
-    _set(data, BASE, _four_floats(), base)
-    for k in range(1, scene.sh.shape[1]):
-        _set(data, f"{SH}{k - 1}", "FLOAT_VECTOR", scene.sh[:, k])
-    _set(data, RAW_SCALE, "FLOAT_VECTOR", scene.log_scales)
-    _set(data, RAW_ROTATION, "QUATERNION", scene.quats)
-    _set(data, RAW_OPACITY, "FLOAT", scene.opacity_logits)
-    for name, (attribute, _) in _further(scene).items():
-        column = scene.attributes[name]
-        kind, same_bits = STORED_AS.get(column.dtype.str[1:], ("INT", ""))
-        _set(data, attribute, kind, column.view(same_bits) if same_bits else column.astype(np.int32))
-
-
-def _notes(scene: Scene) -> dict:
-    return {"antialiased": scene.antialiased, "comments": scene.comments, "order": scene.property_order, "further": _further(scene)}
-
-
-def _further(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Name in the file: name of the attribute, and the type in the file."""
-    free = lambda name: len(name.encode()) <= NAME_LIMIT and not RESERVED.match(name)  # noqa: E731
-    return {name: (name if free(name) else f"ply:{i}", column.dtype.str[1:]) for i, (name, column) in enumerate(scene.attributes.items())}
-
-
-def _four_floats() -> str:
-    kinds = bpy.types.Attribute.bl_rna.properties["data_type"].enum_items
-    return "FLOAT4" if "FLOAT4" in kinds else "FLOAT_COLOR"
-
-
-def _set(data, name: str, kind: str, values: np.ndarray):
+def _set(data: bpy.types.Mesh, name: str, kind: str, values: np.ndarray):
+    if name == BASE and "FLOAT4" in bpy.types.Attribute.bl_rna.properties["data_type"].enum_items:
+        kind = "FLOAT4"
     attribute = data.attributes.get(name) or data.attributes.new(name, kind, "POINT")
-    if attribute.name != name:
-        raise SceneError(f"Blender does not take '{name}' as the name of an attribute")
     attribute.data.foreach_set(VALUE.get(kind, "value"), np.ascontiguousarray(values).reshape(-1))
-
-
-# --- object -> Scene
-
-
-def scene_from_object(obj: bpy.types.Object) -> Scene:
-    """The Gaussians of a splat, in its local coordinates: those of the file. Raises SceneError."""
-    if not is_splat(obj):
-        raise SceneError(f"'{obj.name}' is no Gaussian splat" if obj else "there is no object")
-    if obj.mode == "EDIT":
-        obj.update_from_editmode()
-    data = obj.data
-    base = _get(data, BASE)
-    notes = json.loads(data.get(NOTES) or "{}")
-    return Scene(
-        means=_get(data, POSITION),
-        log_scales=activation.raw_scales(_get(data, SCALE), _get(data, RAW_SCALE)),
-        quats=activation.raw_rotations(_get(data, ROTATION), _get(data, RAW_ROTATION)),
-        opacity_logits=activation.raw_opacities(base[:, 3], _get(data, RAW_OPACITY)),
-        sh=_harmonics(data, base),
-        antialiased=notes.get("antialiased", False),
-        attributes=_columns(data, notes["further"]) if notes else _float_columns(data),
-        comments=tuple(notes.get("comments", ())),
-        property_order=tuple(notes.get("order", ())),
-    )
-
-
-def _harmonics(data, base: np.ndarray) -> np.ndarray:
-    """(N, K, 3); bands that are not complete, and those above degree 3, are left out."""
-    rest = 0
-    while rest + 1 < max(SH_COEFFICIENTS) and _attribute(data, f"{SH}{rest}"):
-        rest += 1
-    coefficients = max(k for k in SH_COEFFICIENTS if k <= rest + 1)
-    sh = np.empty((len(base), coefficients, 3), np.float32)
-    sh[:, 0] = base[:, :3]
-    for k in range(1, coefficients):
-        sh[:, k] = _get(data, f"{SH}{k - 1}")
-    return sh
-
-
-def _columns(data, further: dict) -> dict[str, np.ndarray]:
-    """Columns of the file that are no Gaussian's, as they were; those deleted since are left out."""
-    columns = {}
-    for name, (attribute, code) in further.items():
-        values = _get(data, attribute)
-        if values is not None:
-            columns[name] = values.reshape(-1).view(code) if code in STORED_AS else values.astype(code)
-    return columns
-
-
-def _float_columns(data) -> dict[str, np.ndarray]:
-    """Further numbers of a splat that Blender itself imported."""
-    names = [a.name for a in data.attributes if a.domain == "POINT" and a.data_type == "FLOAT" and not RESERVED.match(a.name)]
-    return {name: _get(data, name) for name in names if re.fullmatch("[!-~]+", name)}
-
-
-def _attribute(data, name: str):
-    attribute = data.attributes.get(name)
-    return attribute if attribute is not None and attribute.domain == "POINT" else None
 
 
 def _get(data, name: str) -> np.ndarray | None:
@@ -192,3 +106,106 @@ def _get(data, name: str) -> np.ndarray | None:
     values = np.empty(len(attribute.data) * width, np.int32 if kind.startswith("INT") else np.float32)
     attribute.data.foreach_get(VALUE.get(kind, "value"), values)
     return values.reshape(-1, width) if width > 1 else values
+
+
+def _attribute(data, name: str):
+    attribute = data.attributes.get(name)
+    return attribute if attribute is not None and attribute.domain == "POINT" else None
+
+
+# --- cameras
+
+
+def camera_from_object(
+    obj: bpy.types.Object, scene: bpy.types.Scene, size: tuple[int, int] | None = None, splat_matrix: Matrix | None = None
+) -> Camera:
+    """What a camera object sees, in the local frame of a splat with matrix_world `splat_matrix` (default: Blender's world).
+
+    size: (width, height) in pixels of the scene's aspect; default: the photograph's, or of other cameras the scene's render.
+    The pose is rigid: a uniform scale s of the splat leaves all distances 1/s of Blender's. obj: an evaluated one where
+    animation counts. Raises SceneError for cameras without perspective, and where the splat is scaled differently by axis:
+    then turn its scene into world coordinates (svrgs_addon.transform) and leave splat_matrix out.
+    """
+    data, render = obj.data, scene.render
+    if data.type != "PERSP":
+        raise SceneError(f"camera '{obj.name}' is not a perspective camera; splats are drawn for those alone")
+    aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
+    if size is None:
+        size, aspect = (tuple(data[SIZE]), tuple(data[ASPECT])) if SIZE in data else (render_size(scene), aspect)
+    lens = lenses.Lens(*size, data.lens, (data.shift_x, data.shift_y), aspect, (data.sensor_width, data.sensor_height), data.sensor_fit)
+    viewmat = FLIP @ np.linalg.inv(_without_scale(obj.matrix_world))
+    if splat_matrix is not None:
+        if stretch(splat_matrix) - 1 > 10 * UNIFORM:
+            raise SceneError("the splat is scaled differently along its axes, so no camera sees it as it is in its own coordinates")
+        viewmat = viewmat @ np.array(splat_matrix, np.float64)
+        viewmat[:3] /= abs(np.linalg.det(viewmat[:3, :3])) ** (1 / 3)
+    return Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name))
+
+
+def camera_to_object(camera: Camera, obj: bpy.types.Object):
+    """Gives the camera object the view's lens, the size of its picture, and its pose in the coordinates of its parent."""
+    data, lens = obj.data, lenses.lens_of(camera)
+    data.type, data.sensor_fit = "PERSP", lens.fit
+    data.sensor_width, data.sensor_height = lens.sensor
+    data.lens = lens.lens
+    data.shift_x, data.shift_y = lens.shift
+    data[SIZE], data[ASPECT], data[IMAGE] = (camera.width, camera.height), lens.aspect, camera.name
+    obj.rotation_mode = "QUATERNION"  # Euler angles lose digits near the poles
+    obj.matrix_basis = Matrix(np.linalg.inv(camera.viewmat) @ FLIP)
+
+
+def render_size(scene: bpy.types.Scene) -> tuple[int, int]:
+    """(width, height) of a render, in pixels."""
+    render = scene.render
+    return tuple(max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y))
+
+
+def apply_camera_size(scene: bpy.types.Scene):
+    """Sets the render's size and pixel aspect to those of the active camera's photograph, if it has one."""
+    data = scene.camera.data if scene.camera is not None and scene.camera.type == "CAMERA" else {}
+    if SIZE in data:
+        scene.render.resolution_x, scene.render.resolution_y = data[SIZE]
+        scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = data[ASPECT]
+
+
+def _without_scale(matrix: Matrix) -> np.ndarray:
+    pose = np.array(matrix, np.float64)
+    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    return pose
+
+
+# --- what belongs together
+
+
+def points_object(name: str, points: np.ndarray, colors: np.ndarray, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A mesh of points (P, 3) float32 with colours (P, 3) uint8, display sRGB."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(len(points))
+    mesh.vertices.foreach_set("co", points.reshape(-1))
+    rgba = np.concatenate([colors / np.float32(255), np.ones((len(colors), 1), np.float32)], axis=1)
+    mesh.attributes.new("Color", "BYTE_COLOR", "POINT").data.foreach_set("color_srgb", rgba.reshape(-1))
+    obj = bpy.data.objects.new(name, mesh)
+    collection.objects.link(obj)
+    return obj
+
+
+def root_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
+    """The empty above the object, or the object itself, in whose coordinates files are."""
+    while obj is not None and ROOT not in obj:
+        obj = obj.parent
+    return obj
+
+
+def new_root(name: str, collection: bpy.types.Collection, matrix: Matrix = AXES) -> bpy.types.Object:
+    root = bpy.data.objects.new(name, None)
+    root[ROOT] = True
+    root.matrix_world = matrix
+    collection.objects.link(root)
+    return root
+
+
+def hang_below(obj: bpy.types.Object, root: bpy.types.Object):
+    """Makes the object share the root's coordinates."""
+    obj.parent = root
+    obj.matrix_parent_inverse.identity()
+    obj.matrix_basis.identity()

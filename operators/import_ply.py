@@ -13,6 +13,7 @@ from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.formats import drop_nonfinite
 from ..svrgs_addon.splat_files import read_scene
 from . import bridge
+from .select import select
 
 
 class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
@@ -36,13 +37,21 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
             except SplatError as error:
                 self.report({"ERROR" if len(paths) == 1 else "WARNING"}, str(error))
                 continue
-            objects.append(bridge.object_from_scene(path.stem, scene, context.collection, bridge.AXES if self.y_down else Matrix()))
+            objects.append(self.add(context, path.stem, scene))
             notes.append(f"{path.name}: {scene.count:,} Gaussians" + f" ({dropped:,} that are not finite left out)" * bool(dropped))
         if not objects:
             return {"CANCELLED"}
         select(context, objects)
         self.report({"INFO"}, "Imported " + "; ".join(notes))
         return {"FINISHED"}
+
+    def add(self, context, name, scene) -> bpy.types.Object:
+        """The splat as an object, beside the cameras of the dataset that is active, if there is one."""
+        obj = bridge.object_from_scene(name, scene, context.collection, bridge.AXES if self.y_down else Matrix())
+        root = bridge.root_of(context.object)
+        if root is not None and self.y_down:
+            bridge.hang_below(obj, root)
+        return obj
 
     def invoke(self, context, event):
         return self.invoke_popup(context) if self.filepath or self.files else ImportHelper.invoke(self, context, event)
@@ -59,16 +68,6 @@ class SVRGS_FH_ply(bpy.types.FileHandler):
     @classmethod
     def poll_drop(cls, context):
         return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
-
-
-def select(context, objects):
-    """Makes these the selection, if the user is where one can be made."""
-    if context.mode == "OBJECT":
-        for obj in context.selected_objects:
-            obj.select_set(False)
-        for obj in objects:
-            obj.select_set(True)
-    context.view_layer.objects.active = objects[-1]
 
 
 def menu(self, context):

@@ -1,8 +1,8 @@
 """What the user sees: one file per panel. Panels know operators and properties by name only."""
 
-from . import scene
+from . import preferences, scene
 
-MODULES = (scene,)
+MODULES = (preferences, scene)
 
 
 def register():
