@@ -66,6 +66,11 @@ def scene_from_object(obj: bpy.types.Object) -> Scene:
     return from_attributes(lambda name: _get(obj.data, name), numbers, obj.data.get(NOTES, ""))
 
 
+def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
+    """(N,) or (N, width) numbers of a splat's further attribute; None where it has none of that name."""
+    return _get(obj.data, name)
+
+
 def _to_point_cloud(obj: bpy.types.Object):
     """Turns the mesh object into a point cloud, in a scene of its own: the user's selection and mode stay as they are."""
     mesh, name = obj.data, obj.data.name

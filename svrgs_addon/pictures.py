@@ -13,17 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from .color_maps import colored
+
 DIFFERENCE_GAIN = 4
 WEBP_QUALITY = 92
-
-# 'inferno' by S. van der Walt and N. Smith (CC0), 17 of its 256 colours: perceptually uniform, readable with any colour
-# vision. Linear between them is within 6 of 255 of the full table.
-_INFERNO_HEX = (
-    "000003 0a0723 200c4a 3c0965 570f6d 70196e 892269 a32b61 bb3754 "
-    "d14643 e45a31 f1721d f98e08 fbac10 f8cb34 f1e968 fcfea4"
-)
-COLOUR_MAP = tuple(f"#{code}" for code in _INFERNO_HEX.split())
-_COLOUR_TABLE = np.array([list(bytes.fromhex(code)) for code in _INFERNO_HEX.split()], np.float64)  # (17, 3) in 0 … 255
 
 
 def mask_to_rgb(mask: np.ndarray, vmax: float | None = None) -> np.ndarray:
@@ -31,11 +24,7 @@ def mask_to_rgb(mask: np.ndarray, vmax: float | None = None) -> np.ndarray:
 
     vmax: the value of the brightest colour; None takes the largest in the mask. Give one vmax to masks to be compared.
     """
-    vmax = float(np.max(mask, initial=0)) if vmax is None else vmax
-    scaled = np.asarray(mask, np.float64) * ((len(_COLOUR_TABLE) - 1) / vmax if vmax > 0 else 0)
-    stops = np.arange(len(_COLOUR_TABLE))
-    channels = [np.interp(scaled, stops, _COLOUR_TABLE[:, c]) for c in range(3)]
-    return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
+    return to_uint8(colored(mask, float(np.max(mask, initial=0)) if vmax is None else vmax))
 
 
 def difference_image(a: np.ndarray, b: np.ndarray, gain: float = DIFFERENCE_GAIN) -> np.ndarray:

@@ -1,0 +1,100 @@
+"""What a picture is made of, read from Blender's dependency graph: the Gaussians of all splats, and the surfaces that hide them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..svrgs_addon.assembly import merged
+from ..svrgs_addon.errors import SceneError
+from ..svrgs_addon.images import linear_to_srgb
+from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.surfaces import Triangles
+from ..svrgs_addon.transform import UNIFORM, stretch, transformed
+from . import bridge
+
+SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+PLAIN = (0.8, 0.8, 0.8)  # linear colour of what has no material
+REMOVED = "removed"  # attribute of Gaussians that pruning would take away: not drawn
+
+Read = Callable[[bpy.types.Object], Scene]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The Gaussians of one picture, in coordinates of their own."""
+
+    scene: Scene
+    matrix: Matrix  # from these coordinates to Blender's world: no shear, no mirroring
+
+    @property
+    def unit(self) -> float:
+        """Length in Blender of one unit of the scene."""
+        return abs(self.matrix.to_3x3().determinant()) ** (1 / 3)
+
+
+def visible_scene(obj: bpy.types.Object) -> Scene:
+    """A splat's Gaussians without those marked as removed."""
+    scene = bridge.scene_from_object(obj)
+    removed = bridge.values(obj, REMOVED)
+    return scene if removed is None else scene.select(removed == 0)
+
+
+def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> Shown | None:
+    """All splats that the graph shows; one alone stays in its own coordinates. None where there is none. Raises SceneError."""
+    found = [(instance.object.original, instance.matrix_world.copy()) for instance in _instances(depsgraph) if bridge.is_splat(instance.object)]
+    if not found:
+        return None
+    scenes = [read(obj) for obj, _ in found]
+    if len(found) == 1 and found[0][1].determinant() > 0 and stretch(found[0][1]) - 1 <= UNIFORM:
+        return Shown(scenes[0], found[0][1])
+    return Shown(merged([transformed(scene, np.array(matrix)) for scene, (_, matrix) in zip(scenes, found, strict=True)]), Matrix())
+
+
+def surfaces(depsgraph: bpy.types.Depsgraph) -> Triangles:
+    """The triangles of everything else that renders as a surface, in Blender's world."""
+    parts = [_triangles(i.object, np.array(i.matrix_world)) for i in _instances(depsgraph) if i.object.type in SURFACES and not bridge.is_splat(i.object)]
+    parts = [(corners, colors) for corners, colors in parts if len(corners)]
+    if not parts:
+        return Triangles(np.empty((0, 3, 3)), np.empty((0, 3)))
+    return Triangles(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = None) -> bpy.types.Object:
+    """The evaluated camera of the render. Raises SceneError."""
+    obj = override or depsgraph.scene.camera
+    if obj is None:
+        raise SceneError("there is no camera to render from; add one, or make one the scene's camera (Ctrl Numpad 0)")
+    return obj.evaluated_get(depsgraph)
+
+
+def _instances(depsgraph: bpy.types.Depsgraph) -> Iterator:
+    return (instance for instance in depsgraph.object_instances if instance.show_self)
+
+
+def _triangles(obj: bpy.types.Object, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    mesh = obj.to_mesh()
+    if mesh is None or not len(mesh.polygons):
+        return np.empty((0, 3, 3)), np.empty((0, 3))
+    mesh.calc_loop_triangles()
+    points, corners, slots = np.empty(len(mesh.vertices) * 3, np.float32), *(np.empty(len(mesh.loop_triangles) * n, np.int32) for n in (3, 1))
+    mesh.vertices.foreach_get("co", points)
+    mesh.loop_triangles.foreach_get("vertices", corners)
+    mesh.loop_triangles.foreach_get("material_index", slots)
+    colors = linear_to_srgb(np.array([_color(slot.material) for slot in obj.material_slots] or [PLAIN], np.float32))
+    obj.to_mesh_clear()
+    world = points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
+    return world[corners.reshape(-1, 3)], colors[np.minimum(slots, len(colors) - 1)]
+
+
+def _color(material: bpy.types.Material | None) -> tuple[float, float, float]:
+    """Base colour, linear."""
+    if material is None:
+        return PLAIN
+    nodes = material.node_tree.nodes if material.use_nodes and material.node_tree else ()
+    shader = next((node for node in nodes if node.type == "BSDF_PRINCIPLED" and not node.inputs["Base Color"].is_linked), None)
+    return tuple(shader.inputs["Base Color"].default_value if shader else material.diffuse_color)[:3]
