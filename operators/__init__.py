@@ -1,8 +1,8 @@
 """What the user can do: one file per verb. bridge.py turns Blender's data into the product's and back."""
 
-from . import active_camera, command_line, export_ply, import_colmap, import_ply, prune, render_engine
+from . import active_camera, command_line, export_ply, import_colmap, import_ply, prune, render_engine, scene_cache, viewport
 
-MODULES = (import_ply, import_colmap, export_ply, prune, active_camera, command_line, render_engine)
+MODULES = (import_ply, import_colmap, export_ply, prune, active_camera, command_line, scene_cache, viewport, render_engine)
 
 
 def register():

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
 from ..svrgs_addon.assembly import merged
+from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.images import linear_to_srgb
+from ..svrgs_addon.lens import intrinsics_of_projection
 from ..svrgs_addon.scene import Scene
-from ..svrgs_addon.surfaces import Triangles
+from ..svrgs_addon.surfaces import Surface, Triangles, surface
 from ..svrgs_addon.transform import UNIFORM, stretch, transformed
 from . import bridge
 
@@ -35,6 +37,19 @@ class Shown:
     def unit(self) -> float:
         """Length in Blender of one unit of the scene."""
         return abs(self.matrix.to_3x3().determinant()) ** (1 / 3)
+
+    def seen_by(self, camera: Camera) -> Camera:
+        """A camera of Blender's world in these coordinates; lengths in it are 1 / unit of Blender's."""
+        viewmat = camera.viewmat @ np.array(self.matrix, np.float64)
+        viewmat[:3] /= abs(np.linalg.det(viewmat[:3, :3])) ** (1 / 3)
+        return replace(camera, viewmat=viewmat)
+
+    def hidden_by(self, triangles: Triangles, camera: Camera) -> Surface | None:
+        """What a camera of Blender's world sees of the triangles, depths in lengths of seen_by(camera)."""
+        if not len(triangles.corners):
+            return None
+        found = surface(triangles, camera)
+        return replace(found, depth=found.depth / np.float32(self.unit))
 
 
 def visible_scene(obj: bpy.types.Object) -> Scene:
@@ -70,6 +85,14 @@ def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = N
     if obj is None:
         raise SceneError("there is no camera to render from; add one, or make one the scene's camera (Ctrl Numpad 0)")
     return obj.evaluated_get(depsgraph)
+
+
+def region_camera(region: bpy.types.Region, view: bpy.types.RegionView3D) -> Camera:
+    """What a 3D viewport sees, in Blender's world. Raises SceneError for views without perspective."""
+    K = intrinsics_of_projection(np.array(view.window_matrix), region.width, region.height)
+    if K is None:
+        raise SceneError("splats are drawn in perspective views only: press Numpad 5")
+    return Camera(bridge.FLIP @ np.array(view.view_matrix, np.float64), K, region.width, region.height)
 
 
 def _instances(depsgraph: bpy.types.Depsgraph) -> Iterator:

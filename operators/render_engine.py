@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import bpy
 import numpy as np
-from mathutils import Color
 
 from ..svrgs_addon import native
-from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.drawing import Drawing, draw_while, film
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.native import Rasterizer
-from ..svrgs_addon.surfaces import surface
 from . import bridge, gather
 from .preferences import threads
+from .viewport import Viewport, to_scene_linear
 
 # Name, channels and kind of each pass beside Combined.
 PASSES = (("Depth", "Z", "VALUE"), ("Alpha", "A", "VALUE"), ("SpatialMask", "X", "VALUE"), ("Count", "X", "VALUE"))
@@ -27,45 +23,51 @@ class SVRGS_engine(bpy.types.RenderEngine):
     bl_use_preview = False
     bl_use_eevee_viewport = True  # materials in Material Preview
 
+    _viewport: Viewport | None = None
+
+    def view_update(self, context, depsgraph):
+        if self._viewport is None:
+            self._viewport = Viewport()
+        self._viewport.update(depsgraph)
+
+    def view_draw(self, context, depsgraph):
+        self.update_stats("", self._viewport.draw(context, depsgraph.scene))
+
     def update_render_passes(self, scene=None, renderlayer=None):
         self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
         for name, channels, kind in PASSES:
             self.register_pass(scene, renderlayer, name, len(channels), channels, kind)
 
     def render(self, depsgraph):
-        x, y, width, height = region(depsgraph.scene.render)
+        rows, columns = region(depsgraph.scene)
+        width, height = columns.stop - columns.start, rows.stop - rows.start
         layers, trouble = empty(width, height), ""
         try:
             native.set_threads(threads(bpy.context))
-            layers = self.picture(depsgraph, (x, y, width, height)) or layers
+            whole = self.picture(depsgraph)
+            layers = {name: pixels[rows, columns] for name, pixels in whole.items()} if whole else layers
         except (SplatError, NativeError) as error:
             trouble = str(error)
         self.hand_in(layers, width, height)  # in every case: Blender crashes on saving nothing
         if trouble:
-            self.error_set(trouble)
             self.report({"ERROR"}, trouble)
 
-    def picture(self, depsgraph, part: tuple[int, int, int, int]) -> dict[str, np.ndarray] | None:
-        """The passes of part of the image (x, y from its lower left corner, width, height), rows from the top; None if stopped."""
-        scene, x, y, width, height = depsgraph.scene, *part
+    def picture(self, depsgraph) -> dict[str, np.ndarray] | None:
+        """The passes of the whole image, rows from the top; None if stopped. (How a Gaussian is projected depends on the size of
+        the image, so a border is cut out of it: it then shows the same pixels.)"""
+        scene = depsgraph.scene
         self.say("Reading splats", 0.0)
         shown = gather.splats(depsgraph)
         if shown is None:
             raise SceneError("there is no splat to render: import one, and look whether its camera icon in the outliner is on")
         camera = gather.camera(depsgraph, self.camera_override)
-        size = bridge.render_size(scene)
-        crop = lambda view: cropped(view, x, size[1] - y - height, width, height)  # noqa: E731
-        view = crop(bridge.camera_from_object(camera, scene, size, shown.matrix))
-        triangles = gather.surfaces(depsgraph)
-        hidden_by = None
-        if len(triangles.corners):
-            self.say("Finding what meshes hide", 0.1)
-            found = surface(triangles, crop(bridge.camera_from_object(camera, scene, size)))
-            hidden_by = replace(found, depth=found.depth / np.float32(shown.unit))
+        view = bridge.camera_from_object(camera, scene, bridge.render_size(scene))
+        self.say("Finding what meshes hide", 0.1)
+        hidden_by = shown.hidden_by(gather.surfaces(depsgraph), view)
         self.say(f"Drawing {shown.scene.count:,} Gaussians", 0.2)
         transparent = scene.render.film_transparent
         background = (0.0, 0.0, 0.0) if transparent else tuple(scene.svrgs_background)
-        drawing = draw_while(lambda: not self.test_break(), Rasterizer(), shown.scene, view, background, hidden_by)
+        drawing = draw_while(lambda: not self.test_break(), Rasterizer(), shown.scene, shown.seen_by(view), background, hidden_by)
         return passes(drawing, transparent, shown.unit) if drawing is not None else None
 
     def say(self, text: str, progress: float):
@@ -95,25 +97,14 @@ def empty(width: int, height: int) -> dict[str, np.ndarray]:
     return {"Combined": np.zeros((height, width, 4), np.float32)} | {name: blank for name, *_ in PASSES}
 
 
-def to_scene_linear() -> np.ndarray:
-    """(3, 3): row of linear sRGB @ this = the file's working space."""
-    return np.array([Color(axis).from_srgb_to_scene_linear() for axis in np.eye(3)], np.float32)
-
-
-def region(render: bpy.types.RenderSettings) -> tuple[int, int, int, int]:
-    """x, y (from the lower left corner), width and height of what is rendered, in pixels of the whole image."""
-    width, height = bridge.render_size(render.id_data)
+def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
+    """Rows from the top, and columns, of the image that are rendered."""
+    width, height = bridge.render_size(scene)
+    render = scene.render
     if not render.use_border:
-        return 0, 0, width, height
-    x, y = int(render.border_min_x * width), int(render.border_min_y * height)
-    return x, y, int(render.border_max_x * width) - x, int(render.border_max_y * height) - y
-
-
-def cropped(camera: Camera, left: int, top: int, width: int, height: int) -> Camera:
-    """Part of the image, from its upper left corner."""
-    K = camera.K.copy()
-    K[:2, 2] -= left, top
-    return replace(camera, K=K, width=width, height=height)
+        return slice(0, height), slice(0, width)
+    low, high = int(render.border_min_y * height), int(render.border_max_y * height)
+    return slice(height - high, height - low), slice(int(render.border_min_x * width), int(render.border_max_x * width))
 
 
 def register():

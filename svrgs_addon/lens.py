@@ -46,6 +46,14 @@ def lens_of(camera: Camera) -> Lens:
     return Lens(camera.width, camera.height, fx * sensor / side, shift, aspect)
 
 
+def intrinsics_of_projection(projection: np.ndarray, width: int, height: int) -> np.ndarray | None:
+    """K (3, 3) float64, pixels, of an OpenGL projection matrix (4, 4); None where it is not a perspective one."""
+    P = np.asarray(projection, np.float64)
+    if P[3, 3] != 0 or P[3, 2] == 0:
+        return None
+    return np.array([[P[0, 0] * width / 2, 0, (1 - P[0, 2]) * width / 2], [0, P[1, 1] * height / 2, (1 + P[1, 2]) * height / 2], [0, 0, 1]])
+
+
 def _fitted(lens: Lens) -> tuple[float, float, float]:
     """Length of the fitted side in pixel widths, height of a pixel over its width, millimetres on that side."""
     ratio = lens.aspect[1] / lens.aspect[0]

@@ -105,6 +105,8 @@ def _spans(x: np.ndarray, y: np.ndarray, width: int, height: int):
         middle, left, right = row + 0.5, np.full(len(row), np.inf), np.full(len(row), -np.inf)
         for k in range(3):
             xs, ys, xe, ye = x[triangle, k], y[triangle, k], x[triangle, k - 1], y[triangle, k - 1]
+            down = ys > ye  # neighbours must round their common edge alike
+            xs, ys, xe, ye = np.where(down, xe, xs), np.where(down, ye, ys), np.where(down, xs, xe), np.where(down, ys, ye)
             crosses = (ys <= middle) != (ye <= middle)
             with np.errstate(divide="ignore", invalid="ignore"):
                 at = xs + (middle - ys) / (ye - ys) * (xe - xs)

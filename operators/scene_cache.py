@@ -1,0 +1,56 @@
+"""The Gaussians of splats that are drawn again and again, until Blender says that an object's data has changed."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..svrgs_addon.finetune.order import morton_order
+from ..svrgs_addon.scene import Scene
+from . import gather
+
+_scenes: dict[int, Scene] = {}  # session_uid of the data: what is visible of it, neighbours in space beside each other in memory
+
+
+def read(obj: bpy.types.Object) -> Scene:
+    """gather.visible_scene(obj), in another order."""
+    uid = obj.data.session_uid
+    if uid not in _scenes:
+        scene = gather.visible_scene(obj)
+        _scenes[uid] = scene.select(morton_order(scene.means))
+    return _scenes[uid]
+
+
+def forget_updated(depsgraph: bpy.types.Depsgraph):
+    """Drops what the last change in the graph made wrong."""
+    for update in depsgraph.updates:
+        changed = update.id.original
+        if isinstance(changed, bpy.types.Object) and update.is_updated_geometry:
+            changed = changed.data
+        if changed is not None:
+            _scenes.pop(changed.session_uid, None)
+
+
+@persistent
+def _after_update(scene, depsgraph=None):
+    if depsgraph is not None:
+        forget_updated(depsgraph)
+
+
+@persistent
+def _forget_all(*_):
+    _scenes.clear()
+
+
+HANDLERS = (("depsgraph_update_post", _after_update), ("load_post", _forget_all), ("undo_post", _forget_all), ("redo_post", _forget_all))
+
+
+def register():
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister():
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)
+    _scenes.clear()
