@@ -71,6 +71,12 @@ def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
     return _get(obj.data, name)
 
 
+def set_values(obj: bpy.types.Object, name: str, numbers: np.ndarray):
+    """Gives a splat a further attribute of one number (N,) float32 a Gaussian, or replaces its values."""
+    _set(obj.data, name, "FLOAT", numbers)
+    obj.data.update_tag()
+
+
 def _to_point_cloud(obj: bpy.types.Object):
     """Turns the mesh object into a point cloud, in a scene of its own: the user's selection and mode stay as they are."""
     mesh, name = obj.data, obj.data.name

@@ -54,20 +54,27 @@ class Shown:
 
 def visible_scene(obj: bpy.types.Object) -> Scene:
     """A splat's Gaussians without those marked as removed."""
-    scene = bridge.scene_from_object(obj)
+    return bridge.scene_from_object(obj).select(visible_rows(obj))
+
+
+def visible_rows(obj: bpy.types.Object) -> np.ndarray:
+    """Rows of a splat's Gaussians that are not marked as removed."""
     removed = bridge.values(obj, REMOVED)
-    return scene if removed is None else scene.select(removed == 0)
+    return np.flatnonzero(removed == 0) if removed is not None else np.arange(bridge.count(obj))
 
 
 def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> Shown | None:
     """All splats that the graph shows; one alone stays in its own coordinates. None where there is none. Raises SceneError."""
     found = [(instance.object.original, instance.matrix_world.copy()) for instance in _instances(depsgraph) if bridge.is_splat(instance.object)]
-    if not found:
-        return None
-    scenes = [read(obj) for obj, _ in found]
-    if len(found) == 1 and found[0][1].determinant() > 0 and stretch(found[0][1]) - 1 <= UNIFORM:
-        return Shown(scenes[0], found[0][1])
-    return Shown(merged([transformed(scene, np.array(matrix)) for scene, (_, matrix) in zip(scenes, found, strict=True)]), Matrix())
+    return placed([(read(obj), matrix) for obj, matrix in found]) if found else None
+
+
+def placed(scenes: list[tuple[Scene, Matrix]]) -> Shown:
+    """Scenes with the matrices that bring them into Blender's world; one alone stays in its own coordinates if it can. Raises SceneError."""
+    scene, matrix = scenes[0]
+    if len(scenes) == 1 and matrix.determinant() > 0 and stretch(matrix) - 1 <= UNIFORM:
+        return Shown(scene, matrix)
+    return Shown(merged([transformed(scene, np.array(matrix)) for scene, matrix in scenes]), Matrix())
 
 
 def surfaces(depsgraph: bpy.types.Depsgraph) -> Triangles:

@@ -66,7 +66,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
         hidden_by = shown.hidden_by(gather.surfaces(depsgraph), view)
         self.say(f"Drawing {shown.scene.count:,} Gaussians", 0.2)
         transparent = scene.render.film_transparent
-        background = (0.0, 0.0, 0.0) if transparent else tuple(scene.svrgs_background)
+        background = (0.0, 0.0, 0.0) if transparent else tuple(scene.svrgs_looking.background)
         drawing = draw_while(lambda: not self.test_break(), Rasterizer(), shown.scene, shown.seen_by(view), background, hidden_by)
         return passes(drawing, transparent, shown.unit) if drawing is not None else None
 
@@ -108,13 +108,8 @@ def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
 
 
 def register():
-    bpy.types.Scene.svrgs_background = bpy.props.FloatVectorProperty(
-        name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, default=(0, 0, 0),
-        description="What shows between the Gaussians; black as in training",
-    )  # fmt: skip
     bpy.utils.register_class(SVRGS_engine)
 
 
 def unregister():
     bpy.utils.unregister_class(SVRGS_engine)
-    del bpy.types.Scene.svrgs_background

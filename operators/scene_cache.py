@@ -3,21 +3,33 @@
 from __future__ import annotations
 
 import bpy
+import numpy as np
 from bpy.app.handlers import persistent
 
 from ..svrgs_addon.finetune.order import morton_order
 from ..svrgs_addon.scene import Scene
-from . import gather
+from . import bridge, gather
 
-_scenes: dict[int, Scene] = {}  # session_uid of the data: what is visible of it, neighbours in space beside each other in memory
+_scenes: dict[int, tuple[Scene, np.ndarray]] = {}  # session_uid of the data: what is visible of it along a Morton curve, and the rows these were
 
 
 def read(obj: bpy.types.Object) -> Scene:
-    """gather.visible_scene(obj), in another order."""
+    """gather.visible_scene(obj) in another order: what lies together in space lies together in memory."""
+    return _entry(obj)[0]
+
+
+def read_values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
+    """(N,) numbers of a further attribute in the order of read(obj); None where there is none."""
+    values = bridge.values(obj, name)
+    return None if values is None else values[_entry(obj)[1]]
+
+
+def _entry(obj: bpy.types.Object) -> tuple[Scene, np.ndarray]:
     uid = obj.data.session_uid
     if uid not in _scenes:
-        scene = gather.visible_scene(obj)
-        _scenes[uid] = scene.select(morton_order(scene.means))
+        scene, rows = bridge.scene_from_object(obj), gather.visible_rows(obj)
+        rows = rows[morton_order(scene.means[rows])]
+        _scenes[uid] = scene.select(rows), rows
     return _scenes[uid]
 
 

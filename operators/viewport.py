@@ -81,7 +81,7 @@ class Viewport:
             camera = gather.region_camera(context.region, context.region_data)
         except (SplatError, NativeError) as error:
             return str(error)
-        job = Job(self.shown, self.triangles, camera, tuple(scene.svrgs_background), scene.render.film_transparent, to_scene_linear())
+        job = Job(self.shown, self.triangles, camera, tuple(scene.svrgs_looking.background), scene.render.film_transparent, to_scene_linear())
         key = self.version, camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, job.background, job.transparent
         self.live.request(key, job)
         if self.live.busy and not bpy.app.timers.is_registered(_refresh):

@@ -1,8 +1,8 @@
 """What the user sees: one file per panel. Panels know operators and properties by name only."""
 
-from . import preferences, scene
+from . import compare, engine, overlay, preferences, scene, spatial_mask
 
-MODULES = (preferences, scene)
+MODULES = (preferences, scene, overlay, spatial_mask, compare, engine)
 
 
 def register():

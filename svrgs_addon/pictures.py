@@ -32,6 +32,34 @@ def difference_image(a: np.ndarray, b: np.ndarray, gain: float = DIFFERENCE_GAIN
     return to_uint8(np.abs(np.asarray(a, np.float32) - b) * gain)
 
 
+def wipe(left: np.ndarray, right: np.ndarray, share: float) -> np.ndarray:
+    """The first `share` of the columns of `left`, the others of `right`; both (H, W, ...)."""
+    image = right.copy()
+    edge = round(share * image.shape[1])
+    image[:, :edge] = left[:, :edge]
+    return image
+
+
+def contact_sheet(rows: list[list[np.ndarray]], columns: int = 2, gap: int = 4) -> np.ndarray:
+    """One picture (H, W, 3) of rows of pictures (h, w, 3) that may differ in size, `columns` rows beside each other; gaps are 0."""
+    strips = [_beside(row, gap) for row in rows]
+    lines = [_beside(strips[i : i + columns], 3 * gap) for i in range(0, len(strips), columns)]
+    return _beside([line.swapaxes(0, 1) for line in lines], gap).swapaxes(0, 1)
+
+
+def _beside(images: list[np.ndarray], gap: int) -> np.ndarray:
+    height = max(image.shape[0] for image in images)
+    padded = [np.pad(image, ((0, height - image.shape[0]), (0, gap), (0, 0))) for image in images]
+    return np.concatenate(padded, axis=1)[:, :-gap]
+
+
+def with_color_bar(rgb: np.ndarray, name: str) -> np.ndarray:
+    """The picture (H, W, 3) in [0, 1] above a bar of the colour map, from low to high."""
+    height, width, _ = rgb.shape
+    bar = colored(np.broadcast_to(np.linspace(0, 1, width), (max(1, height // 16), width)), 1, name)
+    return np.concatenate([rgb, np.zeros((max(1, height // 40), width, 3)), bar])
+
+
 def to_uint8(image: np.ndarray) -> np.ndarray:
     """Floats in [0, 1] (clipped) to 0 … 255, rounded; same shape."""
     return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
