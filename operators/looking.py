@@ -38,7 +38,7 @@ class SVRGS_PG_looking(bpy.types.PropertyGroup):
     wipe: FloatProperty(name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=wipe_image.redraw, description="Original on the left, pruned on the right")
     compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned
 
-    overlay: BoolProperty(name="Draw Splats", update=overlay.switch, description="Draw splats in Solid and Material Preview viewports")
+    overlay: BoolProperty(name="Draw Splats", default=True, update=overlay.switch, description="Draw splats in Solid and Material Preview viewports")
     overlay_shown: EnumProperty(name="Show", items=SHOWN, update=overlay.changed)
     overlay_moving: IntProperty(
         name="While Moving", default=200_000, min=1000, soft_max=2_000_000, update=overlay.changed, description="Gaussians drawn while the view moves"

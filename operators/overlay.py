@@ -1,4 +1,7 @@
-"""Splats in Solid and Material Preview viewports: some of the Gaussians while the view moves, all of them in order when it rests."""
+"""Splats in Solid and Material Preview viewports: some of the Gaussians while the view moves, all of them in order when it rests.
+
+Blender's own points of a splat would hide its Gaussians, so splats have the display type BOUNDS while they are drawn here.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import bpy
 import gpu
 import numpy as np
+from bpy.app.handlers import persistent
 
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.color_maps import colored
@@ -57,7 +61,7 @@ class Cloud:
 
 
 class Overlay:
-    """State of the drawing; there is one, while it is switched on."""
+    """State of the drawing; there is one, but none in background mode."""
 
     def __init__(self):
         self.executor = ThreadPoolExecutor(1, "svrgs-order")
@@ -73,7 +77,8 @@ class Overlay:
 
     def draw(self):
         context = bpy.context
-        if context.space_data.shading.type not in SHADING or not context.space_data.overlay.show_overlays:
+        space = context.space_data
+        if not context.scene.svrgs_looking.overlay or space.shading.type not in SHADING or not space.overlay.show_overlays:
             return
         try:
             camera = gather.region_camera(context.region, context.region_data)
@@ -105,6 +110,7 @@ class Overlay:
 
     def draw_cloud(self, context, cloud: Cloud, camera: Camera):
         region, view = context.region, context.region_data
+        hidden = overlay_gpu.scene_depth(region.width, region.height)
         modelview = np.array(view.view_matrix @ cloud.shown.matrix, np.float64)
         key = modelview.tobytes() + camera.K.tobytes()
         resting = self.resting(region.as_pointer(), key)
@@ -125,7 +131,7 @@ class Overlay:
         }  # fmt: skip
         target = self.target(region)
         lists = {"order": order, "geometry": cloud.geometry, "colors": cloud.colors}
-        overlay_gpu.draw_quads(self.shaders, target, lists, overlay_gpu.scene_depth(region.width, region.height), constants, count)
+        overlay_gpu.draw_quads(self.shaders, target, lists, hidden, constants, count)
         overlay_gpu.lay_over(self.shaders, target)
 
     def some(self, context, cloud: Cloud, backwards: np.ndarray) -> tuple[int, gpu.types.GPUTexture]:
@@ -149,16 +155,15 @@ class Overlay:
         return target
 
 
-_overlay: list[Overlay] = []  # one, where it is switched on
+_overlay: list[Overlay] = []
 
 
 def switch(settings, context):
-    """Draws splats in viewports from now on, or no longer. In background mode there are none."""
-    on = settings.overlay and not bpy.app.background
-    if on and not _overlay:
-        _overlay.append(Overlay())
-    elif not on and _overlay:
-        _overlay.pop().close()
+    """Splats are drawn here from now on, or as points."""
+    own, points = ("BOUNDS", "TEXTURED") if settings.overlay else ("TEXTURED", "BOUNDS")
+    for obj in settings.id_data.objects:
+        if bridge.is_splat(obj) and obj.display_type == points:
+            obj.display_type = own
     redraw(SHADING)
 
 
@@ -175,17 +180,23 @@ def _redraw_once():
     redraw(SHADING)
 
 
-@bpy.app.handlers.persistent
-def _after_load(*_):
-    switch(bpy.context.scene.svrgs_looking, bpy.context)
+@persistent
+def _after_update(scene, *_):
+    """Splats that have come since."""
+    if not bpy.app.background and scene.svrgs_looking.overlay:
+        for obj in scene.objects:
+            if obj.display_type == "TEXTURED" and bridge.is_splat(obj):
+                obj.display_type = "BOUNDS"
 
 
 def register():
-    bpy.app.handlers.load_post.append(_after_load)
+    bpy.app.handlers.depsgraph_update_post.append(_after_update)
+    if not bpy.app.background:
+        _overlay.append(Overlay())
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
+    bpy.app.handlers.depsgraph_update_post.remove(_after_update)
     if bpy.app.timers.is_registered(_redraw_once):
         bpy.app.timers.unregister(_redraw_once)
     while _overlay:

@@ -7,7 +7,6 @@ import bpy
 from .spatial_mask import draw_image
 
 WIPE = "SVR-GS Wipe"
-PICTURES = ("Wipe", "Original", "Pruned", "Difference")
 
 
 class ComparePanel:
@@ -33,7 +32,6 @@ class ComparePanel:
         draw_image(layout, image)
         layout.prop(settings, "wipe", slider=True)
         table(layout, json.loads(settings.compare_result))
-        layout.label(text=f"Images: SVR-GS {', '.join(PICTURES)}")
 
 
 class SVRGS_PT_compare(ComparePanel, bpy.types.Panel):
