@@ -7,6 +7,9 @@ Blender's. A posed photograph is a camera that knows the size of its picture.
 
 from __future__ import annotations
 
+import contextlib
+
+import bmesh
 import bpy
 import numpy as np
 from mathutils import Matrix
@@ -21,6 +24,7 @@ from ..svrgs_addon.transform import UNIFORM, stretch
 NOTES = "svrgs"  # property of a splat's data-block
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
 ROOT = "svrgs_root"  # property of the empty that holds what shares file coordinates
+DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: where its photographs are, the name of their folder
 TYPES = ("MESH", "POINTCLOUD")
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
@@ -60,10 +64,23 @@ def scene_from_object(obj: bpy.types.Object) -> Scene:
     """The Gaussians of a splat, in its local coordinates: those of the file. Raises SceneError."""
     if not is_splat(obj):
         raise SceneError(f"'{obj.name}' is no Gaussian splat" if obj else "there is no object")
-    if obj.mode == "EDIT":
-        obj.update_from_editmode()
-    numbers = [a.name for a in obj.data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
-    return from_attributes(lambda name: _get(obj.data, name), numbers, obj.data.get(NOTES, ""))
+    with _out_of_edit_mode(obj) as data:
+        numbers = [a.name for a in data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
+        return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
+
+
+@contextlib.contextmanager
+def _out_of_edit_mode(obj: bpy.types.Object):
+    """The object's data as it now is: of a mesh in Edit Mode that lies elsewhere."""
+    if obj.type != "MESH" or obj.mode != "EDIT":
+        yield obj.data
+        return
+    now = bpy.data.meshes.new("svrgs")
+    try:
+        bmesh.from_edit_mesh(obj.data).to_mesh(now)
+        yield now
+    finally:
+        bpy.data.meshes.remove(now)
 
 
 def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
