@@ -125,6 +125,7 @@ def _color(material: bpy.types.Material | None) -> tuple[float, float, float]:
     """Base colour, linear."""
     if material is None:
         return PLAIN
-    nodes = material.node_tree.nodes if material.use_nodes and material.node_tree else ()
+    has_nodes = material.node_tree is not None and (bpy.app.version >= (5, 0, 0) or material.use_nodes)
+    nodes = material.node_tree.nodes if has_nodes else ()
     shader = next((node for node in nodes if node.type == "BSDF_PRINCIPLED" and not node.inputs["Base Color"].is_linked), None)
     return tuple(shader.inputs["Base Color"].default_value if shader else material.diffuse_color)[:3]

@@ -40,12 +40,14 @@ def extension_zip(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def data(tiny, tmp_path_factory) -> Path:
-    """tiny/: a dataset and its splat; varied/: cameras of other shapes; distorted/: a lens with distortion. NAME.npz: the cameras."""
+    """tiny/: a dataset and its splat, renders/: what `svrgs render` makes of them; varied/: cameras of other shapes; distorted/: a lens with distortion. NAME.npz: the cameras."""
     import scenes
+    from svrgs_addon import cli
     from svrgs_addon.images import write_image
 
     folder = tmp_path_factory.mktemp("data")
     (folder / "tiny").symlink_to(tiny.folder)
+    assert cli.main(["render", str(tiny.splat), "--colmap", str(tiny.folder), "--out", str(folder / "renders")]) == 0
     views = [replace(scenes.CAMERAS[name], name=f"{name}/{i}.png") for i, name in enumerate(("rotated", "off_centre", "outside", "wide", "narrow"))]
     write_colmap(folder / "varied/sparse/0", views, tiny.truth.means)
     for view in views:
