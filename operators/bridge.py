@@ -89,8 +89,8 @@ def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
 
 
 def set_values(obj: bpy.types.Object, name: str, numbers: np.ndarray):
-    """Gives a splat a further attribute of one number (N,) float32 a Gaussian, or replaces its values."""
-    _set(obj.data, name, "FLOAT", numbers)
+    """Gives a splat a further attribute of one number (N,) a Gaussian, or replaces its values."""
+    _set(obj.data, name, "FLOAT", numbers.astype(np.float32))
     obj.data.update_tag()
 
 

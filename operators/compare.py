@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 
 import bpy
-import numpy as np
 
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
@@ -13,8 +13,8 @@ from ..svrgs_addon.evaluate import render_options, shown
 from ..svrgs_addon.formats import file_size
 from ..svrgs_addon.metrics import flip, psnr, ssim
 from ..svrgs_addon.native import Rasterizer
-from ..svrgs_addon.pictures import contact_sheet, difference_image
-from . import bridge, gather, image_blocks, wipe_image
+from ..svrgs_addon.pictures import contact_sheet, difference_image, to_uint8
+from . import bridge, bridge_graph, bridge_images, wipe_image
 from .contribution import chosen_cameras
 from .preferences import threads
 from .spatial_mask import show_in_editors
@@ -32,12 +32,12 @@ class Pair:
         if not bridge.is_splat(original):
             raise SceneError("there is nothing to compare: choose the original splat, or make it the active object")
         self.objects = original, settings.pruned or pruned_of(original)
-        self.scenes = bridge.scene_from_object(original), gather.visible_scene(self.objects[1])
-        self.placed = [gather.placed([(scene, obj.matrix_world.copy())]) for scene, obj in zip(self.scenes, self.objects, strict=True)]
+        self.scenes = bridge.scene_from_object(original), bridge_graph.visible_scene(self.objects[1])
+        self.placed = [bridge_graph.placed([(scene, obj.matrix_world.copy())]) for scene, obj in zip(self.scenes, self.objects, strict=True)]
         self.rasterizer = Rasterizer()
         native.set_threads(threads(context))
 
-    def pictures(self, camera, background) -> list[np.ndarray]:
+    def pictures(self, camera, background):
         """Both as a viewer's 8 bits hold them; camera in Blender's world."""
         views = [(part.scene, part.seen_by(camera)) for part in self.placed]
         return [shown(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views]
@@ -48,7 +48,7 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
     named = bpy.data.objects.get(f"{original.name} pruned")
     if bridge.is_splat(named):
         return named
-    if bridge.values(original, gather.REMOVED) is not None:
+    if bridge.values(original, bridge_graph.REMOVED) is not None:
         return original
     raise SceneError(f"there is nothing to compare '{original.name}' with: prune it, or choose the pruned splat")
 
@@ -98,12 +98,13 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
         manager, cameras = context.window_manager, chosen_cameras(context)
         manager.progress_begin(0, len(cameras))
         try:
-            pair, rows = Pair(context), []
+            pair, rows, worst = Pair(context), [], math.inf
             for number, obj in enumerate(cameras):
                 camera = bridge.camera_from_object(obj, context.scene)
                 camera = camera.reduced(max(1, max(camera.width, camera.height) // THUMBNAIL))
                 a, b = pair.pictures(camera, tuple(context.scene.svrgs_looking.background))
-                rows.append([a, b, difference_image(a, b) / np.float32(255)])
+                rows.append([to_uint8(a), to_uint8(b), difference_image(a, b)])
+                worst = min(worst, psnr(a, b))
                 manager.progress_update(number + 1)
         except (SplatError, NativeError) as error:
             self.report({"ERROR"}, str(error))
@@ -111,19 +112,18 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
         finally:
             manager.progress_end()
         columns = max(1, round((len(rows) / 3) ** 0.5))
-        show_in_editors(context, image_blocks.put(SHEET, contact_sheet(rows, columns)))
-        worst = min(psnr(a, b) for a, b, _ in rows)
+        show_in_editors(context, bridge_images.put(SHEET, contact_sheet(rows, columns)))
         self.report({"INFO"}, f"{len(rows):,} cameras in '{SHEET}': original, pruned, difference; least alike: {worst:.1f} dB")
         return {"FINISHED"}
 
 
-def photograph(obj: bpy.types.Object) -> np.ndarray | None:
+def photograph(obj: bpy.types.Object):
     """(H, W, 3) display sRGB of the picture behind the camera; None where it has none."""
     images = [background.image for background in obj.data.background_images if background.image is not None]
-    return image_blocks.read(images[0]) if images else None
+    return bridge_images.read(images[0]) if images else None
 
 
-def measured(scene, picture: np.ndarray, photo: np.ndarray | None) -> dict:
+def measured(scene, picture, photo) -> dict:
     """Count and bytes, and how like the photograph it is."""
     row = {"count": scene.count, "bytes": file_size(scene)}
     return row if photo is None else row | {"psnr": psnr(picture, photo), "ssim": float(ssim(picture, photo)), "flip": float(flip(picture, photo))}

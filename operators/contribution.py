@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bpy
-import numpy as np
 from bpy.props import EnumProperty
 
 from ..svrgs_addon import native
@@ -11,7 +10,7 @@ from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.evaluate import render_options
 from ..svrgs_addon.finetune.scores import contribution
 from ..svrgs_addon.native import Rasterizer
-from . import bridge, gather
+from . import bridge, bridge_graph
 from .preferences import threads
 
 NAME = "contribution"
@@ -48,14 +47,14 @@ class SVRGS_OT_contribution(bpy.types.Operator):
         try:
             native.set_threads(threads(context))
             scene = bridge.scene_from_object(obj)
-            shown = gather.placed([(scene, obj.matrix_world.copy())])
+            shown = bridge_graph.placed([(scene, obj.matrix_world.copy())])
             views = [shown.seen_by(_reduced(bridge.camera_from_object(camera, context.scene))) for camera in chosen]
             sums, _, hits = contribution(shown.scene, views, Rasterizer(), render_options(scene))
         except (SplatError, NativeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        bridge.set_values(obj, NAME, sums.astype(np.float32))
-        self.report({"INFO"}, f"{np.count_nonzero(hits == 0):,} of {scene.count:,} Gaussians add nothing to {len(views):,} pictures")
+        bridge.set_values(obj, NAME, sums)
+        self.report({"INFO"}, f"{int((hits == 0).sum()):,} of {scene.count:,} Gaussians add nothing to {len(views):,} pictures")
         return {"FINISHED"}
 
 

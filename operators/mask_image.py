@@ -6,30 +6,28 @@ import json
 import time
 
 import bpy
-import numpy as np
 
 from ..svrgs_addon import color_maps, native
 from ..svrgs_addon.errors import SceneError
-from ..svrgs_addon.images import srgb_to_linear
 from ..svrgs_addon.native import Rasterizer, RenderOptions
 from ..svrgs_addon.pictures import with_color_bar
-from . import bridge, gather, image_blocks, scene_cache
+from . import bridge, bridge_graph, bridge_images, scene_cache
 from .preferences import threads
 
 NAME = "SVR-GS Spatial Mask"
 
 _rasterizer: list[Rasterizer] = []  # one, kept with its buffers
-_last: dict[int, np.ndarray] = {}  # session_uid of a scene: its mask (H, W), to be coloured anew
+_last: dict = {}  # session_uid of a scene: its mask (H, W), to be coloured anew
 
 
 def refresh(context: bpy.types.Context) -> dict:
     """Draws the mask of all visible splats; returns what is known about it. Raises SplatError, NativeError."""
     started = time.perf_counter()
     scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
-    shown = gather.splats(depsgraph, scene_cache.read)
+    shown = bridge_graph.splats(depsgraph, scene_cache.read)
     if shown is None:
         raise SceneError("there is no visible splat: import one")
-    obj = gather.camera(depsgraph)
+    obj = bridge_graph.camera(depsgraph)
     camera = shown.seen_by(_sized(bridge.camera_from_object(obj, scene), scene.svrgs_looking.mask_size))
     native.set_threads(threads(context))
     if not _rasterizer:
@@ -61,8 +59,8 @@ def _write(scene: bpy.types.Scene, result: dict):
     top = settings.mask_top or result["largest"]
     name = settings.mask_colors if settings.mask_colors in color_maps.NAMES else "grey"
     rgb = color_maps.colored(mask, top, name)
-    pixels = srgb_to_linear(rgb) if settings.mask_colors == name else np.repeat(mask[..., None], 3, axis=2)
-    image = image_blocks.put(NAME, pixels, with_color_bar(rgb, name), data=True)
+    pixels = color_maps.pixels(mask, top, settings.mask_colors)
+    image = bridge_images.put(NAME, pixels, with_color_bar(rgb, name), data=True)
     texture = bpy.data.textures.get(NAME) or bpy.data.textures.new(NAME, "IMAGE")
     texture.image = image
 

@@ -1,4 +1,4 @@
-"""Splats in Solid and Material Preview viewports: some of the Gaussians while the view moves, all of them in order when it rests.
+"""Splats in Solid and Material Preview viewports: quads of some Gaussians while the view moves, the native picture when it rests.
 
 Blender's own points of a splat would hide its Gaussians, so splats have the display type BOUNDS while they are drawn here.
 """
@@ -6,153 +6,167 @@ Blender's own points of a splat would hide its Gaussians, so splats have the dis
 from __future__ import annotations
 
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 
 import bpy
 import gpu
-import numpy as np
 from bpy.app.handlers import persistent
 
+from ..svrgs_addon import native
 from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.color_maps import colored
-from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.quads import Quads, back_to_front, colors, quads
+from ..svrgs_addon.errors import NativeError, SplatError
+from ..svrgs_addon.film import lay
+from ..svrgs_addon.lens import depth_of_projection
+from ..svrgs_addon.live_view import LiveView, Picture
+from ..svrgs_addon.quads import Quads, back_to_front, colors, painted, quads
 from ..svrgs_addon.scene import Scene
-from . import bridge, gather, overlay_gpu, scene_cache
+from . import bridge, bridge_gpu, bridge_graph, scene_cache
+from .preferences import threads
 from .viewport import redraw
 
 SHADING = {"SOLID", "MATERIAL"}
 REST = 0.2  # seconds without movement
+SLOW, FAST = 0.12, 0.03  # seconds of a frame beyond which the next has fewer quads and pixels, or more
+LEVELS = 5  # each with half the quads of the one before, and half the pixels a side down to a quarter
 LARGEST = 4.0  # times its size: a Gaussian that stands for others
-TOP = 99.0  # percentile of an attribute that gets the brightest colour
 
 
-def ordered(scene: Scene, cloud: Quads, direction: np.ndarray, eye: np.ndarray, values: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Everything a view at rest needs, in a thread that touches nothing of Blender's: order (N,) and colours (N, 3)."""
-    order = back_to_front(cloud.means, direction)
-    if values is None:
-        return order, colors(scene, cloud.rows, eye)
-    return order, colored(values[cloud.rows], float(np.percentile(values, TOP))).astype(np.float32)
+@dataclass(frozen=True)
+class Job:
+    """A view at rest; the thread that draws it touches nothing of Blender's."""
+
+    cloud: Cloud
+    camera: Camera  # in the coordinates of the shown scene
+    hidden: object  # (H, W) depth of what the viewport shows beside splats, in the same lengths
+
+
+def draw_job(rasterizer, job: Job, _) -> tuple:
+    """(H, W, 4) display sRGB times alpha, and the quads' colours (n, 3) from here."""
+    scene, rows = job.cloud.scene, job.cloud.quads.rows
+    return lay(rasterizer, scene, job.camera, job.hidden), colors(scene, rows, job.camera.position)
 
 
 class Cloud:
-    """The visible splats on the graphics card."""
+    """The visible splats, and some of their Gaussians on the graphics card."""
 
-    def __init__(self, key: tuple, shown: gather.Shown, values: np.ndarray | None):
-        self.key, self.shown, self.values = key, shown, values
-        self.quads = quads(shown.scene)
-        self.geometry = overlay_gpu.texture(self.quads.geometry.reshape(-1, 4), "RGBA32F")
+    def __init__(self, key: tuple, shown: bridge_graph.Shown, scene: Scene, count: int):
+        self.key, self.shown, self.scene = key, shown, scene
+        self.quads: Quads = quads(scene, count)
+        self.geometry = bridge_gpu.texture(self.quads.geometry.reshape(-1, 4), "RGBA32F")
         self.colors: gpu.types.GPUTexture | None = None
-        self.order: tuple[bytes, gpu.types.GPUTexture] | None = None  # of all, for a view
-        self.future: tuple[bytes, Future] | None = None
 
-    def take_order(self, view: bytes, executor: ThreadPoolExecutor, direction: np.ndarray, eye: np.ndarray) -> bool:
-        """Whether the order for this view is there; has it computed if not."""
-        if self.future is not None and self.future[1].done():
-            (done, future), self.future = self.future, None
-            order, shades = future.result()
-            self.order = done, overlay_gpu.texture(order.astype(np.float32)[:, None], "R32F")
-            self.colors = overlay_gpu.texture(np.pad(shades, ((0, 0), (0, 1))), "RGBA16F")
-        if self.order is not None and self.order[0] == view:
-            return True
-        if self.future is None:
-            self.future = view, executor.submit(ordered, self.shown.scene, self.quads, direction, eye, self.values)
-        return False
+    def paint(self, rgb):
+        self.colors = bridge_gpu.texture(rgb, "RGBA16F")
+
+
+class View:
+    """One viewport's region."""
+
+    def __init__(self):
+        self.live = LiveView(draw_job, reductions=(1,))
+        self.seen, self.since, self.level = b"", 0.0, 0
+        self.target: gpu.types.GPUOffScreen | None = None
+        self.texture: tuple[Picture, gpu.types.GPUTexture] | None = None
+
+    def resting(self, view: bytes) -> bool:
+        if self.seen != view:
+            self.seen, self.since = view, time.monotonic()
+        return time.monotonic() - self.since >= REST
+
+    def adapt(self, seconds: float):
+        if seconds > SLOW:
+            self.level = min(self.level + 1, LEVELS - 1)
+        elif seconds < FAST:
+            self.level = max(self.level - 1, 0)
 
 
 class Overlay:
     """State of the drawing; there is one, but none in background mode."""
 
     def __init__(self):
-        self.executor = ThreadPoolExecutor(1, "svrgs-order")
-        self.shaders: overlay_gpu.Shaders | None = None
-        self.targets: dict[int, gpu.types.GPUOffScreen] = {}  # by region
-        self.moved: dict[int, tuple[bytes, float]] = {}  # by region: its view, and since when
+        self.shaders: bridge_gpu.Shaders | None = None
+        self.views: dict[int, View] = {}  # by region
         self.cloud: Cloud | None = None
+        self.changes = 0  # of anything in the scene: an exact picture knows what hides splats
         self.handle = bpy.types.SpaceView3D.draw_handler_add(self.draw, (), "WINDOW", "POST_VIEW")
 
     def close(self):
         bpy.types.SpaceView3D.draw_handler_remove(self.handle, "WINDOW")
-        self.executor.shutdown()
+        for view in self.views.values():
+            view.live.close()
 
     def draw(self):
-        context = bpy.context
-        space = context.space_data
+        context, space = bpy.context, bpy.context.space_data
         if not context.scene.svrgs_looking.overlay or space.shading.type not in SHADING or not space.overlay.show_overlays:
             return
         try:
-            camera = gather.region_camera(context.region, context.region_data)
-            cloud = self.current(context)
-        except SplatError:  # no perspective, or an object without size: the points stay
+            camera = bridge_graph.region_camera(context.region, context.region_data)
+            self.cloud = cloud = self.current(context)
+            if cloud is not None:
+                native.set_threads(threads(context))
+                self.draw_cloud(context, cloud, camera)
+        except (SplatError, NativeError):  # no perspective, an object without size, no library: the panels say so
             return
-        if cloud is not None:
-            self.draw_cloud(context, cloud, camera)
 
     def current(self, context) -> Cloud | None:
         """The splats this viewport shows."""
+        settings = context.scene.svrgs_looking
         found = [obj for obj in context.view_layer.objects if bridge.is_splat(obj) and obj.visible_get(viewport=context.space_data)]
-        name = context.scene.svrgs_looking.overlay_shown
         scenes = [scene_cache.read(obj) for obj in found]
-        key = (name, *((id(scene), tuple(map(tuple, obj.matrix_world))) for scene, obj in zip(scenes, found, strict=True)))
-        if not scenes:
-            self.cloud = None
-        elif self.cloud is None or self.cloud.key != key:
-            shown = gather.placed([(scene, obj.matrix_world.copy()) for scene, obj in zip(scenes, found, strict=True)])
-            self.cloud = Cloud(key, shown, self.values(found, name))
-        return self.cloud
-
-    def values(self, found: list, name: str) -> np.ndarray | None:
-        """Numbers to be shown as colours, in the order of the shown scene; None: its own colours."""
-        if name == "COLOR":
+        places = [(id(scene), tuple(map(tuple, obj.matrix_world))) for scene, obj in zip(scenes, found, strict=True)]
+        key = settings.overlay_shown, settings.overlay_moving, *places
+        if not found:
             return None
-        parts = [scene_cache.read_values(obj, name) for obj in found]
-        return None if any(part is None for part in parts) else np.concatenate(parts)
+        if self.cloud is not None and self.cloud.key == key:
+            return self.cloud
+        shown = bridge_graph.placed([(scene, obj.matrix_world.copy()) for scene, obj in zip(scenes, found, strict=True)])
+        return Cloud(key, shown, painted(shown.scene, [scene_cache.read_values(obj, settings.overlay_shown) for obj in found]), settings.overlay_moving)
 
     def draw_cloud(self, context, cloud: Cloud, camera: Camera):
-        region, view = context.region, context.region_data
-        hidden = overlay_gpu.scene_depth(region.width, region.height)
-        modelview = np.array(view.view_matrix @ cloud.shown.matrix, np.float64)
-        key = modelview.tobytes() + camera.K.tobytes()
-        resting = self.resting(region.as_pointer(), key)
-        backwards, eye = -modelview[2, :3], -np.linalg.inv(modelview[:3, :3]) @ modelview[:3, 3]
-        ready = resting and cloud.take_order(key, self.executor, backwards, eye)
-        if not ready:
-            _redraw_later()
-        count, order = (cloud.shown.scene.count, cloud.order[1]) if ready else self.some(context, cloud, backwards)
+        region, space = context.region, context.space_data
+        view = self.views.setdefault(region.as_pointer(), View())
+        self.shaders = self.shaders or bridge_gpu.Shaders()
+        hidden, depth = bridge_gpu.scene_depth(region.width, region.height)
+        local = cloud.shown.seen_by(camera)
+        where = local.viewmat.tobytes() + camera.K.tobytes() + repr(cloud.key).encode()
+        if view.resting(where):
+            key = where, self.changes, space.shading.type, space.shading.show_xray
+            view.live.request(key, Job(cloud, local, depth_of_projection(context.region_data.window_matrix, depth) / cloud.shown.unit))
+            picture = view.live.picture()
+            if picture is not None and picture.key == key and picture.error is None:
+                bridge_gpu.lay_over(self.shaders, self.exact(view, cloud, picture))
+                return
+        if not bpy.app.timers.is_registered(_redraw_once):
+            bpy.app.timers.register(_redraw_once, first_interval=REST / 2)
+        started = time.perf_counter()
+        self.draw_quads(context, view, cloud, camera, hidden)
+        bridge_gpu.lay_over(self.shaders, view.target.texture_color)
+        view.adapt(time.perf_counter() - started)
+
+    def exact(self, view: View, cloud: Cloud, picture: Picture) -> gpu.types.GPUTexture:
+        if view.texture is None or view.texture[0] is not picture:
+            pixels, shades = picture.result
+            view.texture = picture, bridge_gpu.picture(pixels)
+            cloud.paint(shades)
+        return view.texture[1]
+
+    def draw_quads(self, context, view: View, cloud: Cloud, camera: Camera, hidden: gpu.types.GPUTexture):
+        modelview = context.region_data.view_matrix @ cloud.shown.matrix
         if cloud.colors is None:
-            first = colors(cloud.shown.scene, cloud.quads.rows[:count], eye)
-            cloud.colors = overlay_gpu.texture(np.pad(first, ((0, 0), (0, 1))), "RGBA16F")
-        self.shaders = self.shaders or overlay_gpu.Shaders()
-        P, (fx, _, cx), (_, fy, cy) = view.window_matrix, *camera.K[:2]
+            cloud.paint(colors(cloud.scene, cloud.quads.rows, cloud.shown.seen_by(camera).position))
+        count, reduction = max(1, len(cloud.quads.rows) >> view.level), min(1 << view.level, 4)
+        order = back_to_front(cloud.quads.means[:count], -modelview.row[2].xyz)
+        width, height = (max(1, side // reduction) for side in (camera.width, camera.height))
+        if view.target is None or (view.target.width, view.target.height) != (width, height):
+            view.target = gpu.types.GPUOffScreen(width, height, format="RGBA16F")
+        small, P = camera.resized(width, height), context.region_data.window_matrix
         constants = {
-            "modelview": view.view_matrix @ cloud.shown.matrix, "lens": (fx, fy, cx, cy), "size": (region.width, region.height),
+            "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]), "size": (width, height),
             "depth_scale": P[2][2], "depth_shift": P[2][3], "near": context.space_data.clip_start,
-            "enlarge": min(cloud.shown.scene.count / max(count, 1), LARGEST**2), "antialiased": float(cloud.shown.scene.antialiased),
+            "enlarge": min(cloud.scene.count / count, LARGEST**2), "antialiased": float(cloud.scene.antialiased), "reduction": reduction,
         }  # fmt: skip
-        target = self.target(region)
-        lists = {"order": order, "geometry": cloud.geometry, "colors": cloud.colors}
-        overlay_gpu.draw_quads(self.shaders, target, lists, hidden, constants, count)
-        overlay_gpu.lay_over(self.shaders, target)
-
-    def some(self, context, cloud: Cloud, backwards: np.ndarray) -> tuple[int, gpu.types.GPUTexture]:
-        """A part of the Gaussians that can be ordered at once."""
-        count = min(cloud.shown.scene.count, context.scene.svrgs_looking.overlay_moving)
-        order = back_to_front(cloud.quads.means[:count], backwards)
-        return count, overlay_gpu.texture(order.astype(np.float32)[:, None], "R32F")
-
-    def resting(self, region: int, view: bytes) -> bool:
-        last, since = self.moved.get(region, (b"", 0.0))
-        if last != view:
-            since = time.monotonic()
-            self.moved[region] = view, since
-        return time.monotonic() - since >= REST
-
-    def target(self, region: bpy.types.Region) -> gpu.types.GPUOffScreen:
-        target = self.targets.get(region.as_pointer())
-        if target is None or (target.width, target.height) != (region.width, region.height):
-            target = gpu.types.GPUOffScreen(region.width, region.height, format="RGBA16F")
-            self.targets[region.as_pointer()] = target
-        return target
+        lists = {"order": bridge_gpu.texture(order, "R32F"), "geometry": cloud.geometry, "colors": cloud.colors}
+        bridge_gpu.draw_quads(self.shaders, view.target, lists, hidden, constants, count)
 
 
 _overlay: list[Overlay] = []
@@ -171,18 +185,15 @@ def changed(settings, context):
     redraw(SHADING)
 
 
-def _redraw_later():
-    if not bpy.app.timers.is_registered(_redraw_once):
-        bpy.app.timers.register(_redraw_once, first_interval=REST / 2)
-
-
 def _redraw_once():
     redraw(SHADING)
 
 
 @persistent
 def _after_update(scene, *_):
-    """Splats that have come since."""
+    """Splats that have come since, and what hides them."""
+    for overlay in _overlay:
+        overlay.changes += 1
     if not bpy.app.background and scene.svrgs_looking.overlay:
         for obj in scene.objects:
             if obj.display_type == "TEXTURED" and bridge.is_splat(obj):

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import bpy
-import numpy as np
 
 from ..svrgs_addon import native
-from ..svrgs_addon.drawing import Drawing, draw_while, film
+from ..svrgs_addon.drawing import draw_while
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
+from ..svrgs_addon.film import PASSES, blank, passes
 from ..svrgs_addon.native import Rasterizer
-from . import bridge, gather
+from . import bridge, bridge_graph, bridge_images
+from .bridge_images import working_space
 from .preferences import threads
-from .viewport import Viewport, to_scene_linear
-
-# Name, channels and kind of each pass beside Combined.
-PASSES = (("Depth", "Z", "VALUE"), ("Alpha", "A", "VALUE"), ("SpatialMask", "X", "VALUE"), ("Count", "X", "VALUE"))
+from .viewport import Viewport
 
 
 class SVRGS_engine(bpy.types.RenderEngine):
@@ -41,7 +39,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
     def render(self, depsgraph):
         rows, columns = region(depsgraph.scene)
         width, height = columns.stop - columns.start, rows.stop - rows.start
-        layers, trouble = empty(width, height), ""
+        layers, trouble = blank(height, width), ""
         try:
             native.set_threads(threads(bpy.context))
             whole = self.picture(depsgraph)
@@ -52,49 +50,36 @@ class SVRGS_engine(bpy.types.RenderEngine):
         if trouble:
             self.report({"ERROR"}, trouble)
 
-    def picture(self, depsgraph) -> dict[str, np.ndarray] | None:
+    def picture(self, depsgraph) -> dict | None:
         """The passes of the whole image, rows from the top; None if stopped. (How a Gaussian is projected depends on the size of
         the image, so a border is cut out of it: it then shows the same pixels.)"""
         scene = depsgraph.scene
         self.say("Reading splats", 0.0)
-        shown = gather.splats(depsgraph)
+        shown = bridge_graph.splats(depsgraph)
         if shown is None:
             raise SceneError("there is no splat to render: import one, and look whether its camera icon in the outliner is on")
-        camera = gather.camera(depsgraph, self.camera_override)
+        camera = bridge_graph.camera(depsgraph, self.camera_override)
         view = bridge.camera_from_object(camera, scene, bridge.render_size(scene))
         self.say("Finding what meshes hide", 0.1)
-        hidden_by = shown.hidden_by(gather.surfaces(depsgraph), view)
+        hidden_by = shown.hidden_by(bridge_graph.surfaces(depsgraph), view)
         self.say(f"Drawing {shown.scene.count:,} Gaussians", 0.2)
         transparent = scene.render.film_transparent
         background = (0.0, 0.0, 0.0) if transparent else tuple(scene.svrgs_looking.background)
         drawing = draw_while(lambda: not self.test_break(), Rasterizer(), shown.scene, shown.seen_by(view), background, hidden_by)
-        return passes(drawing, transparent, shown.unit) if drawing is not None else None
+        return passes(drawing, transparent, shown.unit, working_space()) if drawing is not None else None
 
     def say(self, text: str, progress: float):
         self.update_stats("", text)
         self.update_progress(progress)
 
-    def hand_in(self, layers: dict[str, np.ndarray], width: int, height: int):
+    def hand_in(self, layers: dict, width: int, height: int):
         for name, channels, _ in PASSES:
             self.add_pass(name, len(channels), channels)
         result = self.begin_result(0, 0, width, height)
         for name, pixels in layers.items():
-            result.layers[0].passes[name].rect.foreach_set(np.ascontiguousarray(pixels[::-1], np.float32).reshape(-1))
+            result.layers[0].passes[name].rect.foreach_set(bridge_images.flat(pixels))
         self.end_result(result)
         self.update_progress(1.0)
-
-
-def passes(drawing: Drawing, transparent: bool, unit: float) -> dict[str, np.ndarray]:
-    """Pixels of every pass by name, rows from the top; unit: Blender's length of the drawing's."""
-    combined = film(drawing, transparent)
-    combined[..., :3] = combined[..., :3] @ to_scene_linear()
-    depth = np.where(drawing.depth < 1e10, drawing.depth * np.float32(unit), drawing.depth)
-    return {"Combined": combined, "Depth": depth, "Alpha": drawing.alpha, "SpatialMask": drawing.mask, "Count": drawing.hits}
-
-
-def empty(width: int, height: int) -> dict[str, np.ndarray]:
-    blank = np.zeros((height, width), np.float32)
-    return {"Combined": np.zeros((height, width, 4), np.float32)} | {name: blank for name, *_ in PASSES}
 
 
 def region(scene: bpy.types.Scene) -> tuple[slice, slice]:

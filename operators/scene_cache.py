@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 import bpy
-import numpy as np
 from bpy.app.handlers import persistent
 
 from ..svrgs_addon.finetune.order import morton_order
 from ..svrgs_addon.scene import Scene
-from . import bridge, gather
+from . import bridge, bridge_graph
 
-_scenes: dict[int, tuple[Scene, np.ndarray]] = {}  # session_uid of the data: what is visible of it along a Morton curve, and the rows these were
+_scenes: dict[int, tuple] = {}  # session_uid of the data: what is visible of it along a Morton curve, and the rows these were
 
 
 def read(obj: bpy.types.Object) -> Scene:
-    """gather.visible_scene(obj) in another order: what lies together in space lies together in memory."""
+    """bridge_graph.visible_scene(obj) in another order: what lies together in space lies together in memory."""
     return _entry(obj)[0]
 
 
-def read_values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
+def read_values(obj: bpy.types.Object, name: str):
     """(N,) numbers of a further attribute in the order of read(obj); None where there is none."""
     values = bridge.values(obj, name)
     return None if values is None else values[_entry(obj)[1]]
 
 
-def _entry(obj: bpy.types.Object) -> tuple[Scene, np.ndarray]:
+def _entry(obj: bpy.types.Object) -> tuple:
     uid = obj.data.session_uid
     if uid not in _scenes:
-        scene, rows = bridge.scene_from_object(obj), gather.visible_rows(obj)
+        scene, rows = bridge.scene_from_object(obj), bridge_graph.visible_rows(obj)
         rows = rows[morton_order(scene.means[rows])]
         _scenes[uid] = scene.select(rows), rows
     return _scenes[uid]

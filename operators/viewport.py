@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import bpy
 import gpu
-import numpy as np
 from gpu_extras.presets import draw_texture_2d
-from mathutils import Color
 
 from ..svrgs_addon import native
 from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.drawing import draw, film
+from ..svrgs_addon.drawing import draw
 from ..svrgs_addon.errors import NativeError, SplatError
+from ..svrgs_addon.film import film
 from ..svrgs_addon.live_view import LiveView, Picture
 from ..svrgs_addon.surfaces import Triangles
-from . import gather, scene_cache
+from . import bridge_gpu, bridge_graph, scene_cache
+from .bridge_images import working_space
 from .preferences import threads
 
 REFRESH = 0.05  # seconds between two looks whether a better picture is ready
@@ -29,22 +29,20 @@ _open: weakref.WeakSet[Viewport] = weakref.WeakSet()
 class Job:
     """One view; the thread that draws it touches nothing of Blender's."""
 
-    shown: gather.Shown
+    shown: bridge_graph.Shown
     triangles: Triangles
     camera: Camera  # in Blender's world
     background: tuple[float, float, float]
     transparent: bool
-    to_scene_linear: np.ndarray
+    working_space: list
 
 
-def draw_job(rasterizer, job: Job, reduction: int) -> np.ndarray:
-    """(H, W, 4) float32 in the file's working space, times alpha, rows from the bottom."""
+def draw_job(rasterizer, job: Job, reduction: int):
+    """(H, W, 4) float32 in the file's working space, times alpha."""
     camera = job.camera.reduced(reduction)
     background = (0.0, 0.0, 0.0) if job.transparent else job.background
     drawing = draw(rasterizer, job.shown.scene, job.shown.seen_by(camera), background, job.shown.hidden_by(job.triangles, camera))
-    pixels = film(drawing, job.transparent)
-    pixels[..., :3] = pixels[..., :3] @ job.to_scene_linear
-    return np.ascontiguousarray(pixels[::-1])
+    return film(drawing, job.transparent, job.working_space)
 
 
 class Viewport:
@@ -52,7 +50,7 @@ class Viewport:
 
     def __init__(self):
         self.live = LiveView(draw_job)
-        self.shown: gather.Shown | None = None
+        self.shown: bridge_graph.Shown | None = None
         self.triangles: Triangles | None = None
         self.trouble = ""
         self.version = 0  # of what is shown
@@ -67,8 +65,8 @@ class Viewport:
         scene_cache.forget_updated(depsgraph)
         self.version += 1
         try:
-            self.shown, self.trouble = gather.splats(depsgraph, scene_cache.read), ""
-            self.triangles = gather.surfaces(depsgraph)
+            self.shown, self.trouble = bridge_graph.splats(depsgraph, scene_cache.read), ""
+            self.triangles = bridge_graph.surfaces(depsgraph)
         except SplatError as error:
             self.shown, self.trouble = None, str(error)
 
@@ -78,10 +76,10 @@ class Viewport:
             return self.trouble or "There is no splat to show: import one"
         try:
             native.set_threads(threads(context))
-            camera = gather.region_camera(context.region, context.region_data)
+            camera = bridge_graph.region_camera(context.region, context.region_data)
         except (SplatError, NativeError) as error:
             return str(error)
-        job = Job(self.shown, self.triangles, camera, tuple(scene.svrgs_looking.background), scene.render.film_transparent, to_scene_linear())
+        job = Job(self.shown, self.triangles, camera, tuple(scene.svrgs_looking.background), scene.render.film_transparent, working_space())
         key = self.version, camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, job.background, job.transparent
         self.live.request(key, job)
         if self.live.busy and not bpy.app.timers.is_registered(_refresh):
@@ -96,17 +94,10 @@ class Viewport:
 
     def _put(self, picture: Picture, region: bpy.types.Region):
         if self.texture is None or self.texture[0] is not picture:
-            height, width, _ = picture.result.shape
-            values = gpu.types.Buffer("FLOAT", picture.result.size, picture.result.reshape(-1))
-            self.texture = picture, gpu.types.GPUTexture((width, height), format="RGBA16F", data=values)
+            self.texture = picture, bridge_gpu.picture(picture.result)
         gpu.state.blend_set("ALPHA_PREMULT")
         draw_texture_2d(self.texture[1], (0, 0), region.width, region.height)
         gpu.state.blend_set("NONE")
-
-
-def to_scene_linear() -> np.ndarray:
-    """(3, 3): a row of linear sRGB @ this = the file's working space."""
-    return np.array([Color(axis).from_srgb_to_scene_linear() for axis in np.eye(3)], np.float32)
 
 
 def redraw(shading: set[str]):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .images import srgb_to_linear
+
 # By S. van der Walt, N. Smith and E. Firing (CC0), 17 of 256 colours each. Linear between them is within 7 of 255 of the full tables.
 _HEX = {
     "inferno": "000003 0a0723 200c4a 3c0965 570f6d 70196e 892269 a32b61 bb3754 d14643 e45a31 f1721d f98e08 fbac10 f8cb34 f1e968 fcfea4",
@@ -17,6 +19,11 @@ NAMES = tuple(_HEX)
 def hex_colors(name: str = "inferno") -> tuple[str, ...]:
     """The map's colours from low to high, '#rrggbb', evenly spaced."""
     return tuple(f"#{code}" for code in _HEX[name].split())
+
+
+def pixels(values: np.ndarray, top: float, name: str) -> np.ndarray:
+    """values (H, W) as linear colours (H, W, 3) of the map; as they are, three times, where `name` is none."""
+    return srgb_to_linear(colored(values, top, name)) if name in NAMES else np.repeat(values[..., None], 3, axis=2)
 
 
 def colored(values: np.ndarray, top: float, name: str = "inferno") -> np.ndarray:

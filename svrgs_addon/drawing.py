@@ -10,7 +10,6 @@ import numpy as np
 
 from .camera import Camera
 from .errors import Cancelled
-from .images import srgb_to_linear
 from .native import Rasterizer, RenderOptions
 from .scene import Scene
 from .surfaces import Surface
@@ -66,18 +65,6 @@ def draw_while(wanted: Callable[[], bool], rasterizer: Rasterizer, *arguments) -
     if isinstance(result[0], BaseException):
         raise result[0]
     return result[0]
-
-
-def film(drawing: Drawing, transparent: bool) -> np.ndarray:
-    """(H, W, 4) float32 linear colour (sRGB primaries) times alpha: a view transform that only encodes gives back the drawing.
-
-    transparent: the drawing was made over black, and what it does not cover is to stay clear.
-    """
-    if not transparent:
-        return np.concatenate([srgb_to_linear(drawing.rgb), np.ones_like(drawing.alpha)[..., None]], axis=-1)
-    alpha = drawing.covered[..., None]
-    straight = np.divide(drawing.rgb, alpha, out=np.zeros_like(drawing.rgb), where=alpha > 0)
-    return np.concatenate([srgb_to_linear(straight) * alpha, alpha], axis=-1)
 
 
 def _unhidden(images: dict) -> Drawing:

@@ -54,6 +54,13 @@ def intrinsics_of_projection(projection: np.ndarray, width: int, height: int) ->
     return np.array([[P[0, 0] * width / 2, 0, (1 - P[0, 2]) * width / 2], [0, P[1, 1] * height / 2, (1 + P[1, 2]) * height / 2], [0, 0, 1]])
 
 
+def depth_of_projection(projection: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Distances along the camera's axis, float32, of an OpenGL depth buffer's values in [0, 1]; infinite at 1."""
+    P = np.asarray(projection, np.float64)
+    with np.errstate(divide="ignore"):
+        return np.where(values < 1, P[2, 3] / (2.0 * values - 1 + P[2, 2]), np.inf).astype(np.float32)
+
+
 def _fitted(lens: Lens) -> tuple[float, float, float]:
     """Length of the fitted side in pixel widths, height of a pixel over its width, millimetres on that side."""
     ratio = lens.aspect[1] / lens.aspect[0]

@@ -26,11 +26,11 @@ class LiveView:
     """One thread that draws the newest request; the main thread asks for pictures and never waits.
 
     draw: (rasterizer, job, reduction) to what a picture holds; it runs in that thread and must stop with Cancelled once
-    rasterizer.cancel[0] is set.
+    rasterizer.cancel[0] is set. reductions: of the pictures of a request, the last one being 1.
     """
 
-    def __init__(self, draw: Callable[[Rasterizer, object, int], object]):
-        self._draw = draw
+    def __init__(self, draw: Callable[[Rasterizer, object, int], object], reductions: tuple[int, ...] = (COARSE, 1)):
+        self._draw, self._reductions = draw, reductions
         self._rasterizer = Rasterizer()
         self._changed = threading.Condition()
         self._wanted: tuple[object, object] | None = None  # key, job
@@ -79,7 +79,7 @@ class LiveView:
                     return
                 key, job = self._wanted
                 self._started = key
-            for reduction in (COARSE, 1):
+            for reduction in self._reductions:
                 if not self._attempt(key, job, reduction):
                     break
 

@@ -2,32 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from . import activation
+from .color_maps import colored
 from .scene import SH_C0, Scene
 from .sh_rotation import band
 from .transform import rotation_matrices
 
 BLOCK = 65_536
 SEED = 1
+TOP = 99.0  # percentile of the numbers that gets the brightest colour
 
 
 @dataclass(frozen=True)
 class Quads:
-    """A scene in random order: any first part of it stands for the whole."""
+    """Some Gaussians of a scene in random order: any first part of them stands for the whole."""
 
-    rows: np.ndarray  # (N,) int64: the row of the scene each comes from
-    means: np.ndarray  # (N, 3) float32
-    geometry: np.ndarray  # (N, 3, 4) float32: mean, opacity; covariance xx xy xz, 0; yy yz zz, 0
+    rows: np.ndarray  # (n,) int64: the row of the scene each comes from
+    means: np.ndarray  # (n, 3) float32
+    geometry: np.ndarray  # (n, 3, 4) float32: mean, opacity; covariance xx xy xz, 0; yy yz zz, 0
 
 
-def quads(scene: Scene) -> Quads:
-    rows = np.random.default_rng(SEED).permutation(scene.count)
-    geometry = np.zeros((scene.count, 3, 4), np.float32)
-    for start in range(0, scene.count, BLOCK):
+def quads(scene: Scene, count: int) -> Quads:
+    """At most `count` Gaussians."""
+    rows = np.random.default_rng(SEED).permutation(scene.count)[:count]
+    geometry = np.zeros((len(rows), 3, 4), np.float32)
+    for start in range(0, len(rows), BLOCK):
         part = rows[start : start + BLOCK]
         axes = rotation_matrices(scene.quats[part]) * np.exp(scene.log_scales[part].astype(np.float64))[:, None, :]
         S = axes @ axes.swapaxes(1, 2)
@@ -44,6 +47,19 @@ def back_to_front(means: np.ndarray, direction: np.ndarray) -> np.ndarray:
     keys = np.where(bits >> 31 == 1, ~bits, bits | np.uint32(1 << 31))  # unsigned integers in the order of the floats
     order = np.argsort((keys & 0xFFFF).astype(np.uint16), kind="stable")  # 16 bits at a time: NumPy sorts them by radix
     return order[np.argsort((keys >> 16).astype(np.uint16)[order], kind="stable")]
+
+
+def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
+    """The scene in colours of numbers, given part by part (N_i,); as it is where a part has none."""
+    if any(part is None for part in values):
+        return scene
+    joined = np.concatenate(values)
+    return recolored(scene, colored(joined, float(np.percentile(joined, TOP)) if len(joined) else 1.0))
+
+
+def recolored(scene: Scene, rgb: np.ndarray) -> Scene:
+    """The scene with colours (N, 3), display sRGB in [0, 1], that do not depend on the direction."""
+    return replace(scene, sh=np.ascontiguousarray(((rgb - 0.5) / SH_C0)[:, None], np.float32))
 
 
 def colors(scene: Scene, rows: np.ndarray, eye: np.ndarray) -> np.ndarray:

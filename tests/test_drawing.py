@@ -8,7 +8,8 @@ import pytest
 import scenes
 from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.camera import Camera
-from svrgs_addon.drawing import FAR, draw, draw_while, film
+from svrgs_addon.drawing import FAR, draw, draw_while
+from svrgs_addon.film import film, lay
 from svrgs_addon.images import linear_to_srgb
 from svrgs_addon.native import Rasterizer, RenderOptions
 from svrgs_addon.surfaces import Surface, Triangles, surface
@@ -83,6 +84,17 @@ def test_the_film_encodes_back_to_the_drawing(scene):
     assert (opaque[..., 3] == 1).all()
     straight = clear[..., :3] / np.maximum(clear[..., 3:], 1e-9)
     np.testing.assert_allclose(linear_to_srgb(straight) * clear[..., 3:], drawing.rgb, atol=1e-5)
+
+
+def test_another_working_space_holds_the_same_colours(scene):
+    drawing, swapped = draw(Rasterizer(), scene, CAMERA), ((0, 1, 0), (1, 0, 0), (0, 0, 1))
+    np.testing.assert_array_equal(film(drawing, False, swapped)[..., [1, 0, 2, 3]], film(drawing, False))
+
+
+def test_laid_over_a_picture_it_shows_what_is_before_it(scene):
+    hidden = plane(float(np.median(depths(scene)))).depth
+    rgba, drawing = lay(Rasterizer(), scene, CAMERA, hidden), draw(Rasterizer(), scene, CAMERA, surface=plane(hidden[0, 0], (1, 1, 1)))
+    np.testing.assert_allclose(rgba[..., :3] + (1 - rgba[..., 3:]), drawing.rgb, atol=1e-6)
 
 
 # --- surfaces

@@ -40,7 +40,8 @@ def extension_zip(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def data(tiny, tmp_path_factory) -> Path:
-    """tiny/: a dataset and its splat, renders/: what `svrgs render` makes of them; varied/: cameras of other shapes; distorted/: a lens with distortion. NAME.npz: the cameras."""
+    """tiny/: a dataset and its splat; renders/: what `svrgs render` makes of them; varied/: cameras of other shapes; distorted/: a lens
+    with distortion. NAME.npz: the cameras."""
     import scenes
     from svrgs_addon import cli
     from svrgs_addon.images import write_image

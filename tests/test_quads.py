@@ -10,13 +10,14 @@ import scenes
 from reference import rasterize as ref
 from svrgs_addon.activation import opacities
 from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.quads import back_to_front, colors, quads
+from svrgs_addon.quads import back_to_front, colors, quads, recolored
 from svrgs_addon.transform import rotation_matrices
 
 
 def test_each_gaussian_has_its_mean_opacity_and_covariance_once():
     scene = scenes.random_scene(500)
-    cloud = quads(scene)
+    cloud = quads(scene, 1000)
+    np.testing.assert_array_equal(quads(scene, 20).geometry, cloud.geometry[:20])
     assert sorted(cloud.rows) == list(range(500)) and (np.diff(cloud.rows) < 0).any()
     np.testing.assert_array_equal(cloud.means, scene.means[cloud.rows])
     np.testing.assert_array_equal(cloud.geometry[:, 0], np.column_stack([cloud.means, opacities(scene.opacity_logits)[cloud.rows]]))
@@ -39,3 +40,9 @@ def test_colours_are_the_rasterizers():
     means, sh, viewmat = (torch.tensor(array, dtype=torch.float64) for array in (scene.means[rows], scene.sh[rows], camera.viewmat))
     expected = ref.view_colours(means, sh, viewmat, 3)
     np.testing.assert_allclose(colors(scene, rows, camera.position), expected.clamp(min=0), atol=1e-5)
+
+
+def test_a_recoloured_scene_has_these_colours_from_everywhere():
+    scene, rgb = room(50), np.random.default_rng(0).random((50, 3))
+    for eye in ((0, 0, 9), (3, 0, 0)):
+        np.testing.assert_allclose(colors(recolored(scene, rgb), np.arange(50), np.array(eye)), rgb, atol=1e-6)

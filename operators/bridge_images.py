@@ -1,17 +1,19 @@
-"""Pictures as Blender's images: by name, made anew only where size or kind changed, with a preview that panels show."""
+"""Arrays <-> Blender's images: by name, made anew only where size or kind changed, with a preview that panels show."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
+from mathutils import Color
 
+from ..svrgs_addon.film import SRGB_PRIMARIES
 from ..svrgs_addon.images import linear_to_srgb
 
 PREVIEW = 256  # longer side, pixels
 
 
 def put(name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: bool = False) -> bpy.types.Image:
-    """The image of that name now holds `pixels` (H, W, 3), rows from the top.
+    """The image of that name now holds `pixels` (H, W, 3), float or uint8, rows from the top.
 
     data: 32-bit numbers, colour space Non-Color; else 8 bits, display sRGB. preview: (h, w, 3) display sRGB, default: pixels.
     """
@@ -43,9 +45,19 @@ def read(image: bpy.types.Image) -> np.ndarray | None:
     return np.ascontiguousarray(rgb * values[..., 3:] if image.channels == 4 and not image.is_float else rgb)
 
 
+def flat(pixels: np.ndarray) -> np.ndarray:
+    """float32 numbers in Blender's order of (H, W) or (H, W, channels), rows from the top."""
+    return np.ascontiguousarray(pixels[::-1], np.float32).reshape(-1)
+
+
+def working_space() -> list[tuple[float, float, float]]:
+    """What linear red, green and blue of sRGB are in the file's working space."""
+    return [tuple(Color(axis).from_srgb_to_scene_linear()) for axis in SRGB_PRIMARIES]
+
+
 def _rgba(pixels: np.ndarray) -> np.ndarray:
     rgba = np.ones((*pixels.shape[:2], 4), np.float32)
-    rgba[..., :3] = pixels[::-1]
+    rgba[..., :3] = pixels[::-1] / np.float32(255) if pixels.dtype == np.uint8 else pixels[::-1]
     return rgba.reshape(-1)
 
 

@@ -1,4 +1,4 @@
-"""Quads of Gaussians on the graphics card, blended in display sRGB as in training and then laid over the viewport."""
+"""Quads of Gaussians on the graphics card, blended in display sRGB as in training, and pictures laid over the viewport."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ void main() {
 FRAGMENT = """
 void main() {
   float alpha = min(0.99, opacity * exp(-0.5 * dot(corner, corner)));
-  if (alpha < 1.0 / 255.0 || gl_FragCoord.z > texelFetch(hidden, ivec2(gl_FragCoord.xy), 0).r) discard;
+  if (alpha < 1.0 / 255.0 || gl_FragCoord.z > texelFetch(hidden, ivec2(gl_FragCoord.xy * reduction), 0).r) discard;
   blended = vec4(color * alpha, alpha);
 }
 """
@@ -82,10 +82,10 @@ class Shaders:
         passed.smooth("VEC2", "corner")
         passed.flat("VEC3", "color")
         passed.flat("FLOAT", "opacity")
-        info.push_constant("MAT4", "modelview")
+        info.push_constant("MAT4", "modelview")  # 116 bytes of constants in all; graphics cards promise 128
         info.push_constant("VEC4", "lens")
         info.push_constant("VEC2", "size")
-        for name in ("depth_scale", "depth_shift", "near", "enlarge", "antialiased"):
+        for name in ("depth_scale", "depth_shift", "near", "enlarge", "antialiased", "reduction"):
             info.push_constant("FLOAT", name)
         for slot, name in enumerate(("order", "geometry", "colors", "hidden")):
             info.sampler(slot, "FLOAT_2D", name)
@@ -109,19 +109,28 @@ class Shaders:
 
 
 def texture(rows: np.ndarray, form: str) -> gpu.types.GPUTexture:
-    """A list (n, channels) float32 as texels, WIDTH to a row."""
-    count, channels = rows.shape
+    """A list (n, ...) of numbers as texels of 1 or 4 channels, WIDTH to a row; missing ones are 0."""
+    rows = rows.reshape(len(rows), -1)
+    count, channels = len(rows), 1 if form == "R32F" else 4
     height = max(1, -(-count // WIDTH))
     padded = np.zeros((height * WIDTH, channels), np.float32)
-    padded[:count] = rows
+    padded[:count, : rows.shape[1]] = rows
     return gpu.types.GPUTexture((WIDTH, height), format=form, data=gpu.types.Buffer("FLOAT", padded.size, padded.reshape(-1)))
 
 
-def scene_depth(width: int, height: int) -> gpu.types.GPUTexture:
-    """Depth of what the viewport has drawn so far."""
+def scene_depth(width: int, height: int) -> tuple[gpu.types.GPUTexture, np.ndarray]:
+    """Depth of what the viewport has drawn so far, in [0, 1]: as a texture, and (H, W) with rows from the top."""
     values = gpu.state.active_framebuffer_get().read_depth(0, 0, width, height)
     values.dimensions = width * height
-    return gpu.types.GPUTexture((width, height), format="R32F", data=values)
+    hidden = gpu.types.GPUTexture((width, height), format="R32F", data=values)
+    return hidden, np.array(values, np.float32).reshape(height, width)[::-1]
+
+
+def picture(rgba: np.ndarray) -> gpu.types.GPUTexture:
+    """(H, W, 4) float32, rows from the top."""
+    height, width, _ = rgba.shape
+    pixels = np.ascontiguousarray(rgba[::-1]).reshape(-1)
+    return gpu.types.GPUTexture((width, height), format="RGBA16F", data=gpu.types.Buffer("FLOAT", pixels.size, pixels))
 
 
 def draw_quads(shaders: Shaders, target: gpu.types.GPUOffScreen, lists: dict, hidden: gpu.types.GPUTexture, constants: dict, count: int):
@@ -141,11 +150,11 @@ def draw_quads(shaders: Shaders, target: gpu.types.GPUOffScreen, lists: dict, hi
         gpu.state.blend_set("NONE")
 
 
-def lay_over(shaders: Shaders, target: gpu.types.GPUOffScreen):
-    """Draws the blended quads over the viewport."""
+def lay_over(shaders: Shaders, image: gpu.types.GPUTexture):
+    """Draws colours in display sRGB times alpha over the viewport."""
     gpu.state.blend_set("ALPHA_PREMULT")
     gpu.state.depth_test_set("NONE")
     shaders.lay.bind()
-    shaders.lay.uniform_sampler("image", target.texture_color)
+    shaders.lay.uniform_sampler("image", image)
     shaders.screen.draw(shaders.lay)
     gpu.state.blend_set("NONE")

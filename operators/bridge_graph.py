@@ -1,4 +1,4 @@
-"""What a picture is made of, read from Blender's dependency graph: the Gaussians of all splats, and the surfaces that hide them."""
+"""Blender's dependency graph -> what a picture is made of: the Gaussians of all splats, and the surfaces that hide them."""
 
 from __future__ import annotations
 
