@@ -7,7 +7,9 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 
 WIDTH = 4096  # texels in a row of a texture that holds a list
+NEAR = 0.2  # depth, in the scene's units, up to which Gaussians are not drawn
 
+# A Gaussian's ellipse, alpha, limits and low-pass are the rasterizer's: native/src/project.h and constants.h.
 VERTEX = """
 ivec2 place(int k) { return ivec2(k % 4096, k / 4096); }
 
@@ -34,7 +36,7 @@ void main() {
   float sharp = max(xx * yy - xy * xy, 0.0);
   xx += 0.3;
   yy += 0.3;
-  opacity = a.w * (antialiased > 0.5 ? sqrt(sharp / (xx * yy - xy * xy)) : 1.0);
+  opacity = a.w * (antialiased > 0.5 ? sqrt(max(sharp / (xx * yy - xy * xy), 0.000025)) : 1.0);
   if (opacity < 1.0 / 255.0) return;
   float middle = 0.5 * (xx + yy), spread = sqrt(max(0.25 * (xx - yy) * (xx - yy) + xy * xy, 1e-12));
   vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0)) : normalize(vec2(xy, middle + spread - xx));

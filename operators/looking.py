@@ -12,7 +12,7 @@ VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [(VALUES, "Values", "The numbers themselves, for materials")]
 SHOWN = [
     ("COLOR", "Colors", "The Gaussians as they are"), ("contribution", "Contribution", "Share of the pictures: run Show Contribution first"),
-    ("probability", "Probability", "Of existence, where a pruning job has left it"),
+    ("svrgs:score", "Probability", "Of existence, as a pruning job has ranked the Gaussians"),
 ]  # fmt: skip
 
 

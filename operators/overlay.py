@@ -162,7 +162,7 @@ class Overlay:
         small, P = camera.resized(width, height), context.region_data.window_matrix
         constants = {
             "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]), "size": (width, height),
-            "depth_scale": P[2][2], "depth_shift": P[2][3], "near": context.space_data.clip_start,
+            "depth_scale": P[2][2], "depth_shift": P[2][3], "near": bridge_gpu.NEAR * cloud.shown.unit,
             "enlarge": min(cloud.scene.count / count, LARGEST**2), "antialiased": float(cloud.scene.antialiased), "reduction": reduction,
         }  # fmt: skip
         lists = {"order": bridge_gpu.texture(order, "R32F"), "geometry": cloud.geometry, "colors": cloud.colors}
