@@ -63,7 +63,7 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
                 for path in self.paths():
                     next(read_ply_parts(path))  # the header, and no more than a few thousand Gaussians
             except SplatError as error:
-                self.report({"ERROR"}, f"{error}; a mesh goes to File > Import > Stanford PLY")
+                self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
         return self.invoke_popup(context)
 

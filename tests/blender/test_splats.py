@@ -217,3 +217,11 @@ def test_importing_while_another_object_is_in_edit_mode_leaves_it_there(make_sce
     assert bpy.context.object == cube and cube.mode == "EDIT"
     bpy.ops.object.mode_set(mode="OBJECT")
     assert bridge.is_splat(bpy.data.objects["in"]) and not bridge.is_splat(cube)
+
+
+def test_a_mesh_is_no_splat(tmp_path):
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.wm.ply_export(filepath=str(tmp_path / "mesh.ply"))
+    with pytest.raises(RuntimeError, match="so it is not a 3DGS splat"):
+        bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "mesh.ply"), directory=str(tmp_path), files=[{"name": "mesh.ply"}])
+    assert len(bpy.data.objects) == 1
