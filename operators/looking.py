@@ -35,7 +35,9 @@ class SVRGS_PG_looking(bpy.types.PropertyGroup):
     compare_camera: PointerProperty(
         name="Camera", type=bpy.types.Object, poll=lambda _, obj: obj.type == "CAMERA", description="Empty: the scene's camera"
     )
-    wipe: FloatProperty(name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=wipe_image.redraw, description="Original on the left, pruned on the right")
+    wipe: FloatProperty(
+        name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=wipe_image.redraw, description="Original on the left, pruned on the right"
+    )
     compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned
 
     overlay: BoolProperty(name="Draw Splats", default=True, update=overlay.switch, description="Draw splats in Solid and Material Preview viewports")
