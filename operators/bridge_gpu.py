@@ -120,9 +120,15 @@ def texture(rows: np.ndarray, form: str) -> gpu.types.GPUTexture:
     return gpu.types.GPUTexture((WIDTH, height), format=form, data=gpu.types.Buffer("FLOAT", padded.size, padded.reshape(-1)))
 
 
-def scene_depth(width: int, height: int) -> tuple[gpu.types.GPUTexture, np.ndarray]:
-    """Depth of what the viewport has drawn so far, in [0, 1]: as a texture, and (H, W) with rows from the top."""
-    values = gpu.state.active_framebuffer_get().read_depth(0, 0, width, height)
+def scene_depth(width: int, height: int) -> tuple[gpu.types.GPUTexture, np.ndarray] | None:
+    """Depth of what the viewport has drawn so far, in [0, 1]: as a texture, and (H, W) with rows from the top.
+
+    None where another size is being drawn, as for a picture of the viewport.
+    """
+    frame = gpu.state.active_framebuffer_get()
+    if tuple(frame.viewport_get()) != (0, 0, width, height):
+        return None
+    values = frame.read_depth(0, 0, width, height)
     values.dimensions = width * height
     hidden = gpu.types.GPUTexture((width, height), format="R32F", data=values)
     return hidden, np.array(values, np.float32).reshape(height, width)[::-1]

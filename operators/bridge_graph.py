@@ -64,9 +64,17 @@ def visible_rows(obj: bpy.types.Object) -> np.ndarray:
 
 
 def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> Shown | None:
-    """All splats that the graph shows; one alone stays in its own coordinates. None where there is none. Raises SceneError."""
-    found = [(instance.object.original, instance.matrix_world.copy()) for instance in _instances(depsgraph) if bridge.is_splat(instance.object)]
-    return placed([(read(obj), matrix) for obj, matrix in found]) if found else None
+    """All splats that the graph shows, modifiers applied; one alone stays in its own coordinates. None where there is none.
+
+    read: an evaluated object to its Gaussians. Raises SceneError.
+    """
+    found = [(read(obj), matrix) for obj, matrix in placed_splats(depsgraph)]
+    return placed(found) if found else None
+
+
+def placed_splats(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, Matrix]]:
+    """Every evaluated splat that the graph shows, with its matrix; for use at once."""
+    return ((i.object, i.matrix_world.copy()) for i in _instances(depsgraph) if bridge.is_splat(i.object))
 
 
 def placed(scenes: list[tuple[Scene, Matrix]]) -> Shown:

@@ -17,6 +17,7 @@ from .preferences import threads
 NAME = "SVR-GS Spatial Mask"
 
 _rasterizer: list[Rasterizer] = []  # one, kept with its buffers
+_drawn: dict[int, tuple] = {}  # session_uid of a scene: what its mask was drawn of
 _last: dict = {}  # session_uid of a scene: its mask (H, W), to be coloured anew
 
 
@@ -24,6 +25,7 @@ def refresh(context: bpy.types.Context) -> dict:
     """Draws the mask of all visible splats; returns what is known about it. Raises SplatError, NativeError."""
     started = time.perf_counter()
     scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
+    _drawn[scene.session_uid] = _view(depsgraph)
     shown = bridge_graph.splats(depsgraph, scene_cache.read)
     if shown is None:
         raise SceneError("there is no visible splat: import one")
@@ -39,6 +41,18 @@ def refresh(context: bpy.types.Context) -> dict:
     _write(scene, result)
     scene.svrgs_looking.mask_result = json.dumps({**result, "milliseconds": round(1e3 * (time.perf_counter() - started))})
     return result
+
+
+def is_stale(context: bpy.types.Context) -> bool:
+    """Whether camera or splats are no longer those of the last mask. Raises SplatError."""
+    return _drawn.get(context.scene.session_uid) != _view(context.evaluated_depsgraph_get())
+
+
+def _view(depsgraph: bpy.types.Depsgraph) -> tuple:
+    """What a mask depends on."""
+    camera = bridge.camera_from_object(bridge_graph.camera(depsgraph), depsgraph.scene)
+    places = [(id(scene_cache.read(obj)), tuple(map(tuple, matrix))) for obj, matrix in bridge_graph.placed_splats(depsgraph)]
+    return camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, depsgraph.scene.svrgs_looking.mask_size, *places
 
 
 def recolor(settings, context):
@@ -67,4 +81,5 @@ def _write(scene: bpy.types.Scene, result: dict):
 
 def forget():
     _last.clear()
+    _drawn.clear()
     _rasterizer.clear()

@@ -111,7 +111,8 @@ class Overlay:
     def current(self, context) -> Cloud | None:
         """The splats this viewport shows."""
         settings = context.scene.svrgs_looking
-        found = [obj for obj in context.view_layer.objects if bridge.is_splat(obj) and obj.visible_get(viewport=context.space_data)]
+        graph, space = context.view_layer.depsgraph, context.space_data
+        found = [obj.evaluated_get(graph) for obj in context.view_layer.objects if bridge.is_splat(obj) and obj.visible_get(viewport=space)]
         scenes = [scene_cache.read(obj) for obj in found]
         places = [(id(scene), tuple(map(tuple, obj.matrix_world))) for scene, obj in zip(scenes, found, strict=True)]
         key = settings.overlay_shown, settings.overlay_moving, *places
@@ -122,11 +123,22 @@ class Overlay:
         shown = bridge_graph.placed([(scene, obj.matrix_world.copy()) for scene, obj in zip(scenes, found, strict=True)])
         return Cloud(key, shown, painted(shown.scene, [scene_cache.read_values(obj, settings.overlay_shown) for obj in found]), settings.overlay_moving)
 
+    def view(self, region: bpy.types.Region) -> View:
+        if region.as_pointer() not in self.views:
+            open_now = {r.as_pointer() for w in bpy.context.window_manager.windows for area in w.screen.areas for r in area.regions}
+            for closed in self.views.keys() - open_now:
+                self.views.pop(closed).live.close()
+            self.views[region.as_pointer()] = View()
+        return self.views[region.as_pointer()]
+
     def draw_cloud(self, context, cloud: Cloud, camera: Camera):
         region, space = context.region, context.space_data
-        view = self.views.setdefault(region.as_pointer(), View())
+        view = self.view(region)
         self.shaders = self.shaders or bridge_gpu.Shaders()
-        hidden, depth = bridge_gpu.scene_depth(region.width, region.height)
+        beside = bridge_gpu.scene_depth(region.width, region.height)
+        if beside is None:
+            return
+        hidden, depth = beside
         local = cloud.shown.seen_by(camera)
         where = local.viewmat.tobytes() + camera.K.tobytes() + repr(cloud.key).encode()
         if view.resting(where):

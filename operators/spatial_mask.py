@@ -56,6 +56,8 @@ def _after_change(scene, *_):
 def _follow():
     """What cannot be drawn now stays as it was: the user did not ask for it at this moment."""
     try:
+        if not mask_image.is_stale(bpy.context):  # drawing it is a change, too
+            return
         mask_image.refresh(bpy.context)
     except (SplatError, NativeError):
         return

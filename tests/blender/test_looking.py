@@ -254,6 +254,25 @@ def test_removed_gaussians_are_not_drawn(tmp_path, stage, bridge, gaussians, spl
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
 
 
+def test_modifiers_count(tmp_path, stage, bridge, gaussians, splat, camera):
+    """Geometry nodes that delete the later half of the points."""
+    group = bpy.data.node_groups.new("half", "GeometryNodeTree")
+    for side in ("INPUT", "OUTPUT"):
+        group.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
+    kinds = "NodeGroupInput", "NodeGroupOutput", "GeometryNodeDeleteGeometry", "FunctionNodeCompare", "GeometryNodeInputIndex"
+    into, out, delete, compare, index = (group.nodes.new(kind) for kind in kinds)
+    compare.data_type, compare.operation = "INT", "GREATER_EQUAL"
+    number, limit = (socket for socket in compare.inputs if socket.enabled)
+    limit.default_value = gaussians.count // 2
+    wires = (into, 0, delete.inputs[0]), (index, 0, number), (compare, 0, delete.inputs[1]), (delete, 0, out.inputs[0])
+    for node, socket, to in wires:
+        group.links.new(node.outputs[socket], to)
+    splat.modifiers.new("half", "NODES").node_group = group
+    expected = drawn(bridge, gaussians.select(np.arange(gaussians.count // 2)), camera, splat.matrix_world)["rgb"]
+    stage.render.dither_intensity = 0
+    assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
+
+
 def mark_removed(obj, removed):
     obj.data.attributes.new("removed", "INT8", "POINT").data.foreach_set("value", removed.astype(np.int8))
     obj.data.update_tag()
@@ -295,6 +314,19 @@ def test_the_mask_follows_edits(stage, bridge, gaussians, splat, camera):
     mark_removed(splat, np.arange(gaussians.count) % 2)
     bpy.ops.svrgs.spatial_mask()
     assert json.loads(stage.svrgs_looking.mask_result)["mean"] < before
+
+
+def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, splat, camera):
+    mask_image = part("operators.mask_image")
+    bpy.ops.svrgs.spatial_mask()
+    assert not mask_image.is_stale(bpy.context)
+    for move in (lambda: setattr(camera, "location", (0, -5, 1)), lambda: setattr(splat, "scale", (2, 2, 2)), lambda: setattr(splat, "hide_viewport", True)):
+        move()
+        bpy.context.view_layer.update()
+        assert mask_image.is_stale(bpy.context)
+        if not splat.hide_viewport:
+            bpy.ops.svrgs.spatial_mask()
+            assert not mask_image.is_stale(bpy.context)
 
 
 def test_contribution_is_the_score(stage, bridge, gaussians, splat, camera):
