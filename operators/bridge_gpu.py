@@ -110,6 +110,15 @@ class Shaders:
         return gpu.shader.create_from_info(info)
 
 
+class Target:
+    """What quads are drawn into. (Making a GPUOffScreen instead would unbind the viewport that is being drawn.)"""
+
+    def __init__(self, width: int, height: int):
+        self.width, self.height = width, height
+        self.texture = gpu.types.GPUTexture((width, height), format="RGBA16F")
+        self.frame = gpu.types.GPUFrameBuffer(color_slots=(self.texture,))
+
+
 def texture(rows: np.ndarray, form: str) -> gpu.types.GPUTexture:
     """A list (n, ...) of numbers as texels of 1 or 4 channels, WIDTH to a row; missing ones are 0."""
     rows = rows.reshape(len(rows), -1)
@@ -141,10 +150,10 @@ def picture(rgba: np.ndarray) -> gpu.types.GPUTexture:
     return gpu.types.GPUTexture((width, height), format="RGBA16F", data=gpu.types.Buffer("FLOAT", pixels.size, pixels))
 
 
-def draw_quads(shaders: Shaders, target: gpu.types.GPUOffScreen, lists: dict, hidden: gpu.types.GPUTexture, constants: dict, count: int):
+def draw_quads(shaders: Shaders, target: Target, lists: dict, hidden: gpu.types.GPUTexture, constants: dict, count: int):
     """Blends `count` quads into the target. lists: order, geometry, colors; constants: push constants by name."""
-    with target.bind():
-        gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
+    with target.frame.bind():
+        target.frame.clear(color=(0.0, 0.0, 0.0, 0.0))
         gpu.state.blend_set("ALPHA_PREMULT")
         gpu.state.depth_test_set("NONE")
         gpu.state.depth_mask_set(False)

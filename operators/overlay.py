@@ -65,7 +65,7 @@ class View:
     def __init__(self):
         self.live = LiveView(draw_job, reductions=(1,))
         self.seen, self.since, self.level = b"", 0.0, 0
-        self.target: gpu.types.GPUOffScreen | None = None
+        self.target: bridge_gpu.Target | None = None
         self.texture: tuple[Picture, gpu.types.GPUTexture] | None = None
 
     def resting(self, view: bytes) -> bool:
@@ -152,7 +152,7 @@ class Overlay:
             bpy.app.timers.register(_redraw_once, first_interval=REST / 2)
         started = time.perf_counter()
         self.draw_quads(context, view, cloud, camera, hidden)
-        bridge_gpu.lay_over(self.shaders, view.target.texture_color)
+        bridge_gpu.lay_over(self.shaders, view.target.texture)
         view.adapt(time.perf_counter() - started)
 
     def exact(self, view: View, cloud: Cloud, picture: Picture) -> gpu.types.GPUTexture:
@@ -170,7 +170,7 @@ class Overlay:
         order = back_to_front(cloud.quads.means[:count], -modelview.row[2].xyz)
         width, height = (max(1, side // reduction) for side in (camera.width, camera.height))
         if view.target is None or (view.target.width, view.target.height) != (width, height):
-            view.target = gpu.types.GPUOffScreen(width, height, format="RGBA16F")
+            view.target = bridge_gpu.Target(width, height)
         small, P = camera.resized(width, height), context.region_data.window_matrix
         constants = {
             "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]), "size": (width, height),

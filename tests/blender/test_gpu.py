@@ -41,10 +41,10 @@ def quads_picture(shaders, scene, camera, hidden: float = 1.0, reduction: int = 
     }  # fmt: skip
     values = np.full(camera.width * camera.height, hidden, np.float32)
     depth = gpu.types.GPUTexture((camera.width, camera.height), format="R32F", data=gpu.types.Buffer("FLOAT", values.size, values))
-    target = gpu.types.GPUOffScreen(small.width, small.height, format="RGBA16F")
+    target = bridge_gpu.Target(small.width, small.height)
     bridge_gpu.draw_quads(shaders, target, lists, depth, constants, scene.count)
-    with target.bind():
-        values = gpu.state.active_framebuffer_get().read_color(0, 0, small.width, small.height, 4, 0, "FLOAT")
+    with target.frame.bind():
+        values = target.frame.read_color(0, 0, small.width, small.height, 4, 0, "FLOAT")
     values.dimensions = small.width * small.height * 4
     return np.array(values, np.float32).reshape(small.height, small.width, 4)[::-1]
 
