@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.handlers import persistent
 
 from ..svrgs_addon import native
 from ..svrgs_addon.drawing import draw_while
@@ -92,9 +93,34 @@ def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
     return slice(height - high, height - low), slice(int(render.border_min_x * width), int(render.border_max_x * width))
 
 
+_dither: dict[int, float] = {}  # session_uid of a scene that is being rendered: its own dither
+
+
+@persistent
+def _without_dither(scene, *_):
+    """Saved pictures hold the training's colours, without Blender's noise of up to two levels."""
+    if scene.render.engine == SVRGS_engine.bl_idname and scene.session_uid not in _dither:
+        _dither[scene.session_uid] = scene.render.dither_intensity
+        scene.render.dither_intensity = 0
+
+
+@persistent
+def _with_dither(scene, *_):
+    if scene.session_uid in _dither:
+        scene.render.dither_intensity = _dither.pop(scene.session_uid)
+
+
+HANDLERS = (("render_init", _without_dither), ("render_complete", _with_dither), ("render_cancel", _with_dither))
+
+
 def register():
     bpy.utils.register_class(SVRGS_engine)
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
 
 
 def unregister():
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)
+    _dither.clear()
     bpy.utils.unregister_class(SVRGS_engine)

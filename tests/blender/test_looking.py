@@ -23,6 +23,7 @@ def stage():
     render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
     render.image_settings.file_format, render.image_settings.color_mode, render.image_settings.color_depth = "PNG", "RGBA", "8"
     render.resolution_x, render.resolution_y, render.resolution_percentage, render.pixel_aspect_x = 101, 61, 100, 1
+    render.dither_intensity = 1.0  # as Blender has it
     render.use_border = render.use_crop_to_border = render.film_transparent = False
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.23, 0.71, 0.1, 0.55
     looking = scene.svrgs_looking
@@ -94,7 +95,6 @@ def test_f12_is_svrgs_render(tmp_path, stage):
 
 @pytest.mark.parametrize("change", ["plain", "percentage", "aspect", "portrait", "background", "scaled"])
 def test_f12_is_the_rasterizers_picture(tmp_path, stage, bridge, gaussians, splat, camera, change):
-    stage.render.dither_intensity = 0  # noise of Blender's, up to two levels in 4.2
     background = (0.0, 0.0, 0.0)
     if change == "percentage":
         stage.render.resolution_percentage = 53
@@ -110,8 +110,17 @@ def test_f12_is_the_rasterizers_picture(tmp_path, stage, bridge, gaussians, spla
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
 
 
+def test_dither_stays_as_it_was(tmp_path, stage, splat, camera):
+    stage.render.dither_intensity = 0.75
+    f12(tmp_path / "f12.png")
+    assert stage.render.dither_intensity == 0.75
+    camera.data.type = "ORTHO"
+    with pytest.raises(RuntimeError):
+        bpy.ops.render.render()
+    assert stage.render.dither_intensity == 0.75
+
+
 def test_a_border_shows_the_same_pixels(tmp_path, stage, splat, camera):
-    stage.render.dither_intensity = 0
     whole = f12(tmp_path / "whole.png")
     stage.render.use_border = True
     bordered = f12(tmp_path / "border.png")
@@ -125,7 +134,7 @@ def test_a_border_shows_the_same_pixels(tmp_path, stage, splat, camera):
 
 
 def test_a_transparent_film_keeps_the_colours(tmp_path, stage, bridge, gaussians, camera):
-    stage.render.dither_intensity, stage.render.film_transparent = 0, True
+    stage.render.film_transparent = True
     half = gaussians.select(np.arange(0, gaussians.count, 20))
     obj = bridge.object_from_scene("half", half, stage.collection)
     expected, rendered = drawn(bridge, half, camera, obj.matrix_world, ("rgb", "alpha")), f12(tmp_path / "film.png")
@@ -136,7 +145,6 @@ def test_a_transparent_film_keeps_the_colours(tmp_path, stage, bridge, gaussians
 
 def test_several_splats_are_one_picture(tmp_path, stage, bridge, gaussians, splat, camera):
     """The second one lies there by its matrix: turned, mirrored and stretched, as its Gaussians are turned the other way."""
-    stage.render.dither_intensity = 0
     whole = f12(tmp_path / "whole.png")
     bpy.data.objects.remove(splat)
     away = Matrix.Rotation(1.1, 4, (1, 2, 3)) @ Matrix.Diagonal((-0.5, 2.0, 1.0, 1.0))
@@ -156,7 +164,6 @@ def test_several_splats_are_one_picture(tmp_path, stage, bridge, gaussians, spla
 
 def test_what_meshes_hide_is_hidden(tmp_path, stage, bridge, gaussians, splat, camera):
     """A wall across the view: the Gaussians before it over its colour. Hidden for the render, it is not there."""
-    stage.render.dither_intensity = 0
     without = f12(tmp_path / "without.png")
     mesh = bpy.data.meshes.new("wall")
     mesh.from_pydata([(-99, -99, -3), (99, -99, -3), (99, 99, -3), (-99, 99, -3)], [], [(0, 1, 2, 3)])
@@ -236,7 +243,6 @@ def test_nothing_to_render_is_said(camera):
 
 
 def test_an_animation_follows_the_objects(tmp_path, stage, bridge, gaussians, splat, camera):
-    stage.render.dither_intensity = 0
     for frame, z in ((1, 0.0), (2, 0.5)):
         splat.location.z = z
         splat.keyframe_insert("location", frame=frame)
@@ -269,7 +275,6 @@ def test_modifiers_count(tmp_path, stage, bridge, gaussians, splat, camera):
         group.links.new(node.outputs[socket], to)
     splat.modifiers.new("half", "NODES").node_group = group
     expected = drawn(bridge, gaussians.select(np.arange(gaussians.count // 2)), camera, splat.matrix_world)["rgb"]
-    stage.render.dither_intensity = 0
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
 
 
