@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import scenes
-from svrgs_addon.lens import Lens, intrinsics, lens_of
+from svrgs_addon.lens import Lens, depth_of_projection, intrinsics, intrinsics_of_projection, lens_of
 
 
 @pytest.mark.parametrize("camera", scenes.CAMERAS.values(), ids=scenes.CAMERAS)
@@ -31,3 +31,25 @@ def test_a_portrait_is_fitted_to_its_height():
     lens = Lens(80, 100, 50.0)
     assert intrinsics(lens)[0, 0] == pytest.approx(50 * 100 / 36)
     assert intrinsics(replace(lens, aspect=(2.0, 1.0)))[0, 0] == pytest.approx(50 * 80 / 36)  # pixels twice as wide: a landscape
+
+
+def frustum(left, right, bottom, top, near, far) -> np.ndarray:
+    """OpenGL's projection matrix, from its definition."""
+    return np.array([
+        [2 * near / (right - left), 0, (right + left) / (right - left), 0], [0, 2 * near / (top - bottom), (top + bottom) / (top - bottom), 0],
+        [0, 0, -(far + near) / (far - near), -2 * far * near / (far - near)], [0, 0, -1, 0],
+    ])  # fmt: skip
+
+
+def test_a_viewports_projection_and_its_intrinsics_show_points_at_the_same_pixels():
+    P, points = frustum(-0.3, 0.5, -0.2, 0.1, 0.5, 90), np.random.default_rng(0).uniform((-2, -2, -9), (2, 2, -1), (20, 3))
+    clip = np.c_[points, np.ones(20)] @ P.T
+    ndc = clip[:, :3] / clip[:, 3:]
+    seen = (points * (1, -1, -1)) @ intrinsics_of_projection(P, 320, 200).T
+    np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], np.c_[(ndc[:, 0] + 1) * 160, (1 - ndc[:, 1]) * 100], atol=1e-9)
+    np.testing.assert_allclose(depth_of_projection(P, (ndc[:, 2] + 1) / 2), -points[:, 2], rtol=1e-5)
+    assert np.isinf(depth_of_projection(P, np.ones(1))).all()
+
+
+def test_a_parallel_projection_has_no_intrinsics():
+    assert intrinsics_of_projection(np.diag([1.0, 1, -0.1, 1]), 320, 200) is None
