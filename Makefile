@@ -1,7 +1,11 @@
 # make setup   virtual environment, pinned packages, native core; .venv/bin/svrgs stands ready
 # make demo    generates a scene, trains it, prunes it, leaves a report
 # make test    all tests
+# make test-blender  the extension's tests in other Blenders too, BLENDERS="4.2.23 ..."
+# make zip     the Blender extension, dist/svrgs-VERSION.zip, built and checked by Blender's own builder
 PYTHON ?= python3.11
+PYTHON313 ?= python3.13
+BLENDERS ?= 4.2.23 4.5.15 5.2.3
 VENV := .venv
 PY := $(VENV)/bin/python
 DEMO := build/demo
@@ -11,7 +15,7 @@ SUDO := $(shell test "$$(id -u)" = 0 || echo sudo)
 INSTALL := $(SUDO) apt-get update -qq && $(SUDO) apt-get install -y -qq --no-install-recommends
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check
 
-.PHONY: setup native demo test clean
+.PHONY: setup native demo test test-blender zip clean
 
 setup: $(VENV)/.ready native
 	$(PY) -m compileall -q svrgs_addon
@@ -33,9 +37,31 @@ demo: setup
 	$(VENV)/bin/svrgs prune $(DEMO)/trained.ply --colmap $(DEMO)/scene --recovery 2500 --out $(DEMO)/pruned.ply --report $(DEMO)/report
 	@echo "report: $(DEMO)/report/index.html"
 
-test: setup
+test: setup $(WHEELS)
 	$(PY) -m pytest
+
+# Blender's builder is a script inside the bpy package; it runs without starting Blender.
+EXTENSION = $(PY) $(shell $(PY) -c "import importlib.util as u, pathlib as p; print(next(p.Path(u.find_spec('bpy').origin).parent.glob('*/scripts/addons_core/bl_pkg/cli/blender_ext.py')))")
+WHEELS := $(shell sed -n 's|.*"./\(wheels/.*[.]whl\)".*|\1|p' blender_manifest.toml)
+
+zip: setup $(WHEELS)
+	mkdir -p dist && rm -f dist/*.zip
+	$(EXTENSION) build --source-dir . --output-dir dist
+	$(EXTENSION) validate dist/*.zip
+
+# NAME-VERSION-PYTHON-ABI-PLATFORM[.PLATFORM].whl
+wheels/%.whl: | $(VENV)/.ready
+	name=$(basename $(@F)); IFS=-; set -- $$name; unset IFS; $(PIP) download --no-deps --only-binary=:all: --dest wheels --python-version $${3#cp} --platform $${5##*.} $$1==$$2
+
+# Blender 4.2, 4.5 and 5.2 beside the 5.0 of the development environment: about 1 GB each.
+test-blender: setup $(WHEELS) $(BLENDERS:%=build/bpy-%/.ready)
+	SVRGS_BLENDER_PYTHONS=$(subst $(eval ) ,:,$(BLENDERS:%=$(CURDIR)/build/bpy-%/bin/python)) $(PY) -m pytest tests/test_extension.py
+
+build/bpy-%/.ready:
+	$(if $(filter 5.2%,$*),$(PYTHON313),$(PYTHON)) -m venv build/bpy-$*
+	build/bpy-$*/bin/python -m pip install --quiet --disable-pip-version-check bpy==$* pytest $(if $(filter 5.2%,$*),OpenImageIO,"numpy<2")
+	touch $@
 
 clean:
 	$(MAKE) -C native clean
-	rm -rf build $(VENV)
+	rm -rf build dist $(VENV)

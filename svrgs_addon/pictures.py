@@ -13,17 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from .color_maps import colored
+
 DIFFERENCE_GAIN = 4
 WEBP_QUALITY = 92
-
-# 'inferno' by S. van der Walt and N. Smith (CC0), 17 of its 256 colours: perceptually uniform, readable with any colour
-# vision. Linear between them is within 6 of 255 of the full table.
-_INFERNO_HEX = (
-    "000003 0a0723 200c4a 3c0965 570f6d 70196e 892269 a32b61 bb3754 "
-    "d14643 e45a31 f1721d f98e08 fbac10 f8cb34 f1e968 fcfea4"
-)
-COLOUR_MAP = tuple(f"#{code}" for code in _INFERNO_HEX.split())
-_COLOUR_TABLE = np.array([list(bytes.fromhex(code)) for code in _INFERNO_HEX.split()], np.float64)  # (17, 3) in 0 … 255
 
 
 def mask_to_rgb(mask: np.ndarray, vmax: float | None = None) -> np.ndarray:
@@ -31,16 +24,40 @@ def mask_to_rgb(mask: np.ndarray, vmax: float | None = None) -> np.ndarray:
 
     vmax: the value of the brightest colour; None takes the largest in the mask. Give one vmax to masks to be compared.
     """
-    vmax = float(np.max(mask, initial=0)) if vmax is None else vmax
-    scaled = np.asarray(mask, np.float64) * ((len(_COLOUR_TABLE) - 1) / vmax if vmax > 0 else 0)
-    stops = np.arange(len(_COLOUR_TABLE))
-    channels = [np.interp(scaled, stops, _COLOUR_TABLE[:, c]) for c in range(3)]
-    return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
+    return to_uint8(colored(mask, float(np.max(mask, initial=0)) if vmax is None else vmax))
 
 
 def difference_image(a: np.ndarray, b: np.ndarray, gain: float = DIFFERENCE_GAIN) -> np.ndarray:
     """gain · |a - b| per channel, clipped, (H, W, 3) uint8: black where equal. a, b: floats in [0, 1]."""
     return to_uint8(np.abs(np.asarray(a, np.float32) - b) * gain)
+
+
+def wipe(left: np.ndarray, right: np.ndarray, share: float) -> np.ndarray:
+    """The first `share` of the columns of `left`, the others of `right`; both (H, W, ...)."""
+    image = right.copy()
+    edge = round(share * image.shape[1])
+    image[:, :edge] = left[:, :edge]
+    return image
+
+
+def contact_sheet(rows: list[list[np.ndarray]], columns: int = 2, gap: int = 4) -> np.ndarray:
+    """One picture (H, W, 3) of rows of pictures (h, w, 3) that may differ in size, `columns` rows beside each other; gaps are 0."""
+    strips = [_beside(row, gap) for row in rows]
+    lines = [_beside(strips[i : i + columns], 3 * gap) for i in range(0, len(strips), columns)]
+    return _beside([line.swapaxes(0, 1) for line in lines], gap).swapaxes(0, 1)
+
+
+def _beside(images: list[np.ndarray], gap: int) -> np.ndarray:
+    height = max(image.shape[0] for image in images)
+    padded = [np.pad(image, ((0, height - image.shape[0]), (0, gap), (0, 0))) for image in images]
+    return np.concatenate(padded, axis=1)[:, :-gap]
+
+
+def with_color_bar(rgb: np.ndarray, name: str) -> np.ndarray:
+    """The picture (H, W, 3) in [0, 1] above a bar of the colour map, from low to high."""
+    height, width, _ = rgb.shape
+    bar = colored(np.broadcast_to(np.linspace(0, 1, width), (max(1, height // 16), width)), 1, name)
+    return np.concatenate([rgb, np.zeros((max(1, height // 40), width, 3)), bar])
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:

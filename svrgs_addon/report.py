@@ -16,7 +16,8 @@ import numpy as np
 
 from . import __version__
 from .atomic import atomic_write
-from .pictures import COLOUR_MAP, DIFFERENCE_GAIN, data_uri, difference_image, mask_to_rgb, to_uint8
+from .color_maps import hex_colors
+from .pictures import DIFFERENCE_GAIN, data_uri, difference_image, mask_to_rgb, to_uint8
 from .plots import Series, line_chart
 from .report_style import CSS, SCRIPT
 
@@ -286,7 +287,7 @@ def _figure(title: str, view: str, rgb: np.ndarray, css: str = "", stack: bool =
 
 def _colour_bar(top: float) -> str:
     return (
-        f'<div class="bar" style="background:linear-gradient(to right,{",".join(COLOUR_MAP)})" role="img" '
+        f'<div class="bar" style="background:linear-gradient(to right,{",".join(hex_colors())})" role="img" '
         f'aria-label="Colours from black at 0 to yellow at {top:.3g} and above"></div>'
         f'<div class="range soft"><span>0</span><span>≥ {top:.3g}</span></div>'
     )

@@ -56,9 +56,7 @@ def write_ply(path: str | os.PathLike, scene: Scene) -> None:
     Raises SceneError if the file cannot be written or an attribute does not fit into a PLY.
     """
     columns = _file_columns(scene)
-    properties = [(name, column.dtype.str[1:]) for name, column in columns.items()]
-    header = format_header(_file_comments(scene), scene.count, properties)
-    dtype = np.dtype([(name, "<" + code) for name, code in properties])
+    header, dtype = _layout(scene, columns)
     check_writable(path, len(header) + scene.count * dtype.itemsize)
     with atomic_write(path) as file:
         file.write(header)
@@ -67,6 +65,18 @@ def write_ply(path: str | os.PathLike, scene: Scene) -> None:
                 rows[name] = column[part]
             file.write(rows.view(np.uint8))
             start_storing(file, rows.nbytes)
+
+
+def file_size(scene: Scene) -> int:
+    """Bytes of the file write_ply would make."""
+    header, dtype = _layout(scene, _file_columns(scene))
+    return len(header) + scene.count * dtype.itemsize
+
+
+def _layout(scene: Scene, columns: dict[str, np.ndarray]) -> tuple[bytes, np.dtype]:
+    """Header, and one Gaussian's row behind it."""
+    properties = [(name, column.dtype.str[1:]) for name, column in columns.items()]
+    return format_header(_file_comments(scene), scene.count, properties), np.dtype([(name, "<" + code) for name, code in properties])
 
 
 @contextlib.contextmanager

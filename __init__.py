@@ -1,0 +1,15 @@
+"""SVR-GS for Blender: imports, shows, prunes and exports 3D Gaussian splats. What there is lies in operators/ and panels/."""
+
+
+def register():
+    from . import operators, panels
+
+    operators.register()
+    panels.register()
+
+
+def unregister():
+    from . import operators, panels
+
+    panels.unregister()
+    operators.unregister()

@@ -1,0 +1,33 @@
+"""What the user can do: one file per verb. bridge*.py turn Blender's data into the product's and back."""
+
+from . import (
+    active_camera,
+    command_line,
+    compare,
+    contribution,
+    export_ply,
+    import_colmap,
+    import_ply,
+    looking,
+    overlay,
+    prune,
+    render_engine,
+    scene_cache,
+    spatial_mask,
+    viewport,
+)
+
+MODULES = (
+    import_ply, import_colmap, export_ply, prune, active_camera, command_line,
+    scene_cache, looking, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+)  # fmt: skip
+
+
+def register():
+    for module in MODULES:
+        module.register()
+
+
+def unregister():
+    for module in reversed(MODULES):
+        module.unregister()

@@ -1,0 +1,177 @@
+"""Quads of Gaussians on the graphics card, blended in display sRGB as in training, and pictures laid over the viewport."""
+
+from __future__ import annotations
+
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+
+WIDTH = 4096  # texels in a row of a texture that holds a list
+NEAR = 0.2  # depth, in the scene's units, up to which Gaussians are not drawn
+
+# A Gaussian's ellipse, alpha, limits and low-pass are the rasterizer's: native/src/project.h and constants.h.
+VERTEX = """
+ivec2 place(int k) { return ivec2(k % 4096, k / 4096); }
+
+void main() {
+  int id = int(texelFetch(order, place(gl_InstanceID), 0).r + 0.5);
+  vec4 a = texelFetch(geometry, place(3 * id), 0);
+  vec3 b = texelFetch(geometry, place(3 * id + 1), 0).xyz, c = texelFetch(geometry, place(3 * id + 2), 0).xyz;
+  color = texelFetch(colors, place(id), 0).rgb;
+  vec3 t = (modelview * vec4(a.xyz, 1.0)).xyz;
+  float z = -t.z;
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside: not drawn
+  corner = vec2(0.0);
+  opacity = 0.0;
+  if (z < near || a.w < 1.0 / 255.0) return;
+  vec2 focal = lens.xy, centre = lens.zw;
+  vec2 ray = vec2(t.x, -t.y) / z;
+  vec2 limit = 0.15 * size / focal + max(centre, size - centre) / focal;
+  vec2 near_ray = clamp(ray, -limit, limit);
+  mat3 W = mat3(modelview);
+  mat3 S = mat3(b, vec3(b.y, c.x, c.y), vec3(b.z, c.y, c.z));
+  S = W * (S * enlarge) * transpose(W);
+  vec3 jx = vec3(focal.x, 0.0, focal.x * near_ray.x) / z, jy = vec3(0.0, -focal.y, focal.y * near_ray.y) / z;
+  float xx = dot(jx, S * jx), xy = dot(jx, S * jy), yy = dot(jy, S * jy);
+  float sharp = max(xx * yy - xy * xy, 0.0);
+  xx += 0.3;
+  yy += 0.3;
+  opacity = a.w * (antialiased > 0.5 ? sqrt(max(sharp / (xx * yy - xy * xy), 0.000025)) : 1.0);
+  if (opacity < 1.0 / 255.0) return;
+  float middle = 0.5 * (xx + yy), spread = sqrt(max(0.25 * (xx - yy) * (xx - yy) + xy * xy, 1e-12));
+  vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0)) : normalize(vec2(xy, middle + spread - xx));
+  float reach = sqrt(2.0 * log(255.0 * opacity));
+  corner = reach * pos;
+  vec2 offset = corner.x * sqrt(middle + spread) * axis + corner.y * sqrt(max(middle - spread, 0.0)) * vec2(-axis.y, axis.x);
+  vec2 pixel = centre + focal * ray + offset;
+  gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, (depth_scale * t.z + depth_shift) / z, 1.0);
+}
+"""
+
+FRAGMENT = """
+void main() {
+  float alpha = min(0.99, opacity * exp(-0.5 * dot(corner, corner)));
+  if (alpha < 1.0 / 255.0 || gl_FragCoord.z > texelFetch(hidden, ivec2(gl_FragCoord.xy * reduction), 0).r) discard;
+  blended = vec4(color * alpha, alpha);
+}
+"""
+
+LAY_VERTEX = "void main() { uv = 0.5 * pos + 0.5; gl_Position = vec4(pos, 0.0, 1.0); }"
+
+# Display sRGB times alpha to linear times alpha: the viewport encodes what is drawn into it.
+LAY_FRAGMENT = """
+void main() {
+  vec4 c = texture(image, uv);
+  vec3 s = c.rgb / max(c.a, 1e-5);
+  vec3 curve = pow((max(s, 0.0) + 0.055) / 1.055, vec3(2.4));
+  result = vec4(mix(s / 12.92, curve, vec3(greaterThan(s, vec3(0.04045)))) * c.a, c.a);
+}
+"""
+
+CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1))
+
+
+class Shaders:
+    """Compiled once, in a drawing context."""
+
+    def __init__(self):
+        self.quads = self._quads()
+        self.lay = self._lay()
+        self.corners, self.screen = (batch_for_shader(shader, "TRIS", {"pos": CORNERS}) for shader in (self.quads, self.lay))
+
+    def _quads(self) -> gpu.types.GPUShader:
+        info, passed = gpu.types.GPUShaderCreateInfo(), gpu.types.GPUStageInterfaceInfo("svrgs_quad")
+        passed.smooth("VEC2", "corner")
+        passed.flat("VEC3", "color")
+        passed.flat("FLOAT", "opacity")
+        info.push_constant("MAT4", "modelview")  # 116 bytes of constants in all; graphics cards promise 128
+        info.push_constant("VEC4", "lens")
+        info.push_constant("VEC2", "size")
+        for name in ("depth_scale", "depth_shift", "near", "enlarge", "antialiased", "reduction"):
+            info.push_constant("FLOAT", name)
+        for slot, name in enumerate(("order", "geometry", "colors", "hidden")):
+            info.sampler(slot, "FLOAT_2D", name)
+        info.vertex_in(0, "VEC2", "pos")
+        info.vertex_out(passed)
+        info.fragment_out(0, "VEC4", "blended")
+        info.vertex_source(VERTEX)
+        info.fragment_source(FRAGMENT)
+        return gpu.shader.create_from_info(info)
+
+    def _lay(self) -> gpu.types.GPUShader:
+        info, passed = gpu.types.GPUShaderCreateInfo(), gpu.types.GPUStageInterfaceInfo("svrgs_lay")
+        passed.smooth("VEC2", "uv")
+        info.sampler(0, "FLOAT_2D", "image")
+        info.vertex_in(0, "VEC2", "pos")
+        info.vertex_out(passed)
+        info.fragment_out(0, "VEC4", "result")
+        info.vertex_source(LAY_VERTEX)
+        info.fragment_source(LAY_FRAGMENT)
+        return gpu.shader.create_from_info(info)
+
+
+class Target:
+    """What quads are drawn into. (Making a GPUOffScreen instead would unbind the viewport that is being drawn.)"""
+
+    def __init__(self, width: int, height: int):
+        self.width, self.height = width, height
+        self.texture = gpu.types.GPUTexture((width, height), format="RGBA16F")
+        self.frame = gpu.types.GPUFrameBuffer(color_slots=(self.texture,))
+
+
+def texture(rows: np.ndarray, form: str) -> gpu.types.GPUTexture:
+    """A list (n, ...) of numbers as texels of 1 or 4 channels, WIDTH to a row; missing ones are 0."""
+    rows = rows.reshape(len(rows), -1)
+    count, channels = len(rows), 1 if form == "R32F" else 4
+    height = max(1, -(-count // WIDTH))
+    padded = np.zeros((height * WIDTH, channels), np.float32)
+    padded[:count, : rows.shape[1]] = rows
+    return gpu.types.GPUTexture((WIDTH, height), format=form, data=gpu.types.Buffer("FLOAT", padded.size, padded.reshape(-1)))
+
+
+def scene_depth(width: int, height: int) -> tuple[gpu.types.GPUTexture, np.ndarray] | None:
+    """Depth of what the viewport has drawn so far, in [0, 1]: as a texture, and (H, W) with rows from the top.
+
+    None where another size is being drawn, as for a picture of the viewport.
+    """
+    frame = gpu.state.active_framebuffer_get()
+    if tuple(frame.viewport_get()) != (0, 0, width, height):
+        return None
+    values = frame.read_depth(0, 0, width, height)
+    values.dimensions = width * height
+    hidden = gpu.types.GPUTexture((width, height), format="R32F", data=values)
+    return hidden, np.array(values, np.float32).reshape(height, width)[::-1]
+
+
+def picture(rgba: np.ndarray) -> gpu.types.GPUTexture:
+    """(H, W, 4) float32, rows from the top."""
+    height, width, _ = rgba.shape
+    pixels = np.ascontiguousarray(rgba[::-1]).reshape(-1)
+    return gpu.types.GPUTexture((width, height), format="RGBA16F", data=gpu.types.Buffer("FLOAT", pixels.size, pixels))
+
+
+def draw_quads(shaders: Shaders, target: Target, lists: dict, hidden: gpu.types.GPUTexture, constants: dict, count: int):
+    """Blends `count` quads into the target. lists: order, geometry, colors; constants: push constants by name."""
+    with target.frame.bind():
+        target.frame.clear(color=(0.0, 0.0, 0.0, 0.0))
+        gpu.state.blend_set("ALPHA_PREMULT")
+        gpu.state.depth_test_set("NONE")
+        gpu.state.depth_mask_set(False)
+        shader = shaders.quads
+        shader.bind()
+        for name, value in constants.items():
+            shader.uniform_float(name, value)
+        for name, item in {**lists, "hidden": hidden}.items():
+            shader.uniform_sampler(name, item)
+        shaders.corners.draw_instanced(shader, instance_count=count)
+        gpu.state.blend_set("NONE")
+
+
+def lay_over(shaders: Shaders, image: gpu.types.GPUTexture):
+    """Draws colours in display sRGB times alpha over the viewport."""
+    gpu.state.blend_set("ALPHA_PREMULT")
+    gpu.state.depth_test_set("NONE")
+    shaders.lay.bind()
+    shaders.lay.uniform_sampler("image", image)
+    shaders.screen.draw(shaders.lay)
+    gpu.state.blend_set("NONE")

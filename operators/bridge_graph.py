@@ -1,0 +1,139 @@
+"""Blender's dependency graph -> what a picture is made of: the Gaussians of all splats, and the surfaces that hide them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..svrgs_addon.assembly import merged
+from ..svrgs_addon.camera import Camera
+from ..svrgs_addon.errors import SceneError
+from ..svrgs_addon.images import linear_to_srgb
+from ..svrgs_addon.lens import intrinsics_of_projection
+from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.surfaces import Surface, Triangles, surface
+from ..svrgs_addon.transform import UNIFORM, stretch, transformed
+from . import bridge
+
+SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+PLAIN = (0.8, 0.8, 0.8)  # linear colour of what has no material
+REMOVED = "removed"  # attribute of Gaussians that pruning would take away: not drawn
+
+Read = Callable[[bpy.types.Object], Scene]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The Gaussians of one picture, in coordinates of their own."""
+
+    scene: Scene
+    matrix: Matrix  # from these coordinates to Blender's world: no shear, no mirroring
+
+    @property
+    def unit(self) -> float:
+        """Length in Blender of one unit of the scene."""
+        return abs(self.matrix.to_3x3().determinant()) ** (1 / 3)
+
+    def seen_by(self, camera: Camera) -> Camera:
+        """A camera of Blender's world in these coordinates; lengths in it are 1 / unit of Blender's."""
+        viewmat = camera.viewmat @ np.array(self.matrix, np.float64)
+        viewmat[:3] /= abs(np.linalg.det(viewmat[:3, :3])) ** (1 / 3)
+        return replace(camera, viewmat=viewmat)
+
+    def hidden_by(self, triangles: Triangles, camera: Camera) -> Surface | None:
+        """What a camera of Blender's world sees of the triangles, depths in lengths of seen_by(camera)."""
+        if not len(triangles.corners):
+            return None
+        found = surface(triangles, camera)
+        return replace(found, depth=found.depth / np.float32(self.unit))
+
+
+def visible_scene(obj: bpy.types.Object) -> Scene:
+    """A splat's Gaussians without those marked as removed."""
+    return bridge.scene_from_object(obj).select(visible_rows(obj))
+
+
+def visible_rows(obj: bpy.types.Object) -> np.ndarray:
+    """Rows of a splat's Gaussians that are not marked as removed."""
+    removed = bridge.values(obj, REMOVED)
+    return np.flatnonzero(removed == 0) if removed is not None else np.arange(bridge.count(obj))
+
+
+def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> Shown | None:
+    """All splats that the graph shows, modifiers applied; one alone stays in its own coordinates. None where there is none.
+
+    read: an evaluated object to its Gaussians. Raises SceneError.
+    """
+    found = [(read(obj), matrix) for obj, matrix in placed_splats(depsgraph)]
+    return placed(found) if found else None
+
+
+def placed_splats(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, Matrix]]:
+    """Every evaluated splat that the graph shows, with its matrix; for use at once."""
+    return ((i.object, i.matrix_world.copy()) for i in _instances(depsgraph) if bridge.is_splat(i.object))
+
+
+def placed(scenes: list[tuple[Scene, Matrix]]) -> Shown:
+    """Scenes with the matrices that bring them into Blender's world; one alone stays in its own coordinates if it can. Raises SceneError."""
+    scene, matrix = scenes[0]
+    if len(scenes) == 1 and matrix.determinant() > 0 and stretch(matrix) - 1 <= UNIFORM:
+        return Shown(scene, matrix)
+    return Shown(merged([transformed(scene, np.array(matrix)) for scene, matrix in scenes]), Matrix())
+
+
+def surfaces(depsgraph: bpy.types.Depsgraph) -> Triangles:
+    """The triangles of everything else that renders as a surface, in Blender's world."""
+    parts = [_triangles(i.object, np.array(i.matrix_world)) for i in _instances(depsgraph) if i.object.type in SURFACES and not bridge.is_splat(i.object)]
+    parts = [(corners, colors) for corners, colors in parts if len(corners)]
+    if not parts:
+        return Triangles(np.empty((0, 3, 3)), np.empty((0, 3)))
+    return Triangles(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = None) -> bpy.types.Object:
+    """The evaluated camera of the render. Raises SceneError."""
+    obj = override or depsgraph.scene.camera
+    if obj is None:
+        raise SceneError("there is no camera to render from; add one, or make one the scene's camera (Ctrl Numpad 0)")
+    return obj.evaluated_get(depsgraph)
+
+
+def region_camera(region: bpy.types.Region, view: bpy.types.RegionView3D) -> Camera:
+    """What a 3D viewport sees, in Blender's world. Raises SceneError for views without perspective."""
+    K = intrinsics_of_projection(np.array(view.window_matrix), region.width, region.height)
+    if K is None:
+        raise SceneError("splats are drawn in perspective views only: press Numpad 5")
+    return Camera(bridge.FLIP @ np.array(view.view_matrix, np.float64), K, region.width, region.height)
+
+
+def _instances(depsgraph: bpy.types.Depsgraph) -> Iterator:
+    return (instance for instance in depsgraph.object_instances if instance.show_self)
+
+
+def _triangles(obj: bpy.types.Object, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    mesh = obj.to_mesh()
+    if mesh is None or not len(mesh.polygons):
+        return np.empty((0, 3, 3)), np.empty((0, 3))
+    mesh.calc_loop_triangles()
+    points, corners, slots = np.empty(len(mesh.vertices) * 3, np.float32), *(np.empty(len(mesh.loop_triangles) * n, np.int32) for n in (3, 1))
+    mesh.vertices.foreach_get("co", points)
+    mesh.loop_triangles.foreach_get("vertices", corners)
+    mesh.loop_triangles.foreach_get("material_index", slots)
+    colors = linear_to_srgb(np.array([_color(slot.material) for slot in obj.material_slots] or [PLAIN], np.float32))
+    obj.to_mesh_clear()
+    world = points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
+    return world[corners.reshape(-1, 3)], colors[np.minimum(slots, len(colors) - 1)]
+
+
+def _color(material: bpy.types.Material | None) -> tuple[float, float, float]:
+    """Base colour, linear."""
+    if material is None:
+        return PLAIN
+    has_nodes = material.node_tree is not None and (bpy.app.version >= (5, 0, 0) or material.use_nodes)
+    nodes = material.node_tree.nodes if has_nodes else ()
+    shader = next((node for node in nodes if node.type == "BSDF_PRINCIPLED" and not node.inputs["Base Color"].is_linked), None)
+    return tuple(shader.inputs["Base Color"].default_value if shader else material.diffuse_color)[:3]

@@ -1,0 +1,69 @@
+"""Arrays <-> Blender's images: by name, made anew only where size or kind changed, with a preview that panels show."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Color
+
+from ..svrgs_addon.film import SRGB_PRIMARIES
+from ..svrgs_addon.images import linear_to_srgb
+
+PREVIEW = 256  # longer side, pixels
+
+
+def put(name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: bool = False) -> bpy.types.Image:
+    """The image of that name now holds `pixels` (H, W, 3), float or uint8, rows from the top.
+
+    data: 32-bit numbers, colour space Non-Color; else 8 bits, display sRGB. preview: (h, w, 3) display sRGB, default: pixels.
+    """
+    height, width, _ = pixels.shape
+    image = bpy.data.images.get(name)
+    if image is not None and (image.is_float != data or image.source != "GENERATED"):
+        image.name = f"{name} (former)"
+        image = None
+    if image is None:
+        image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=data, is_data=data)
+    if tuple(image.size) != (width, height):
+        image.scale(width, height)
+    image.pixels.foreach_set(_rgba(pixels))
+    image.update()
+    _preview(image, pixels if preview is None else preview)
+    return image
+
+
+def read(image: bpy.types.Image) -> np.ndarray | None:
+    """(H, W, 3) float32 display sRGB of an image, rows from the top, over black where it is transparent; None if its file is missing."""
+    width, height = image.size
+    if not width or not height:
+        return None
+    values = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    values = values.reshape(height, width, image.channels)[::-1]
+    rgb = values[..., :3] if image.channels >= 3 else np.repeat(values[..., :1], 3, axis=2)
+    rgb = linear_to_srgb(rgb) if image.is_float and not image.colorspace_settings.is_data else rgb
+    return np.ascontiguousarray(rgb * values[..., 3:] if image.channels == 4 and not image.is_float else rgb)
+
+
+def flat(pixels: np.ndarray) -> np.ndarray:
+    """float32 numbers in Blender's order of (H, W) or (H, W, channels), rows from the top."""
+    return np.ascontiguousarray(pixels[::-1], np.float32).reshape(-1)
+
+
+def working_space() -> list[tuple[float, float, float]]:
+    """What linear red, green and blue of sRGB are in the file's working space."""
+    return [tuple(Color(axis).from_srgb_to_scene_linear()) for axis in SRGB_PRIMARIES]
+
+
+def _rgba(pixels: np.ndarray) -> np.ndarray:
+    rgba = np.ones((*pixels.shape[:2], 4), np.float32)
+    rgba[..., :3] = pixels[::-1] / np.float32(255) if pixels.dtype == np.uint8 else pixels[::-1]
+    return rgba.reshape(-1)
+
+
+def _preview(image: bpy.types.Image, pixels: np.ndarray):
+    step = max(1, -(-max(pixels.shape[:2]) // PREVIEW))
+    small = pixels[::step, ::step]
+    preview = image.preview_ensure()
+    preview.image_size = small.shape[1], small.shape[0]
+    preview.image_pixels_float.foreach_set(_rgba(small))

@@ -1,0 +1,155 @@
+"""Original and pruned splat from a camera, beside each other and against its photograph."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import bpy
+
+from ..svrgs_addon import native
+from ..svrgs_addon.errors import NativeError, SceneError, SplatError
+from ..svrgs_addon.evaluate import render_options, shown
+from ..svrgs_addon.formats import file_size
+from ..svrgs_addon.metrics import flip, psnr, ssim
+from ..svrgs_addon.native import Rasterizer
+from ..svrgs_addon.pictures import contact_sheet, difference_image, to_uint8
+from . import bridge, bridge_graph, bridge_images, wipe_image
+from .contribution import chosen_cameras
+from .preferences import threads
+from .spatial_mask import show_in_editors
+
+SHEET = "SVR-GS Contact Sheet"
+THUMBNAIL = 320  # pixels, longer side
+
+
+class Pair:
+    """The two splats of a comparison. Raises SceneError where one is missing."""
+
+    def __init__(self, context: bpy.types.Context):
+        settings = context.scene.svrgs_looking
+        original = settings.original or context.object
+        if not bridge.is_splat(original):
+            raise SceneError("there is nothing to compare: choose the original splat, or make it the active object")
+        self.objects = original, settings.pruned or pruned_of(original)
+        self.scenes = bridge.scene_from_object(original), bridge_graph.visible_scene(self.objects[1])
+        self.placed = [bridge_graph.placed([(scene, obj.matrix_world.copy())]) for scene, obj in zip(self.scenes, self.objects, strict=True)]
+        self.rasterizer = Rasterizer()
+        native.set_threads(threads(context))
+
+    def pictures(self, camera, background):
+        """Both as a viewer's 8 bits hold them; camera in Blender's world."""
+        views = [(part.scene, part.seen_by(camera)) for part in self.placed]
+        return [shown(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views]
+
+
+def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
+    """What pruning made of a splat: the object named after it, or itself without what is marked as removed. Raises SceneError."""
+    named = bpy.data.objects.get(f"{original.name} pruned")
+    if bridge.is_splat(named):
+        return named
+    if bridge.values(original, bridge_graph.REMOVED) is not None:
+        return original
+    raise SceneError(f"there is nothing to compare '{original.name}' with: prune it, or choose the pruned splat")
+
+
+class SVRGS_OT_compare(bpy.types.Operator):
+    bl_idname = "svrgs.compare"
+    bl_label = "Compare"
+    bl_description = "Draw original and pruned splat from the camera, and measure both against its photograph if it has one"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context):
+        return _has_camera(cls, context)
+
+    def execute(self, context):
+        settings = context.scene.svrgs_looking
+        try:
+            pair = Pair(context)
+            obj = settings.compare_camera or context.scene.camera
+            camera = bridge.camera_from_object(obj, context.scene)
+            photo = photograph(obj)
+            if photo is not None:
+                camera = camera.resized(photo.shape[1], photo.shape[0])
+            pictures = pair.pictures(camera, tuple(settings.background))
+        except (SplatError, NativeError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        wipe_image.show(*pictures, settings.wipe)
+        show_in_editors(context, bpy.data.images[wipe_image.WIPE])
+        rows = [measured(*both, photo) for both in zip(pair.scenes, pictures, strict=True)]
+        settings.compare_result = json.dumps({"camera": obj.name, "original": rows[0], "pruned": rows[1], "between": psnr(*pictures)})
+        self.report({"INFO"}, summary(rows, psnr(*pictures)))
+        return {"FINISHED"}
+
+
+class SVRGS_OT_contact_sheet(bpy.types.Operator):
+    bl_idname = "svrgs.contact_sheet"
+    bl_label = "Render All Cameras"
+    bl_description = "Draw original, pruned and their difference from every camera, as one image of small pictures"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context):
+        return _has_camera(cls, context)
+
+    def execute(self, context):
+        manager, cameras = context.window_manager, chosen_cameras(context)
+        manager.progress_begin(0, len(cameras))
+        try:
+            pair, rows, worst = Pair(context), [], math.inf
+            for number, obj in enumerate(cameras):
+                camera = bridge.camera_from_object(obj, context.scene)
+                camera = camera.reduced(max(1, max(camera.width, camera.height) // THUMBNAIL))
+                a, b = pair.pictures(camera, tuple(context.scene.svrgs_looking.background))
+                rows.append([to_uint8(a), to_uint8(b), difference_image(a, b)])
+                worst = min(worst, psnr(a, b))
+                manager.progress_update(number + 1)
+        except (SplatError, NativeError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            manager.progress_end()
+        columns = max(1, round((len(rows) / 3) ** 0.5))
+        show_in_editors(context, bridge_images.put(SHEET, contact_sheet(rows, columns)))
+        self.report({"INFO"}, f"{len(rows):,} cameras in '{SHEET}': original, pruned, difference; least alike: {worst:.1f} dB")
+        return {"FINISHED"}
+
+
+def photograph(obj: bpy.types.Object):
+    """(H, W, 3) display sRGB of the picture behind the camera; None where it has none."""
+    images = [background.image for background in obj.data.background_images if background.image is not None]
+    return bridge_images.read(images[0]) if images else None
+
+
+def measured(scene, picture, photo) -> dict:
+    """Count and bytes, and how like the photograph it is."""
+    row = {"count": scene.count, "bytes": file_size(scene)}
+    return row if photo is None else row | {"psnr": psnr(picture, photo), "ssim": float(ssim(picture, photo)), "flip": float(flip(picture, photo))}
+
+
+def summary(rows: list[dict], between: float) -> str:
+    a, b = rows
+    text = f"{a['count']:,} to {b['count']:,} Gaussians, {a['bytes'] / 1e6:.1f} to {b['bytes'] / 1e6:.1f} MB; between them {between:.1f} dB"
+    return text if "psnr" not in a else f"{text}; against the photograph {a['psnr']:.2f} to {b['psnr']:.2f} dB"
+
+
+def _has_camera(cls, context) -> bool:
+    if context.scene.svrgs_looking.compare_camera is not None or context.scene.camera is not None:
+        return True
+    cls.poll_message_set("There is no camera to compare from: add one, or import the dataset's")
+    return False
+
+
+CLASSES = (SVRGS_OT_compare, SVRGS_OT_contact_sheet)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister():
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

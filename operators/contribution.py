@@ -1,0 +1,80 @@
+"""How much each Gaussian adds to the pictures of the cameras, as the attribute "contribution" of a splat."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import EnumProperty
+
+from ..svrgs_addon import native
+from ..svrgs_addon.errors import NativeError, SplatError
+from ..svrgs_addon.evaluate import render_options
+from ..svrgs_addon.finetune.scores import contribution
+from ..svrgs_addon.native import Rasterizer
+from . import bridge, bridge_graph
+from .preferences import threads
+
+NAME = "contribution"
+LONGER = 640  # pixels: a camera's picture is reduced to about that
+
+
+class SVRGS_OT_contribution(bpy.types.Operator):
+    bl_idname = "svrgs.contribution"
+    bl_label = "Show Contribution"
+    bl_description = "Sum, for each Gaussian, what it adds to the pictures of the cameras; stored as the attribute 'contribution'"
+    bl_options = {"REGISTER", "UNDO"}
+
+    cameras: EnumProperty(
+        name="Cameras",
+        items=[
+            ("PHOTOGRAPHS", "Photographs", "All imported cameras, or all there are if none is"), ("SELECTED", "Selected", "The selected cameras"),
+            ("ACTIVE", "Scene Camera", "The scene's camera"),
+        ],
+    )  # fmt: skip
+
+    @classmethod
+    def poll(cls, context):
+        if bridge.is_splat(context.object):
+            return True
+        cls.poll_message_set("Make a splat the active object first")
+        return False
+
+    def execute(self, context):
+        chosen = chosen_cameras(context, self.cameras)
+        if not chosen:
+            self.report({"ERROR"}, "there is no such camera: import the dataset's, or choose others")
+            return {"CANCELLED"}
+        obj = context.object
+        try:
+            native.set_threads(threads(context))
+            scene = bridge.scene_from_object(obj)
+            shown = bridge_graph.placed([(scene, obj.matrix_world.copy())])
+            views = [shown.seen_by(_reduced(bridge.camera_from_object(camera, context.scene))) for camera in chosen]
+            sums, _, hits = contribution(shown.scene, views, Rasterizer(), render_options(scene))
+        except (SplatError, NativeError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        bridge.set_values(obj, NAME, sums)
+        self.report({"INFO"}, f"{int((hits == 0).sum()):,} of {scene.count:,} Gaussians add nothing to {len(views):,} pictures")
+        return {"FINISHED"}
+
+
+def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object]:
+    """Camera objects in name order."""
+    if which == "ACTIVE":
+        return [context.scene.camera] if context.scene.camera is not None else []
+    pool = context.selected_objects if which == "SELECTED" else context.scene.objects
+    cameras = sorted((obj for obj in pool if obj.type == "CAMERA"), key=lambda obj: obj.name)
+    imported = [obj for obj in cameras if bridge.SIZE in obj.data]
+    return imported if imported and which == "PHOTOGRAPHS" else cameras
+
+
+def _reduced(camera):
+    return camera.reduced(max(1, max(camera.width, camera.height) // LONGER))
+
+
+def register():
+    bpy.utils.register_class(SVRGS_OT_contribution)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_OT_contribution)

@@ -1,0 +1,76 @@
+"""File > Export > 3D Gaussian Splat (.ply)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper
+
+from ..svrgs_addon.errors import SplatError
+from ..svrgs_addon.splat_files import write_scene
+from ..svrgs_addon.transform import UNIFORM, stretch, transformed
+from . import bridge
+
+
+class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
+    bl_idname = "svrgs.export_ply"
+    bl_label = "Export 3D Gaussian Splat"
+    bl_description = "Write the active splat as a 3DGS PLY"
+    bl_options = {"REGISTER", "PRESET"}
+
+    filename_ext = ".ply"
+    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
+    space: EnumProperty(
+        name="Coordinates",
+        items=[
+            ("LOCAL", "Local", "As imported: every number that was not edited keeps its bits; the object's transform is left out"),
+            ("WORLD", "World", "With the object's transform: places, shapes and view-dependent colours are turned along"),
+        ],
+    )
+    y_down: BoolProperty(name="Y Is Down", default=True, description="World coordinates with y down, as 3DGS files have them; else with z up, as in Blender")
+
+    @classmethod
+    def poll(cls, context):
+        if bridge.is_splat(context.object):
+            return True
+        cls.poll_message_set("Select a Gaussian splat first")
+        return False
+
+    def draw(self, context):
+        self.layout.use_property_split = True
+        self.layout.prop(self, "space")
+        row = self.layout.row()
+        row.active = self.space == "WORLD"
+        row.prop(self, "y_down")
+
+    def execute(self, context):
+        obj, path = context.object, Path(bpy.path.abspath(self.filepath))
+        try:
+            scene = bridge.scene_from_object(obj)
+            if self.space == "WORLD":
+                matrix = bridge.AXES.inverted() @ obj.matrix_world if self.y_down else obj.matrix_world
+                if stretch(matrix) - 1 > 10 * UNIFORM:
+                    self.report({"WARNING"}, f"'{obj.name}' is scaled differently along its axes: colours that depend on the view are exact only as rotated")
+                scene = transformed(scene, matrix)
+            write_scene(path, scene)
+        except SplatError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"Exported {scene.count:,} Gaussians to {path.name}, {path.stat().st_size / 1e6:.1f} MB, in {self.space.lower()} coordinates")
+        return {"FINISHED"}
+
+
+def menu(self, context):
+    self.layout.operator(SVRGS_OT_export_ply.bl_idname, text="3D Gaussian Splat (.ply)")
+
+
+def register():
+    bpy.utils.register_class(SVRGS_OT_export_ply)
+    bpy.types.TOPBAR_MT_file_export.append(menu)
+
+
+def unregister():
+    bpy.types.TOPBAR_MT_file_export.remove(menu)
+    bpy.utils.unregister_class(SVRGS_OT_export_ply)

@@ -1,0 +1,100 @@
+"""File > Import > 3D Gaussian Splat (.ply), and the same by drag and drop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, CollectionProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+from mathutils import Matrix
+
+from ..svrgs_addon.errors import SplatError
+from ..svrgs_addon.formats import drop_nonfinite, read_ply_parts
+from ..svrgs_addon.splat_files import read_scene
+from . import bridge
+from .select import select
+
+
+class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
+    bl_idname = "svrgs.import_ply"
+    bl_label = "Import 3D Gaussian Splat"
+    bl_description = "Import 3DGS PLY files, each as an object of points that keeps every number of its file"
+    bl_options = {"REGISTER", "UNDO", "PRESET"}
+
+    filename_ext = ".ply"
+    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
+    y_down: BoolProperty(name="Y Is Down", default=True, description="The file's y axis points down, as training leaves it; the object is turned upright")
+
+    def execute(self, context):
+        paths, notes, objects = self.paths(), [], []
+        for path in paths:
+            try:
+                scene, dropped = drop_nonfinite(read_scene(path))
+            except SplatError as error:
+                self.report({"ERROR" if len(paths) == 1 else "WARNING"}, str(error))
+                continue
+            objects.append(self.add(context, path.stem, scene))
+            notes.append(f"{path.name}: {scene.count:,} Gaussians" + f" ({dropped:,} that are not finite left out)" * bool(dropped))
+        if not objects:
+            return {"CANCELLED"}
+        select(context, objects)
+        self.report({"INFO"}, "Imported " + "; ".join(notes))
+        return {"FINISHED"}
+
+    def add(self, context, name, scene) -> bpy.types.Object:
+        """The splat as an object, beside the cameras of the dataset that is active, if there is one."""
+        obj = bridge.object_from_scene(name, scene, context.collection, bridge.AXES if self.y_down else Matrix())
+        root = bridge.root_of(context.object)
+        if root is not None and self.y_down:
+            bridge.hang_below(obj, root)
+        return obj
+
+    def paths(self) -> list[Path]:
+        folder = Path(bpy.path.abspath(self.directory))
+        return [folder / file.name for file in self.files if file.name] or [Path(bpy.path.abspath(self.filepath))]
+
+    def invoke(self, context, event):
+        """Opens the file browser; for dropped files a dialog, or a sentence where one of them is a mesh."""
+        if self.properties.is_property_set("filepath"):
+            try:
+                for path in self.paths():
+                    next(read_ply_parts(path))  # the header, and no more than a few thousand Gaussians
+            except SplatError as error:
+                self.report({"ERROR"}, str(error))
+                return {"CANCELLED"}
+        return self.invoke_popup(context)
+
+
+class SVRGS_FH_ply(bpy.types.FileHandler):
+    """Beside Blender's own: for a .ply dropped into the 3D view Blender asks whether a mesh or a splat is meant."""
+
+    bl_idname = "SVRGS_FH_ply"
+    bl_label = "3D Gaussian Splat"
+    bl_import_operator = SVRGS_OT_import_ply.bl_idname
+    bl_file_extensions = ".ply"
+
+    @classmethod
+    def poll_drop(cls, context):
+        return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
+
+
+def menu(self, context):
+    self.layout.operator(SVRGS_OT_import_ply.bl_idname, text="3D Gaussian Splat (.ply)")
+
+
+CLASSES = (SVRGS_OT_import_ply, SVRGS_FH_ply)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.TOPBAR_MT_file_import.append(menu)
+
+
+def unregister():
+    bpy.types.TOPBAR_MT_file_import.remove(menu)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

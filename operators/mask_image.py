@@ -1,0 +1,85 @@
+"""The spatial mask of the scene's camera as an image and a texture named NAME, and how its numbers become colours."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import bpy
+
+from ..svrgs_addon import color_maps, native
+from ..svrgs_addon.errors import SceneError
+from ..svrgs_addon.native import Rasterizer, RenderOptions
+from ..svrgs_addon.pictures import with_color_bar
+from . import bridge, bridge_graph, bridge_images, scene_cache
+from .preferences import threads
+
+NAME = "SVR-GS Spatial Mask"
+
+_rasterizer: list[Rasterizer] = []  # one, kept with its buffers
+_drawn: dict[int, tuple] = {}  # session_uid of a scene: what its mask was drawn of
+_last: dict = {}  # session_uid of a scene: its mask (H, W), to be coloured anew
+
+
+def refresh(context: bpy.types.Context) -> dict:
+    """Draws the mask of all visible splats; returns what is known about it. Raises SplatError, NativeError."""
+    started = time.perf_counter()
+    scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
+    _drawn[scene.session_uid] = _view(depsgraph)
+    shown = bridge_graph.splats(depsgraph, scene_cache.read)
+    if shown is None:
+        raise SceneError("there is no visible splat: import one")
+    obj = bridge_graph.camera(depsgraph)
+    camera = shown.seen_by(_sized(bridge.camera_from_object(obj, scene), scene.svrgs_looking.mask_size))
+    native.set_threads(threads(context))
+    if not _rasterizer:
+        _rasterizer.append(Rasterizer())
+    options = RenderOptions(antialiased=shown.scene.antialiased, mask_kind="svr")
+    mask = _rasterizer[0].forward(shown.scene, camera, options, outputs=("mask",))["mask"]
+    _last[scene.session_uid] = mask
+    result = {"camera": obj.name, "mean": float(mask.mean()), "largest": float(mask.max(initial=0))}
+    _write(scene, result)
+    scene.svrgs_looking.mask_result = json.dumps({**result, "milliseconds": round(1e3 * (time.perf_counter() - started))})
+    return result
+
+
+def is_stale(context: bpy.types.Context) -> bool:
+    """Whether camera or splats are no longer those of the last mask. Raises SplatError."""
+    return _drawn.get(context.scene.session_uid) != _view(context.evaluated_depsgraph_get())
+
+
+def _view(depsgraph: bpy.types.Depsgraph) -> tuple:
+    """What a mask depends on."""
+    camera = bridge.camera_from_object(bridge_graph.camera(depsgraph), depsgraph.scene)
+    places = [(id(scene_cache.read(obj)), tuple(map(tuple, matrix))) for obj, matrix in bridge_graph.placed_splats(depsgraph)]
+    return camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, depsgraph.scene.svrgs_looking.mask_size, *places
+
+
+def recolor(settings, context):
+    """Gives the last mask the colours chosen now."""
+    scene = settings.id_data
+    if scene.session_uid in _last and settings.mask_result:
+        _write(scene, json.loads(settings.mask_result))
+
+
+def _sized(camera, longer: int):
+    scale = longer / max(camera.width, camera.height)
+    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+
+
+def _write(scene: bpy.types.Scene, result: dict):
+    """Image, preview and texture. Numbers of a Non-Color image are shown as if linear, so colours are stored linear."""
+    settings, mask = scene.svrgs_looking, _last[scene.session_uid]
+    top = settings.mask_top or result["largest"]
+    name = settings.mask_colors if settings.mask_colors in color_maps.NAMES else "grey"
+    rgb = color_maps.colored(mask, top, name)
+    pixels = color_maps.pixels(mask, top, settings.mask_colors)
+    image = bridge_images.put(NAME, pixels, with_color_bar(rgb, name), data=True)
+    texture = bpy.data.textures.get(NAME) or bpy.data.textures.new(NAME, "IMAGE")
+    texture.image = image
+
+
+def forget():
+    _last.clear()
+    _drawn.clear()
+    _rasterizer.clear()

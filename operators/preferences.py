@@ -1,0 +1,11 @@
+"""The add-on's preferences, which panels/preferences.py shows."""
+
+from __future__ import annotations
+
+PACKAGE = __package__.rpartition(".")[0]
+
+
+def threads(context) -> int:
+    """Threads to use; 0: one per core."""
+    addon = context.preferences.addons.get(PACKAGE)
+    return addon.preferences.threads if addon is not None and addon.preferences is not None else 0

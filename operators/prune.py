@@ -1,0 +1,97 @@
+"""Prunes a splat against its photographs: the job of `svrgs prune`, in a process of its own, waited for."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+import bpy
+from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
+
+from ..svrgs_addon import child
+from ..svrgs_addon.arguments import PRUNE_ITERATIONS, RECOVERY
+from ..svrgs_addon.errors import SplatError
+from ..svrgs_addon.finetune.settings import METHODS
+from ..svrgs_addon.splat_files import read_scene, write_scene
+from . import bridge
+from .preferences import threads
+from .select import select
+
+
+class SVRGS_OT_prune(bpy.types.Operator):
+    bl_idname = "svrgs.prune"
+    bl_label = "Prune Splat"
+    bl_description = "Remove the Gaussians that the photographs do not need, and recover the quality. The original stays"
+    bl_options = {"REGISTER", "UNDO"}
+
+    scene: StringProperty(name="Scene", subtype="FILE_PATH", description="Splat file to prune. Empty: the active splat")
+    colmap: StringProperty(name="Dataset", subtype="DIR_PATH", description="COLMAP dataset of the photographs the splat was trained on. Empty: that of the cameras imported beside it")
+    images: StringProperty(name="Images", description="Name of the image folder in the dataset. Empty: images")
+    out: StringProperty(name="Output", subtype="FILE_PATH", description="File for the pruned splat. Empty: it comes into the scene alone")
+    report_folder: StringProperty(name="Report", subtype="DIR_PATH", description="Folder for an HTML report. Empty: none")
+    method: EnumProperty(name="Method", items=[(name, name, "") for name in METHODS])
+    lambda_f: FloatProperty(name="λ_F", min=0, soft_min=1e-5, soft_max=1e-3, precision=5, description="Weight of the spatial mask. 0: the method's own")
+    target: FloatProperty(name="Target", min=0, max=1, subtype="FACTOR", description="Share of the Gaussians to keep. 0: whatever survives")
+    target_count: IntProperty(name="Target Count", min=0, description="Number of Gaussians to keep. 0: whatever survives")
+    iterations: IntProperty(name="Iterations", min=0, default=PRUNE_ITERATIONS, description="Steps of mask learning")
+    recovery: IntProperty(name="Recovery", min=0, default=RECOVERY, description="Steps after it")
+    seed: IntProperty(name="Seed", min=0)
+
+    @classmethod
+    def poll(cls, context):
+        if context.mode == "OBJECT":
+            return True
+        cls.poll_message_set("Leave Edit Mode first")
+        return False
+
+    def execute(self, context):
+        source = None if self.scene else context.object
+        try:
+            with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as aside:
+                result, pruned = self.prune(source, Path(aside), threads(context))
+        except SplatError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        name = source.name if source else Path(self.scene).stem
+        obj = bridge.object_from_scene(f"{name} pruned", pruned, context.collection, source.matrix_world if source else bridge.AXES)
+        root = bridge.root_of(source)
+        if root is not None:
+            bridge.hang_below(obj, root)
+            obj.matrix_basis = source.matrix_basis
+        select(context, [obj])
+        before = result["before"]
+        self.report({"INFO"}, f"Kept {result['count']:,} of {before['count']:,} Gaussians, {result['psnr'] - before['psnr']:+.2f} dB")
+        return {"FINISHED"}
+
+    def prune(self, source: bpy.types.Object | None, aside: Path, threads: int):
+        """(the JSON result, the pruned scene). The result is printed as one line, as by `svrgs prune --json`."""
+        scene = Path(bpy.path.abspath(self.scene))
+        if source is not None or not self.scene:
+            scene = aside / "scene.ply"
+            write_scene(scene, bridge.scene_from_object(source))
+        out = Path(bpy.path.abspath(self.out)) if self.out else aside / "pruned.ply"
+        status, result = child.run(["prune", str(scene), "--out", str(out), *self.words(source), "--threads", str(threads)])
+        if status or "count" not in result:
+            raise SplatError(result.get("error", f"pruning ended with status {status}"))
+        print(json.dumps(result), flush=True)
+        return result, read_scene(out)
+
+    def words(self, source: bpy.types.Object | None) -> list[str]:
+        """The options of `svrgs prune` that were set, here or by the import of the photographs."""
+        root = bridge.root_of(source) or {}
+        colmap, images = (self.colmap, self.images) if self.colmap else (root.get(bridge.DATASET, ""), self.images or root.get(bridge.IMAGES, ""))
+        given = {
+            "--colmap": bpy.path.abspath(colmap), "--images": images, "--report": bpy.path.abspath(self.report_folder),
+            "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
+        }  # fmt: skip
+        words = [str(word) for name, value in given.items() if value for word in (name, value)]
+        return [*words, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in ("iterations", "recovery", "seed")), "--quiet", "--json"]
+
+
+def register():
+    bpy.utils.register_class(SVRGS_OT_prune)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_OT_prune)

@@ -1,0 +1,77 @@
+"""The Gaussians of splats that are drawn again and again, until Blender says that an object's data has changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..svrgs_addon.finetune.order import morton_order
+from ..svrgs_addon.scene import Scene
+from . import bridge, bridge_graph
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is visible of a splat, along a Morton curve."""
+
+    scene: Scene
+    rows: object  # (N,) rows of the object's Gaussians these were
+    data: int  # session_uid of its data
+
+
+_entries: dict[int, Entry] = {}  # by session_uid of the object
+
+
+def read(obj: bpy.types.Object) -> Scene:
+    """bridge_graph.visible_scene(obj) of an evaluated object, in another order: what lies together in space lies together in memory."""
+    return _entry(obj).scene
+
+
+def read_values(obj: bpy.types.Object, name: str):
+    """(N,) numbers of a further attribute in the order of read(obj); None where there is none."""
+    values = bridge.values(obj, name)
+    return None if values is None else values[_entry(obj).rows]
+
+
+def _entry(obj: bpy.types.Object) -> Entry:
+    uid = obj.original.session_uid
+    if uid not in _entries:
+        scene, rows = bridge.scene_from_object(obj), bridge_graph.visible_rows(obj)
+        rows = rows[morton_order(scene.means[rows])]
+        _entries[uid] = Entry(scene.select(rows), rows, obj.original.data.session_uid)
+    return _entries[uid]
+
+
+def forget_updated(depsgraph: bpy.types.Depsgraph):
+    """Drops what the last change in the graph made wrong."""
+    changed = {update.id.original.session_uid for update in depsgraph.updates if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry}
+    for uid, entry in list(_entries.items()):
+        if uid in changed or entry.data in changed:
+            del _entries[uid]
+
+
+@persistent
+def _after_update(scene, depsgraph=None):
+    if depsgraph is not None:
+        forget_updated(depsgraph)
+
+
+@persistent
+def _forget_all(*_):
+    _entries.clear()
+
+
+HANDLERS = (("depsgraph_update_post", _after_update), ("load_post", _forget_all), ("undo_post", _forget_all), ("redo_post", _forget_all))
+
+
+def register():
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister():
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)
+    _entries.clear()

@@ -1,0 +1,15 @@
+"""What the user sees: one file per panel. Panels know operators and properties by name only."""
+
+from . import compare, engine, overlay, preferences, scene, spatial_mask
+
+MODULES = (preferences, scene, overlay, spatial_mask, compare, engine)
+
+
+def register():
+    for module in MODULES:
+        module.register()
+
+
+def unregister():
+    for module in reversed(MODULES):
+        module.unregister()

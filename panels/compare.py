@@ -1,0 +1,72 @@
+"""Step 3: what pruning cost. In the 3D View and in the Image Editor."""
+
+import json
+
+import bpy
+
+from .spatial_mask import draw_image
+
+WIPE = "SVR-GS Wipe"
+
+
+class ComparePanel:
+    bl_label = "3  Compare"
+    bl_region_type = "UI"
+    bl_category = "SVR-GS"
+    bl_order = 3
+
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.svrgs_looking
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        for name in ("original", "pruned", "compare_camera"):
+            column.prop(settings, name)
+        row = layout.row(align=True)
+        row.operator("svrgs.compare", icon="IMAGE_ALPHA")
+        row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
+        image = bpy.data.images.get(WIPE)
+        if image is None or not settings.compare_result:
+            layout.label(text="Compare draws both from the camera", icon="INFO")
+            return
+        draw_image(layout, image)
+        layout.prop(settings, "wipe", slider=True)
+        table(layout, json.loads(settings.compare_result))
+
+
+class SVRGS_PT_compare(ComparePanel, bpy.types.Panel):
+    bl_space_type = "VIEW_3D"
+
+
+class SVRGS_PT_compare_image(ComparePanel, bpy.types.Panel):
+    bl_space_type = "IMAGE_EDITOR"
+
+
+def table(layout, result: dict):
+    """Original and pruned in numbers."""
+    lines = [("", "Original", "Pruned")]
+    rows = result["original"], result["pruned"]
+    lines.append(("Gaussians", *(f"{row['count']:,}" for row in rows)))
+    lines.append(("MB", *(f"{row['bytes'] / 1e6:.1f}" for row in rows)))
+    for key, text in (("psnr", "{:.2f}"), ("ssim", "{:.4f}"), ("flip", "{:.4f}")):
+        if key in rows[0]:
+            lines.append((key.upper(), *(text.format(row[key]) for row in rows)))
+    box = layout.box()
+    box.label(text=f"{result['camera']}: {result['between']:.1f} dB between them")
+    grid = box.grid_flow(row_major=True, columns=3, even_columns=True, align=True)
+    for line in lines:
+        for text in line:
+            grid.label(text=text)
+
+
+CLASSES = (SVRGS_PT_compare, SVRGS_PT_compare_image)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister():
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,34 @@
+"""View: how splats are drawn in Solid and Material Preview viewports."""
+
+import bpy
+
+
+class SVRGS_PT_overlay(bpy.types.Panel):
+    bl_label = "View"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "SVR-GS"
+    bl_options = {"DEFAULT_CLOSED"}
+    bl_order = 9
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.svrgs_looking, "overlay", text="")
+
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.svrgs_looking
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        column = layout.column()
+        column.active = settings.overlay
+        column.prop(settings, "overlay_shown")
+        column.prop(settings, "overlay_moving")
+        if not context.region_data.is_perspective:
+            layout.label(text="Splats are drawn in perspective: press Numpad 5", icon="INFO")
+
+
+def register():
+    bpy.utils.register_class(SVRGS_PT_overlay)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_PT_overlay)

@@ -1,0 +1,22 @@
+"""Edit > Preferences > Add-ons > SVR-GS."""
+
+import bpy
+from bpy.props import IntProperty
+
+
+class SVRGS_AP_preferences(bpy.types.AddonPreferences):
+    bl_idname = __package__.rpartition(".")[0]
+
+    threads: IntProperty(name="Threads", min=0, soft_max=64, default=0, description="Threads to draw and prune with. 0: one per core")
+
+    def draw(self, context):
+        self.layout.use_property_split = True
+        self.layout.prop(self, "threads")
+
+
+def register():
+    bpy.utils.register_class(SVRGS_AP_preferences)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_AP_preferences)

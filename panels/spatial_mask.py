@@ -1,0 +1,75 @@
+"""The spatial mask: a picture of it, and what its colours mean. In the 3D View and in the Image Editor."""
+
+import json
+
+import bpy
+
+IMAGE = "SVR-GS Spatial Mask"
+TICKS = 5
+
+
+class SpatialMaskPanel:
+    bl_label = "Spatial Mask"
+    bl_region_type = "UI"
+    bl_category = "SVR-GS"
+
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.svrgs_looking
+        row = layout.row(align=True)
+        row.operator("svrgs.spatial_mask", icon="FILE_REFRESH", text="Refresh")
+        row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
+        image = bpy.data.images.get(IMAGE)
+        if image is None or not settings.mask_result:
+            layout.label(text="Refresh draws how many Gaussians each pixel needs", icon="INFO")
+            return
+        draw_image(layout, image)
+        result = json.loads(settings.mask_result)
+        legend(layout, settings.mask_top or result["largest"])
+        layout.label(text=f"{result['camera']}: mean {result['mean']:.3g}, {result['milliseconds']} ms")
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        for name in ("mask_colors", "mask_top", "mask_size"):
+            column.prop(settings, name)
+
+
+class SVRGS_PT_spatial_mask(SpatialMaskPanel, bpy.types.Panel):
+    bl_space_type = "VIEW_3D"
+    bl_options = {"DEFAULT_CLOSED"}
+    bl_order = 10
+
+    def draw(self, context):
+        super().draw(context)
+        self.layout.operator("svrgs.contribution", icon="MOD_VERTEX_WEIGHT")
+
+
+class SVRGS_PT_spatial_mask_image(SpatialMaskPanel, bpy.types.Panel):
+    bl_space_type = "IMAGE_EDITOR"
+
+
+def draw_image(layout, image, scale=10.0):
+    """The image's preview, as wide as the panel lets it be."""
+    if image.preview is not None:
+        layout.template_icon(image.preview.icon_id, scale=scale)
+
+
+def legend(layout, top: float):
+    """Numbers below the colour bar, from 0 to top."""
+    row = layout.row()
+    for k in range(TICKS):
+        cell = row.row()
+        cell.alignment = "LEFT" if k == 0 else "RIGHT" if k == TICKS - 1 else "CENTER"
+        cell.label(text=f"{top * k / (TICKS - 1):.2g}")
+
+
+CLASSES = (SVRGS_PT_spatial_mask, SVRGS_PT_spatial_mask_image)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister():
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,92 @@
+"""Runs inside Blender as a module, started by ../test_extension.py: the installed extension, and a scene without anything in it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import bpy
+import numpy as np
+import pytest
+
+PACKAGE = "bl_ext.user_default.svrgs"
+DATA = Path(os.environ["SVRGS_TEST_DATA"])
+KINDS = ("objects", "meshes", "pointclouds", "cameras", "images", "collections")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def installed() -> Path:
+    """Folder of the extension, installed and enabled by Blender itself."""
+    bpy.ops.extensions.package_install_files(filepath=os.environ["SVRGS_TEST_ZIP"], repo="user_default", enable_on_install=True)
+    return Path(sys.modules[PACKAGE].__file__).parent
+
+
+@pytest.fixture(autouse=True)
+def empty():
+    for kind in KINDS:
+        bpy.data.batch_remove(list(getattr(bpy.data, kind)))
+
+
+def part(name: str) -> ModuleType:
+    """A module of the installed extension."""
+    return importlib.import_module(f"{PACKAGE}.{name}")
+
+
+@pytest.fixture
+def bridge():
+    return part("operators.bridge")
+
+
+@pytest.fixture
+def ply():
+    """Reads and writes PLY files."""
+    return part("svrgs_addon.formats")
+
+
+@dataclass(frozen=True)
+class Views:
+    """Cameras as COLMAP has them, in name order."""
+
+    viewmats: np.ndarray  # (V, 4, 4)
+    Ks: np.ndarray  # (V, 3, 3)
+    sizes: np.ndarray  # (V, 2)
+    names: list[str]
+    points: np.ndarray  # (P, 3)
+
+    def pixels(self, view: int) -> np.ndarray:
+        """(P, 2) where the view shows the points; NaN behind it."""
+        x = self.points.astype(np.float64) @ self.viewmats[view, :3, :3].T + self.viewmats[view, :3, 3]
+        px = x @ self.Ks[view].T
+        return np.where(x[:, 2:] > 0.01, px[:, :2] / px[:, 2:], np.nan)
+
+
+@pytest.fixture(params=["tiny", "varied"])
+def dataset(request) -> tuple[Path, Views]:
+    with np.load(DATA / f"{request.param}.npz") as stored:
+        return DATA / request.param, Views(stored["viewmats"], stored["Ks"], stored["sizes"], [str(n) for n in stored["names"]], stored["points"])
+
+
+@pytest.fixture
+def make_scene():
+    """Scenes as a file may hold them: not normalised, extreme, with further columns of every type."""
+    Scene = part("svrgs_addon.scene").Scene
+
+    def make(count: int = 500, degree: int = 3, further: bool = True):
+        rng, K = np.random.default_rng(degree), (degree + 1) ** 2
+        columns = {
+            "nx": rng.normal(size=count).astype(np.float32), "label": rng.integers(0, 255, count).astype(np.uint8), "t": rng.normal(size=count),
+            "id": rng.integers(0, 2**32, count, dtype=np.uint64).astype(np.uint32), "scale": rng.normal(size=count).astype(np.float32),
+            "small": rng.integers(-128, 127, count).astype(np.int8), "far": rng.integers(-(2**31), 2**31, count).astype(np.int32),
+            "x" * 80: rng.integers(-(2**15), 2**15, count).astype(np.int16),
+        }  # fmt: skip
+        logits = rng.normal(0, 10, count)
+        logits[:3] = 0, 200, -200
+        arrays = (rng.normal(size=(count, 3)), rng.normal(-4, 4, (count, 3)), rng.normal(size=(count, 4)), logits, rng.normal(size=(count, K, 3)))
+        means, log_scales, quats, logits, sh = (np.ascontiguousarray(a, np.float32) for a in arrays)
+        return Scene(means, log_scales, quats, logits, sh, True, columns if further else {}, ("made by hand", "SplatRenderMode: mip"))
+
+    return make

@@ -1,0 +1,207 @@
+"""Cameras from COLMAP, held against Blender's own matrices, and Blender's cameras as the rasterizer needs them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from conftest import DATA
+from mathutils import Matrix, Vector
+
+PX = 0.01
+
+
+def seen_by_blender(obj, scene, points) -> np.ndarray:
+    """(P, 2) pixels, from the top left, at which Blender's projection matrix shows world points; NaN behind the camera."""
+    render = scene.render
+    width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
+    projection = obj.calc_matrix_camera(
+        bpy.context.evaluated_depsgraph_get(), x=width, y=height, scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y
+    )
+    clip = np.array([projection @ obj.matrix_world.normalized().inverted() @ Vector((*point, 1)) for point in points])
+    with np.errstate(invalid="ignore"):
+        ndc = np.where(clip[:, 3:] > 0.01, clip[:, :2] / clip[:, 3:], np.nan)
+    return np.column_stack([(ndc[:, 0] + 1) / 2 * width, (1 - ndc[:, 1]) / 2 * height])
+
+
+def cameras() -> list:
+    return sorted((obj for obj in bpy.data.objects if obj.type == "CAMERA"), key=lambda obj: obj.data["svrgs_image"])
+
+
+def in_world(root, points) -> np.ndarray:
+    return points.astype(np.float64) @ np.array(root.matrix_world, np.float64)[:3, :3].T + np.array(root.matrix_world)[:3, 3]
+
+
+def activate(obj):
+    bpy.context.scene.camera = obj
+    bpy.context.view_layer.update()
+
+
+def test_imported_cameras_see_what_the_photographs_saw(dataset):
+    folder, views = dataset
+    bpy.ops.svrgs.import_colmap(directory=str(folder))
+    (root,) = {obj.parent for obj in cameras()}
+    scene, worst = bpy.context.scene, 0.0
+    for view, obj in enumerate(cameras()):
+        activate(obj)
+        assert (scene.render.resolution_x, scene.render.resolution_y) == tuple(views.sizes[view]), "the picture's size comes with its camera"
+        expected, world = views.pixels(view), in_world(root, views.points)
+        found = seen_by_blender(obj, scene, world)
+        both = np.isfinite(expected).all(1) & (np.abs(expected) < 4 * views.sizes[view].max()).all(1)
+        assert both.sum() > 20
+        worst = max(worst, np.abs(found - expected)[both].max())
+        for k in np.flatnonzero(both)[:5]:
+            x, y, _ = world_to_camera_view(scene, obj, Vector(world[k]))
+            pixel = np.array([x, 1 - y]) * views.sizes[view]
+            assert np.abs(pixel - expected[k]).max() < PX or scene.render.pixel_aspect_x != scene.render.pixel_aspect_y
+    assert worst < PX
+    assert [obj.data["svrgs_image"] for obj in cameras()] == views.names
+
+
+def test_photographs_and_points_come_along(dataset):
+    folder, views = dataset
+    bpy.ops.svrgs.import_colmap(directory=str(folder))
+    for obj, name, size in zip(cameras(), views.names, views.sizes, strict=True):
+        (background,) = obj.data.background_images
+        assert Path(background.image.filepath).samefile(folder / "images" / name)
+        assert tuple(background.image.size) == tuple(size) and obj.data.show_background_images
+    (points,) = (obj for obj in bpy.data.objects if obj.type == "MESH")
+    stored = np.empty(3 * len(points.data.vertices), np.float32)
+    points.data.vertices.foreach_get("co", stored)
+    np.testing.assert_array_equal(np.sort(stored), np.sort(views.points.reshape(-1)))
+    assert points.parent == cameras()[0].parent
+    colour = np.array(points.data.attributes["Color"].data[0].color_srgb)
+    np.testing.assert_allclose(colour, (200 / 255, 150 / 255, 100 / 255, 1), atol=1e-6)
+
+
+def test_cameras_join_the_splat_wherever_it_stands():
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat = bpy.context.object
+    splat.location, splat.rotation_euler, splat.scale = (1, 2, 3), (0.1, 0.2, 0.3), (2, 2, 2)
+    bpy.context.view_layer.update()
+    before = np.array(splat.matrix_world)
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    (root,) = {obj.parent for obj in cameras()}
+    assert splat.parent == root and np.array(splat.matrix_basis).tolist() == np.eye(4).tolist()
+    np.testing.assert_allclose(splat.matrix_world, before, atol=1e-6)
+    bpy.context.view_layer.objects.active = cameras()[0]
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    bpy.context.view_layer.update()
+    assert bpy.context.object.parent == root
+    np.testing.assert_allclose(bpy.context.object.matrix_world, before, atol=1e-6)
+
+
+def test_an_imported_camera_goes_back_as_it_was(dataset, bridge):
+    folder, views = dataset
+    bpy.ops.svrgs.import_colmap(directory=str(folder))
+    root = cameras()[0].parent
+    root.matrix_world = Matrix.Translation((3, -1, 2)) @ Matrix.Rotation(1, 4, "Y") @ Matrix.Scale(2.5, 4)
+    bpy.context.view_layer.update()
+    for view, obj in enumerate(cameras()):
+        camera = bridge.camera_from_object(obj, bpy.context.scene, splat_matrix=root.matrix_world)
+        np.testing.assert_allclose(camera.viewmat, views.viewmats[view], atol=2e-5)
+        np.testing.assert_allclose(camera.K, views.Ks[view], atol=PX / 10)
+        assert (camera.width, camera.height, camera.name) == (*views.sizes[view], views.names[view])
+
+
+@pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
+@pytest.mark.parametrize("size", [(640, 360, 100), (301, 500, 50)])
+@pytest.mark.parametrize("aspect", [(1, 1), (1.5, 1), (1, 2)])
+def test_any_camera_is_what_blender_makes_of_it(bridge, fit, size, aspect):
+    scene, rng = bpy.context.scene, np.random.default_rng(1)
+    data = bpy.data.cameras.new("own")
+    data.sensor_fit, data.lens, data.sensor_width, data.sensor_height = fit, 31, 30, 20
+    data.shift_x, data.shift_y = 0.2, -0.15
+    obj = bpy.data.objects.new("own", data)
+    scene.collection.objects.link(obj)
+    obj.location, obj.rotation_euler, obj.scale = (1, -2, 3), (0.5, 1, -2), (2, 2, 2)
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = size
+    scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = aspect
+    try:
+        bpy.context.view_layer.update()
+        camera = bridge.camera_from_object(obj, scene)
+        points = np.array([obj.matrix_world.normalized() @ Vector((*xy, -5)) for xy in rng.uniform(-3, 3, (40, 2))])
+        x = (points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]) @ camera.K.T
+        assert np.abs(x[:, :2] / x[:, 2:] - seen_by_blender(obj, scene, points)).max() < PX
+        assert (camera.width, camera.height) == tuple(side * size[2] // 100 for side in size[:2])
+    finally:
+        scene.render.resolution_percentage = 100
+        scene.render.pixel_aspect_x = scene.render.pixel_aspect_y = 1
+
+
+def test_cameras_without_perspective_and_uneven_splats_are_refused(bridge):
+    obj = bpy.data.objects.new("flat", bpy.data.cameras.new("flat"))
+    with pytest.raises(Exception, match="scaled differently along its axes"):
+        bridge.camera_from_object(obj, bpy.context.scene, splat_matrix=Matrix.Diagonal((1, 2, 1, 1)))
+    obj.data.type = "ORTHO"
+    with pytest.raises(Exception, match="'flat' is not a perspective camera"):
+        bridge.camera_from_object(obj, bpy.context.scene)
+
+
+class Nothing(bpy.types.RenderEngine):
+    """Notes the size it is asked for."""
+
+    bl_idname, bl_label = "TEST_NOTHING", "Nothing"
+    asked = []
+
+    def render(self, depsgraph):
+        self.asked.append((self.resolution_x, self.resolution_y))
+        self.end_result(self.begin_result(0, 0, self.resolution_x, self.resolution_y))
+
+
+def test_a_render_takes_the_size_of_a_camera_that_became_active_just_before():
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "varied"))
+    scene = bpy.context.scene
+    activate(cameras()[0])
+    engine, scene.camera = scene.render.engine, cameras()[-1]
+    bpy.utils.register_class(Nothing)
+    try:
+        scene.render.engine = Nothing.bl_idname
+        bpy.ops.render.render()
+    finally:
+        scene.render.engine = engine
+        bpy.utils.unregister_class(Nothing)
+    assert Nothing.asked == [tuple(cameras()[-1].data["svrgs_size"])]
+
+
+def test_the_size_saved_with_a_file_is_kept_on_opening(tmp_path):
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.scene.render.resolution_x = 32
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
+    bpy.context.view_layer.update()
+    assert bpy.context.scene.render.resolution_x == 32
+    activate(cameras()[3])
+    assert bpy.context.scene.render.resolution_x == 64
+
+
+def test_a_smaller_render_of_the_same_camera_stays_small():
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    scene = bpy.context.scene
+    activate(cameras()[1])
+    scene.render.resolution_x = 32
+    bpy.context.view_layer.update()
+    assert scene.render.resolution_x == 32
+
+
+def test_photographs_of_a_distorting_lens_are_shown_as_their_pinholes_see_them(tmp_path):
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
+    for obj in cameras():
+        image = obj.data.background_images[0].image
+        assert Path(image.filepath).parent == tmp_path and tuple(image.size) == tuple(obj.data["svrgs_size"])
+
+
+def test_cameras_come_without_photographs_and_say_so(tmp_path, capfd):
+    (tmp_path / "sparse").symlink_to(DATA / "tiny/sparse")
+    bpy.ops.svrgs.import_colmap(directory=str(tmp_path))
+    assert len(cameras()) == 12 and not any(obj.data.background_images for obj in cameras())
+    assert "has no image folder images; the cameras came without photographs" in capfd.readouterr().out
+
+
+def test_a_folder_without_a_model_is_refused(tmp_path):
+    with pytest.raises(RuntimeError, match="holds no COLMAP model"):
+        bpy.ops.svrgs.import_colmap(directory=str(tmp_path))
+    assert not bpy.data.objects

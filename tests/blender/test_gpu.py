@@ -1,0 +1,76 @@
+"""Quads on the graphics card against the rasterizer, where Blender draws without a window (5.2 on)."""
+
+from __future__ import annotations
+
+import ctypes.util
+from dataclasses import replace
+
+import gpu
+import numpy as np
+import pytest
+from conftest import part
+from mathutils import Matrix
+
+SIDE = 64
+
+
+@pytest.fixture(scope="module")
+def shaders():
+    if not hasattr(gpu, "init") or not ctypes.util.find_library("EGL"):
+        pytest.skip("this Blender does not draw with the graphics card in background mode, or libEGL is missing")
+    gpu.init()
+    return part("operators.bridge_gpu").Shaders()
+
+
+def quads_picture(shaders, scene, camera, hidden: float = 1.0, reduction: int = 1) -> np.ndarray:
+    """(H, W, 4) of all Gaussians, from the top; hidden: depth in [0, 1] of what is in front."""
+    bridge_gpu, quads = part("operators.bridge_gpu"), part("svrgs_addon.quads")
+    cloud = quads.quads(scene, scene.count)
+    lists = {
+        "order": bridge_gpu.texture(quads.back_to_front(cloud.means, camera.viewmat[2, :3]), "R32F"),
+        "geometry": bridge_gpu.texture(cloud.geometry.reshape(-1, 4), "RGBA32F"),
+        "colors": bridge_gpu.texture(quads.colors(scene, cloud.rows, camera.position), "RGBA16F"),
+    }
+    flip = np.diag([1.0, -1, -1, 1])
+    small = camera.resized(camera.width // reduction, camera.height // reduction)
+    near, far = bridge_gpu.NEAR, 100.0
+    constants = {
+        "modelview": Matrix(flip @ camera.viewmat), "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]),
+        "size": (small.width, small.height), "depth_scale": -(far + near) / (far - near), "depth_shift": -2 * far * near / (far - near),
+        "near": near, "enlarge": 1.0, "antialiased": float(scene.antialiased), "reduction": reduction,
+    }  # fmt: skip
+    values = np.full(camera.width * camera.height, hidden, np.float32)
+    depth = gpu.types.GPUTexture((camera.width, camera.height), format="R32F", data=gpu.types.Buffer("FLOAT", values.size, values))
+    target = bridge_gpu.Target(small.width, small.height)
+    bridge_gpu.draw_quads(shaders, target, lists, depth, constants, scene.count)
+    with target.frame.bind():
+        values = target.frame.read_color(0, 0, small.width, small.height, 4, 0, "FLOAT")
+    values.dimensions = small.width * small.height * 4
+    return np.array(values, np.float32).reshape(small.height, small.width, 4)[::-1]
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_all_quads_are_the_rasterizers_picture(shaders, antialiased):
+    """To the 11 bits of the half floats they are blended in."""
+    scenes, native = part("svrgs_addon.bench.scenes"), part("svrgs_addon.native")
+    scene, camera = replace(scenes.room(2000), antialiased=antialiased), scenes.orbit_camera(SIDE, SIDE // 2)
+    expected = native.Rasterizer().forward(scene, camera, native.RenderOptions(antialiased=antialiased), outputs=("rgb", "alpha"))
+    drawn = quads_picture(shaders, scene, camera)
+    assert expected["alpha"].mean() > 0.3
+    np.testing.assert_allclose(drawn[..., :3], expected["rgb"], atol=0.012)
+    np.testing.assert_allclose(drawn[..., 3], expected["alpha"], atol=0.012)
+    assert np.abs(drawn[..., :3] - expected["rgb"]).mean() < 0.002
+
+
+def test_what_is_in_front_hides_them(shaders):
+    scenes = part("svrgs_addon.bench.scenes")
+    scene, camera = scenes.room(500), scenes.orbit_camera(SIDE, SIDE // 2)
+    assert quads_picture(shaders, scene, camera).any() and not quads_picture(shaders, scene, camera, hidden=0.0).any()
+
+
+def test_fewer_pixels_show_the_same_picture(shaders):
+    scenes = part("svrgs_addon.bench.scenes")
+    scene, camera = scenes.room(2000), scenes.orbit_camera(4 * SIDE, 2 * SIDE)
+    whole, small = quads_picture(shaders, scene, camera), quads_picture(shaders, scene, camera, reduction=2)
+    blocks = whole.reshape(SIDE, 2, 2 * SIDE, 2, 4).mean(axis=(1, 3))
+    assert small.shape == blocks.shape and np.abs(small - blocks).mean() < 0.03

@@ -1,0 +1,97 @@
+"""The same job from Blender as from a shell: same scene, same figures, same JSON."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import bpy
+import pytest
+from conftest import DATA, PACKAGE, part
+
+SHORT = {"iterations": 10, "recovery": 5, "target": 0.5, "seed": 3}
+FIGURES = ("count", "psnr", "ssim", "flip", "lpips", "bytes", "method", "lambda_f")
+
+
+def json_lines(text: str) -> list[dict]:
+    return [json.loads(line) for line in text.splitlines() if line.startswith("{")]
+
+
+@pytest.fixture(scope="module")
+def from_a_shell(tmp_path_factory) -> tuple[dict, bytes]:
+    out = tmp_path_factory.mktemp("shell") / "pruned.ply"
+    child = part("svrgs_addon.child")
+    words = [f"--{name}={value}" for name, value in SHORT.items()]
+    command = [sys.executable, "-m", "svrgs_addon", "prune", DATA / "tiny/scene.ply", "--colmap", DATA / "tiny", *words, "--out", out, "--json", "--quiet"]
+    done = subprocess.run([str(word) for word in command], env=child.environment(), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout), out.read_bytes()
+
+
+def test_pruning_the_active_splat_is_the_job_of_the_command_line(from_a_shell, bridge, ply, tmp_path, capfd):
+    expected, content = from_a_shell
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    source = bpy.context.object
+    bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), report_folder=str(tmp_path / "report"), **SHORT)
+    said = capfd.readouterr().out
+    (result,) = json_lines(said)
+    assert result.keys() == expected.keys()
+    assert [result[name] for name in FIGURES] == [expected[name] for name in FIGURES]
+    assert (tmp_path / "out.ply").read_bytes() == content and (tmp_path / "report/index.html").exists()
+    assert "Kept 125 of 250 Gaussians" in said
+    pruned = bpy.context.object
+    assert bridge.count(source) == 250 and bridge.count(pruned) == 125 and pruned.name == "scene pruned"
+    ply.write_ply(tmp_path / "object.ply", bridge.scene_from_object(pruned))
+    assert (tmp_path / "object.ply").read_bytes() == content
+    assert pruned.matrix_world == source.matrix_world
+
+
+def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, bridge):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.object.parent.location = (1, 2, 3)
+    source = bpy.context.object
+    bpy.ops.svrgs.prune(**SHORT)
+    pruned = bpy.context.object
+    bpy.context.view_layer.update()
+    assert bridge.count(pruned) == from_a_shell[0]["count"] and pruned.parent == source.parent and pruned.matrix_world == source.matrix_world
+
+
+def test_pruning_a_file_needs_no_object(from_a_shell, bridge):
+    bpy.ops.svrgs.prune(scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), **SHORT)
+    assert bridge.count(bpy.context.object) == from_a_shell[0]["count"]
+
+
+@pytest.mark.parametrize(
+    "options, sentence",
+    [({}, "pruning needs the photographs"), ({"colmap": "/nowhere"}, "/nowhere: holds no COLMAP model"), ({"scene": "/nowhere.ply"}, "there is no such file")],
+)
+def test_what_cannot_be_pruned_is_said_in_a_sentence(options, sentence):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    options = {"colmap": str(DATA / "tiny"), **options} if "scene" in options else options
+    with pytest.raises(RuntimeError, match=sentence):
+        bpy.ops.svrgs.prune(**SHORT, **options)
+    assert len(bpy.data.objects) == 1
+
+
+def test_pruning_without_a_splat_says_so():
+    with pytest.raises(RuntimeError, match="there is no object"):
+        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"))
+
+
+def test_the_command_line_of_blender_is_the_products(capfd):
+    run = part("operators.command_line").run
+    assert run(["info", str(DATA / "tiny/scene.ply"), "--json"]) == 0
+    (facts,) = json_lines(capfd.readouterr().out)
+    assert facts == part("svrgs_addon.splat_files").describe(DATA / "tiny/scene.ply")
+    assert run(["info", "/nowhere.ply"]) == 2
+    assert "there is no such file" in capfd.readouterr().err
+
+
+def test_threads_are_taken_from_the_preferences(capfd):
+    bpy.context.preferences.addons[PACKAGE].preferences.threads = 1
+    try:
+        assert part("operators.preferences").threads(bpy.context) == 1
+    finally:
+        bpy.context.preferences.addons[PACKAGE].preferences.threads = 0

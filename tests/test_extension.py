@@ -1,0 +1,106 @@
+"""The extension as a user has it: built and installed by Blender's own tools; tests/blender runs in a fresh process a Blender.
+
+Blenders: the bpy of this Python, and those of the Pythons in SVRGS_BLENDER_PYTHONS (paths with ':' between; `make test-blender`).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+import tomllib
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+MANIFEST = tomllib.loads((ROOT / "blender_manifest.toml").read_text())
+PYTHONS = [sys.executable, *filter(None, os.environ.get("SVRGS_BLENDER_PYTHONS", "").split(":"))]
+
+
+@pytest.fixture(scope="module")
+def extension_zip(tmp_path_factory) -> Path:
+    spec = importlib.util.find_spec("bpy")
+    if spec is None:
+        pytest.skip("bpy is not installed, and with it Blender's builder of extensions")
+    missing = [wheel for wheel in MANIFEST["wheels"] if not (ROOT / wheel).exists()]
+    if missing:
+        pytest.skip(f"'make zip' has not fetched {missing[0]} yet")
+    (builder,) = Path(spec.origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py")
+    folder = tmp_path_factory.mktemp("dist")
+    for words in (["build", "--source-dir", ROOT, "--output-dir", folder], ["validate", folder / f"svrgs-{MANIFEST['version']}.zip"]):
+        done = subprocess.run([sys.executable, builder, *map(str, words)], capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+    return folder / f"svrgs-{MANIFEST['version']}.zip"
+
+
+@pytest.fixture(scope="module")
+def data(tiny, tmp_path_factory) -> Path:
+    """tiny/: a dataset and its splat; renders/: what `svrgs render` makes of them; varied/: cameras of other shapes; distorted/: a lens
+    with distortion. NAME.npz: the cameras."""
+    import scenes
+    from svrgs_addon import cli
+    from svrgs_addon.images import write_image
+
+    folder = tmp_path_factory.mktemp("data")
+    (folder / "tiny").symlink_to(tiny.folder)
+    assert cli.main(["render", str(tiny.splat), "--colmap", str(tiny.folder), "--out", str(folder / "renders")]) == 0
+    views = [replace(scenes.CAMERAS[name], name=f"{name}/{i}.png") for i, name in enumerate(("rotated", "off_centre", "outside", "wide", "narrow"))]
+    write_colmap(folder / "varied/sparse/0", views, tiny.truth.means)
+    for view in views:
+        write_image(folder / "varied/images" / view.name, np.full((view.height, view.width, 3), 0.5))
+    write_colmap(folder / "distorted/sparse/0", tiny.cameras[:2], tiny.truth.means, distortion=(0.1, 0.01, 0.0, 0.0))
+    (folder / "distorted/images").symlink_to(tiny.folder / "images")
+    for name, cameras in {"tiny": tiny.cameras, "varied": sorted(views, key=lambda view: view.name)}.items():
+        np.savez(
+            folder / f"{name}.npz", viewmats=[c.viewmat for c in cameras], Ks=[c.K for c in cameras],
+            sizes=[(c.width, c.height) for c in cameras], names=[c.name for c in cameras], points=tiny.truth.means,
+        )  # fmt: skip
+    return folder
+
+
+def write_colmap(folder: Path, views: list, points: np.ndarray, distortion: tuple = ()):
+    """A binary model in which every view has a camera of its own."""
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    for number, view in enumerate(views, 1):
+        params = [view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]]
+        kind = "OPENCV" if distortion else "PINHOLE"
+        camera = pycolmap.Camera(camera_id=number, model=kind, width=view.width, height=view.height, params=[*params, *distortion])
+        model.add_camera_with_trivial_rig(camera)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(view.viewmat[:3, :3]), view.viewmat[:3, 3])
+        model.add_image_with_trivial_frame(pycolmap.Image(name=view.name, camera_id=number, image_id=number), pose)
+    for point in points.astype(np.float64):
+        model.add_point3D(point, pycolmap.Track(), np.array([200, 150, 100], np.uint8))
+    folder.mkdir(parents=True)
+    model.write_binary(folder)
+
+
+def test_the_zip_holds_the_product_and_nothing_else(extension_zip):
+    with zipfile.ZipFile(extension_zip) as archive:
+        names = archive.namelist()
+    assert {name.split("/")[0] for name in names} == {"__init__.py", "blender_manifest.toml", "LICENSE", "operators", "panels", "svrgs_addon", "wheels"}
+    assert "svrgs_addon/libsvrgs.so" in names and "operators/bridge.py" in names
+    assert sorted(name for name in names if name.startswith("wheels/")) == sorted(wheel[2:] for wheel in MANIFEST["wheels"])
+
+
+def test_versions_agree_and_only_files_are_asked_for():
+    import svrgs_addon
+
+    assert MANIFEST["version"] == svrgs_addon.__version__
+    assert list(MANIFEST["permissions"]) == ["files"] and MANIFEST["license"] == ["SPDX:GPL-3.0-or-later"]
+    assert MANIFEST["blender_version_min"] == "4.2.0"
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+def test_inside_blender(python, extension_zip, data, tmp_path):
+    environment = {**os.environ, "SVRGS_TEST_ZIP": str(extension_zip), "SVRGS_TEST_DATA": str(data), "BLENDER_USER_RESOURCES": str(tmp_path)}
+    words = ["-m", "pytest", "-q", "--durations=8", "-p", "no:cacheprovider", "--rootdir", ROOT / "tests/blender", "-c", os.devnull, ROOT / "tests/blender"]
+    done = subprocess.run([python, *map(str, words)], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-2000:]
+    print(done.stdout)

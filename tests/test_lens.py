@@ -1,0 +1,55 @@
+"""Blender's camera numbers and intrinsics, there and back; tests/blender holds them against Blender's own matrices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import scenes
+from svrgs_addon.lens import Lens, depth_of_projection, intrinsics, intrinsics_of_projection, lens_of
+
+
+@pytest.mark.parametrize("camera", scenes.CAMERAS.values(), ids=scenes.CAMERAS)
+def test_intrinsics_survive_the_way_through_blenders_numbers(camera):
+    np.testing.assert_allclose(intrinsics(lens_of(camera)), camera.K, rtol=1e-12, atol=1e-9)
+
+
+def test_square_pixels_stay_square():
+    assert lens_of(scenes.CAMERAS["plain"]).aspect == (1.0, 1.0)
+
+
+@pytest.mark.parametrize("fit, focal", [("AUTO", 50 * 100 / 36), ("HORIZONTAL", 50 * 100 / 36), ("VERTICAL", 50 * 80 / 24)])
+def test_the_fitted_side_sets_the_focal_length(fit, focal):
+    K = intrinsics(Lens(100, 80, 50.0, (0.1, -0.2), sensor=(36, 24), fit=fit))
+    side = 80 if fit == "VERTICAL" else 100
+    np.testing.assert_allclose(K, [[focal, 0, 50 - 0.1 * side], [0, focal, 40 - 0.2 * side], [0, 0, 1]])
+
+
+def test_a_portrait_is_fitted_to_its_height():
+    lens = Lens(80, 100, 50.0)
+    assert intrinsics(lens)[0, 0] == pytest.approx(50 * 100 / 36)
+    assert intrinsics(replace(lens, aspect=(2.0, 1.0)))[0, 0] == pytest.approx(50 * 80 / 36)  # pixels twice as wide: a landscape
+
+
+def frustum(left, right, bottom, top, near, far) -> np.ndarray:
+    """OpenGL's projection matrix, from its definition."""
+    return np.array([
+        [2 * near / (right - left), 0, (right + left) / (right - left), 0], [0, 2 * near / (top - bottom), (top + bottom) / (top - bottom), 0],
+        [0, 0, -(far + near) / (far - near), -2 * far * near / (far - near)], [0, 0, -1, 0],
+    ])  # fmt: skip
+
+
+def test_a_viewports_projection_and_its_intrinsics_show_points_at_the_same_pixels():
+    P, points = frustum(-0.3, 0.5, -0.2, 0.1, 0.5, 90), np.random.default_rng(0).uniform((-2, -2, -9), (2, 2, -1), (20, 3))
+    clip = np.c_[points, np.ones(20)] @ P.T
+    ndc = clip[:, :3] / clip[:, 3:]
+    seen = (points * (1, -1, -1)) @ intrinsics_of_projection(P, 320, 200).T
+    np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], np.c_[(ndc[:, 0] + 1) * 160, (1 - ndc[:, 1]) * 100], atol=1e-9)
+    np.testing.assert_allclose(depth_of_projection(P, (ndc[:, 2] + 1) / 2), -points[:, 2], rtol=1e-5)
+    assert np.isinf(depth_of_projection(P, np.ones(1))).all()
+
+
+def test_a_parallel_projection_has_no_intrinsics():
+    assert intrinsics_of_projection(np.diag([1.0, 1, -0.1, 1]), 320, 200) is None
