@@ -49,9 +49,9 @@ zip: setup $(WHEELS)
 	$(EXTENSION) build --source-dir . --output-dir dist
 	$(EXTENSION) validate dist/*.zip
 
-# NAME-VERSION-PYTHON-ABI-PLATFORM.whl
+# NAME-VERSION-PYTHON-ABI-PLATFORM[.PLATFORM].whl
 wheels/%.whl: | $(VENV)/.ready
-	IFS=-; set -- $(@F); unset IFS; $(PIP) download --no-deps --only-binary=:all: --dest wheels --python-version $${3#cp} --platform $${5%.whl} $$1==$$2
+	name=$(basename $(@F)); IFS=-; set -- $$name; unset IFS; $(PIP) download --no-deps --only-binary=:all: --dest wheels --python-version $${3#cp} --platform $${5##*.} $$1==$$2
 
 # Blender 4.2, 4.5 and 5.2 beside the 5.0 of the development environment: about 1 GB each.
 test-blender: setup $(WHEELS) $(BLENDERS:%=build/bpy-%/.ready)
@@ -59,7 +59,7 @@ test-blender: setup $(WHEELS) $(BLENDERS:%=build/bpy-%/.ready)
 
 build/bpy-%/.ready:
 	$(if $(filter 5.2%,$*),$(PYTHON313),$(PYTHON)) -m venv build/bpy-$*
-	build/bpy-$*/bin/python -m pip install --quiet --disable-pip-version-check bpy==$* pytest OpenImageIO $(if $(filter 5.2%,$*),,"numpy<2")
+	build/bpy-$*/bin/python -m pip install --quiet --disable-pip-version-check bpy==$* pytest $(if $(filter 5.2%,$*),OpenImageIO,"numpy<2")
 	touch $@
 
 clean:
