@@ -24,6 +24,7 @@ from ..svrgs_addon.transform import UNIFORM, stretch
 NOTES = "svrgs"  # property of a splat's data-block
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
 ROOT = "svrgs_root"  # property of the empty that holds what shares file coordinates
+DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: the COLMAP folder its cameras are of, and of its images
 TYPES = ("MESH", "POINTCLOUD")
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
@@ -66,6 +67,32 @@ def scene_from_object(obj: bpy.types.Object) -> Scene:
     with _out_of_edit_mode(obj) as data:
         numbers = [a.name for a in data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
         return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
+
+
+def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
+    """(N,) or (N, width) numbers of a splat's further attribute; None where it has none of that name."""
+    return _get(obj.data, name)
+
+
+def set_values(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray):
+    """Gives the splat a further attribute of Blender's data type `kind`, one row a Gaussian."""
+    _set(obj.data, name, kind, values)
+    obj.data.update_tag()
+
+
+def forget_values(obj: bpy.types.Object, *names: str):
+    """Removes further attributes, as far as there are any."""
+    for name in names:
+        if name in obj.data.attributes:
+            obj.data.attributes.remove(obj.data.attributes[name])
+
+
+def replace_gaussians(obj: bpy.types.Object, scene: Scene):
+    """Gives the splat other Gaussians; it stays the same object."""
+    new = object_from_scene(obj.data.name, scene, bpy.context.scene.collection)
+    old, obj.data = obj.data, new.data
+    bpy.data.objects.remove(new)
+    getattr(bpy.data, "meshes" if isinstance(old, bpy.types.Mesh) else "pointclouds").remove(old)
 
 
 @contextlib.contextmanager

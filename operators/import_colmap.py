@@ -43,6 +43,8 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         objects = self.build(context, folder.resolve().name, photos)
+        root = bridge.root_of(objects[-1])
+        root[bridge.DATASET], root[bridge.IMAGES] = str(folder.resolve()), self.images
         select(context, objects[-1:])
         shown = sum(file is not None for file in photos.files) if self.photographs else 0
         if photos.warning:

@@ -1,8 +1,8 @@
-"""What the user sees: one file per panel. Panels know operators and properties by name only."""
+"""What the user sees: one file per panel. What they know they ask operators/, never the product itself."""
 
-from . import preferences, scene
+from . import export, preferences, properties, prune, scene
 
-MODULES = (preferences, scene)
+MODULES = (preferences, properties, scene, prune, export)
 
 
 def register():

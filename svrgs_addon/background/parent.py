@@ -18,6 +18,7 @@ from .folder import CANCEL, ENDED, PAUSE, JobFolder
 
 START_SECONDS = 60.0  # within which a process must say something
 SILENT_SECONDS = 60.0  # without a sign of life: worth telling
+LOOK_EVERY = 2.0  # seconds between two looks at the state of a job that another Blender started
 CANCEL_LADDER = ((10.0, "terminate"), (15.0, "kill"))  # seconds after cancel()
 MODULE = ".".join((*__package__.split(".")[-2:], "child"))  # in Blender this package has a longer name; its child knows the last two
 
@@ -32,6 +33,7 @@ class Job:
         self._process: subprocess.Popen | None = None
         self._read = 0  # bytes of messages.jsonl
         self._cancelled: float | None = None  # when
+        self._looked = time.monotonic()
 
     @property
     def state(self) -> str:
@@ -48,6 +50,11 @@ class Job:
         with contextlib.suppress(OSError):
             return time.time() - (self.folder / "state.json").stat().st_mtime
         return 0.0
+
+    def look(self):
+        """Brings a state up to date that another process writes."""
+        if self._process is None and self.state not in ENDED and time.monotonic() > self._looked + LOOK_EVERY:
+            self._looked, self.facts = time.monotonic(), self.folder.state()
 
     def start(self):
         """Starts the job, or goes on from its last checkpoint. Raises FormatError where its folder holds none."""
