@@ -6,7 +6,7 @@ import bpy
 
 from ..svrgs_addon.errors import SplatError
 from . import bridge, job_result
-from .job import bytes_each, forget_job
+from .job import file_size, forget_job
 from .select import select
 
 
@@ -42,7 +42,7 @@ class SVRGS_OT_apply(bpy.types.Operator):
             original.hide_viewport = original.hide_render = True
             before = f" of {bridge.count(original):,}"
         select(context, [pruned])
-        self.report({"INFO"}, f"Kept {scene.count:,}{before} Gaussians, {scene.count * bytes_each(pruned) / 1e6:.1f} MB")
+        self.report({"INFO"}, f"Kept {scene.count:,}{before} Gaussians, {file_size(pruned, scene.count)}")
         return {"FINISHED"}
 
 

@@ -146,7 +146,8 @@ def _get(data, name: str) -> np.ndarray | None:
         return None
     kind = attribute.data_type
     width = WIDTH.get(kind, 1)
-    values = np.empty(len(attribute.data) * width, np.int32 if kind.startswith("INT") else np.float32)
+    dtype = bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32  # of another type it takes a thousand times as long
+    values = np.empty(len(attribute.data) * width, dtype)
     attribute.data.foreach_get(VALUE.get(kind, "value"), values)
     return values.reshape(-1, width) if width > 1 else values
 

@@ -12,7 +12,7 @@ from ..svrgs_addon import child
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.splat_files import write_scene
 from . import bridge
-from .job import JobOperator, bytes_each, obstacle, options_of
+from .job import JobOperator, file_size, obstacle, options_of
 from .job_watch import redraw_panels
 
 MODULE = "svrgs_addon.background.estimate"
@@ -27,15 +27,16 @@ def of(obj: bpy.types.Object | None) -> dict:
     return _found.get(obj.session_uid, {}) if obj is not None else {}
 
 
-def sentences(found: dict, each: int) -> list[str]:
-    """The estimate in words; each: bytes of a Gaussian in a file."""
+def sentences(obj: bpy.types.Object) -> list[str]:
+    """The last estimate of the splat in words."""
+    found = of(obj)
     if "error" in found:
         return [found["error"]]
     kept, count = found["kept"], found["count"]
     minutes = found["seconds"] / 60
     return [
         f"About {kept:,} of {count:,} would stay ({kept / count:.0%})",
-        f"{count * each / 1e6:.1f} MB → about {kept * each / 1e6:.1f} MB",
+        f"{file_size(obj, count)} → about {file_size(obj, kept)}",
         f"{found['invisible']:,} too faint to be seen, {found['unseen']:,} in none of {found['views']} views, {found['faint']:,} next to nothing",
         f"About {minutes:.0f} min ({found['steps_per_second']:.0f} steps/s)" if minutes >= 1 else f"Less than a minute ({found['steps_per_second']:.0f} steps/s)",
     ]
@@ -70,7 +71,7 @@ class SVRGS_OT_estimate(JobOperator):
         found = of(obj)
         if "error" in found:
             raise SplatError(found["error"])
-        return "; ".join(sentences(found, bytes_each(obj)))
+        return "; ".join(sentences(obj))
 
 
 def _work(key: int, request: dict, aside: tempfile.TemporaryDirectory):

@@ -54,6 +54,12 @@ def bytes_each(obj: bpy.types.Object) -> int:
     return BYTES[sum(f"radiance:sh_{last}" in attributes for last in (2, 7, 14))]
 
 
+def file_size(obj: bpy.types.Object, count: int) -> str:
+    """What so many of the splat's Gaussians take in a file."""
+    size = count * bytes_each(obj)
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
+
+
 def uses_lambda(method: str) -> bool:
     """Whether the method has a spatial mask to weigh."""
     return METHODS[method].mask_kind != "none"

@@ -87,20 +87,26 @@ def _limit(score: np.ndarray, count: int) -> float:
     return np.inf if count < 1 else np.partition(score, len(score) - count)[len(score) - count]
 
 
+def marked_count(obj: bpy.types.Object) -> int:
+    """Gaussians of the splat that are marked as removed."""
+    removed = bridge.values(obj, REMOVED)
+    return 0 if removed is None else int(np.count_nonzero(removed))
+
+
 def shown_count(pruned: bpy.types.Object) -> int:
     """Gaussians that Apply would leave."""
     original = pruned.get(ORIGINAL)
-    return int((bridge.values(original or pruned, REMOVED) == 0).sum())
+    return int(np.count_nonzero(~bridge.values(original or pruned, REMOVED)))
 
 
 def chosen(pruned: bpy.types.Object) -> Scene:
     """What is not marked, in the source's order: recovered, or as in the original where the job had dropped it."""
     original, scene = pruned.get(ORIGINAL), bridge.scene_from_object(pruned)
-    left = bridge.values(pruned, REMOVED) == 0
+    left = ~bridge.values(pruned, REMOVED)
     rows, scene = bridge.values(pruned, ROW)[left], scene.select(left)
     if original is None:
         return scene
-    back = (bridge.values(original, REMOVED) == 0) & (bridge.values(original, SCORE) <= BOUNDARY)
+    back = ~bridge.values(original, REMOVED) & (bridge.values(original, SCORE) <= BOUNDARY)
     if not back.any():
         return scene
     order = np.argsort(np.concatenate([rows, bridge.values(original, ROW)[back]]), kind="stable")

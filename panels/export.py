@@ -2,7 +2,8 @@
 
 import bpy
 
-from ..operators.job import bytes_each
+from ..operators import job_result
+from ..operators.job import file_size
 from .prune import is_splat, lines, size_of
 
 
@@ -18,9 +19,10 @@ class SVRGS_PT_export(bpy.types.Panel):
         if not is_splat(obj):
             layout.label(text="Select the splat to export", icon="INFO")
             return
-        layout.label(text=f"{obj.name}: {size_of(obj):,} Gaussians, {size_of(obj) * bytes_each(obj) / 1e6:.1f} MB")
-        if "removed" in obj.data.attributes:
-            lines(layout, "Everything is exported, also what is marked as removed: Apply first", "INFO")
+        layout.label(text=f"{obj.name}: {size_of(obj):,} Gaussians, {file_size(obj, size_of(obj))}")
+        marked = job_result.marked_count(obj)
+        if marked:
+            lines(layout, f"{marked:,} of them are marked as removed and would be exported: Apply first", "INFO")
         layout.operator("svrgs.export_ply", icon="EXPORT")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..operators import estimate, job_plot, job_result
-from ..operators.job import bytes_each, dataset_of, native_problem, uses_lambda
+from ..operators.job import dataset_of, file_size, native_problem, uses_lambda
 from ..operators.job_watch import BUSY, WAITING, current
 
 PRESETS = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # of the paper
@@ -14,7 +14,7 @@ SILENT = 60.0  # seconds without a sign of life that are worth telling
 WAITING_TEXT = {
     "paused": "Paused", "cancelled": "Cancelled", "interrupted": "An interrupted job was found", "failed": "The job failed",
 }  # fmt: skip
-CHARACTERS = 44  # of a line in the sidebar
+CHARACTER = 6.8  # pixels of one, in the mean
 
 
 class SVRGS_PT_prune(bpy.types.Panel):
@@ -55,7 +55,7 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
 
     def draw(self, context):
         column = self.layout.column()
-        column.use_property_split = True
+        column.use_property_split, column.use_property_decorate = True, False
         for name in ("seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder"):
             column.prop(context.scene.svrgs_prune, name)
 
@@ -68,14 +68,14 @@ def is_splat(obj) -> bool:
 def draw_settings(layout, context):
     settings, obj = context.scene.svrgs_prune, context.object
     column = layout.column()
-    column.use_property_split = True
-    column.prop(settings, "colmap", placeholder=dataset_of(context)[0]) if bpy.app.version >= (4, 1) else column.prop(settings, "colmap")
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(settings, "colmap", placeholder=dataset_of(context)[0])
     column.prop(settings, "method")
     column.prop(settings, "goal")
     if settings.goal == "LAMBDA":
         strength = column.column(align=True)
         strength.active = uses_lambda(settings.method)
-        strength.prop(settings, "strength", slider=True, text=f"λ_F = {settings.lambda_f:.3g}")
+        strength.prop(settings, "strength", slider=True, text=f"λ_F = {settings.lambda_f * 1e4:.3g}e-4")
         row = strength.row(align=True)
         for value in PRESETS:
             row.operator("svrgs.set_lambda", text=f"{value * 1e4:g}e-4").value = value
@@ -91,7 +91,7 @@ def draw_settings(layout, context):
         layout.label(text="Looking at some views …", icon="SORTTIME")
     elif found:
         box = layout.column(align=True)
-        for sentence in estimate.sentences(found, bytes_each(obj)):
+        for sentence in estimate.sentences(obj):
             lines(box, sentence)
     if not dataset_of(context)[0]:
         lines(layout, "Choose the dataset of the splat's photographs, or import its cameras in step 1", "INFO")
@@ -135,9 +135,8 @@ def draw_figures(layout, job):
 
 def draw_result(layout, pruned):
     original = pruned.get("svrgs_original")
-    each = bytes_each(pruned)
     if not job_result.undecided(pruned):
-        lines(layout, f"Pruned to {size_of(pruned):,} Gaussians, {size_of(pruned) * each / 1e6:.1f} MB", "CHECKMARK")
+        lines(layout, f"Pruned to {size_of(pruned):,} Gaussians, {file_size(pruned, size_of(pruned))}", "CHECKMARK")
         if original is not None:
             lines(layout, f"The original '{original.name}' ({size_of(original):,}) is hidden")
             layout.operator("svrgs.discard", text="Discard Original", icon="TRASH").what = "ORIGINAL"
@@ -146,7 +145,7 @@ def draw_result(layout, pruned):
     layout.label(text=pruned.name, icon="OUTLINER_OB_POINTCLOUD")
     layout.prop(pruned, "svrgs_share", slider=True)
     of = f" of {size_of(original):,}" if original is not None else ""
-    layout.label(text=f"{count:,}{of} Gaussians, {count * each / 1e6:.1f} MB")
+    layout.label(text=f"{count:,}{of} Gaussians, {file_size(pruned, count)}")
     if count > pruned["svrgs_kept"]:
         lines(layout, f"{count - pruned['svrgs_kept']:,} more than were recovered: shown as in the original")
     row = layout.row(align=True)
@@ -172,8 +171,10 @@ def time_left(facts: dict) -> str:
 def lines(layout, text: str, icon: str = "NONE"):
     """Labels of as many lines as the sidebar needs."""
     column, line = layout.column(align=True), ""
+    region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
+    room = (region.width if region is not None else 300) / scale / CHARACTER - 3 - 3 * (icon != "NONE")
     for word in text.split():
-        if line and len(line) + len(word) >= CHARACTERS:
+        if line and len(line) + len(word) >= room:
             column.label(text=line, icon=icon)
             line, icon = "", "BLANK1" if icon != "NONE" else icon
         line = f"{line} {word}".strip()

@@ -68,7 +68,7 @@ def pruned(splat, watch):
 
 
 def marked(bridge, obj) -> np.ndarray:
-    return bridge.values(obj, "removed") != 0
+    return bridge.values(obj, "removed")
 
 
 def evaluated_count(obj) -> int:
@@ -313,7 +313,7 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     follow(watch, lambda: len(bpy.data.objects) == 3)
     assert "125 of 250 Gaussians" in drawn("prune")
     bpy.context.object.svrgs_share = 60
-    assert "25 more than were" in drawn("prune")
+    assert "25 more than" in drawn("prune")
     bpy.ops.svrgs.apply()
     assert "Discard Original" in drawn("prune") and splat.name in drawn("prune")
     monkeypatch.setattr(part("panels.prune"), "native_problem", lambda: "the native library is missing")
