@@ -14,7 +14,7 @@ from ..svrgs_addon.background.parent import Job
 from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.finetune.settings import METHODS
 from . import bridge
-from .job_watch import BUSY, FOLDER, WAITING, current, finish, follow, job_of, jobs
+from .job_watch import BESIDE, BUSY, FOLDER, WAITING, current, finish, follow, job_of, jobs
 from .preferences import PACKAGE, threads
 
 BYTES = {0: 68, 1: 104, 2: 164, 3: 248}  # of a Gaussian in a file, by SH degree
@@ -94,7 +94,7 @@ def new_folder(context, name: str) -> Path:
     """Where a new job of this splat goes: as chosen, else beside the file, else in the extension's folder."""
     chosen = bpy.path.abspath(context.scene.svrgs_prune.folder)
     if not chosen and bpy.data.filepath:
-        chosen = bpy.path.abspath("//svrgs_jobs")
+        chosen = bpy.path.abspath(BESIDE)
     parent = Path(chosen or bpy.utils.extension_path_user(PACKAGE, path="jobs", create=True))
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")
     return parent / f"{re.sub('[^0-9A-Za-z_-]+', '_', name)[:40]}-{stamp}"

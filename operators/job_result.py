@@ -19,6 +19,7 @@ from . import bridge
 
 REMOVED, SCORE, ROW = "removed", "svrgs:score", "svrgs:row"  # attributes
 ORIGINAL, PRUNED, KEPT = "svrgs_original", "svrgs_pruned", "svrgs_kept"  # properties of objects: the other one; how many the job kept
+PSNR = "svrgs_psnr"  # property of the pruned one: dB before and after, over the test photographs
 HIDER = "SVR-GS Removed"  # the modifier that leaves out what is marked, and its node group
 BOUNDARY = 0.5  # scores above: kept by the job
 

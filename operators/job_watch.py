@@ -6,6 +6,7 @@ The file knows of a job only the folder it lies in, as a property of its splat.
 from __future__ import annotations
 
 import contextlib
+import os
 
 import bpy
 from bpy.app.handlers import persistent
@@ -16,6 +17,7 @@ from ..svrgs_addon.errors import SplatError
 from . import job_plot, job_result
 
 FOLDER = "svrgs_job"  # property of a splat
+BESIDE = "//svrgs_jobs"  # folder of jobs beside the file
 EVERY = 0.2  # seconds between two looks
 WAITING = ("paused", "cancelled", "interrupted", "failed")  # states that a job can go on from
 BUSY = ("new", "starting", "running")
@@ -28,7 +30,7 @@ jobs: dict[str, Job] = {}  # by folder
 
 def job_of(obj: bpy.types.Object | None) -> Job | None:
     """The splat's job, as far as its folder is still there."""
-    path = bpy.path.abspath(obj.get(FOLDER, "")) if obj is not None else ""
+    path = folder_of(obj)
     if not path:
         return None
     if path not in jobs:
@@ -36,6 +38,15 @@ def job_of(obj: bpy.types.Object | None) -> Job | None:
     job = jobs[path]
     job.look()
     return job if job.state != "missing" else None
+
+
+def folder_of(obj: bpy.types.Object | None) -> str:
+    """Where the splat's job lies: where it was begun, or beside the file where both have moved; empty: it has none."""
+    path = obj.get(FOLDER) if obj is not None else None
+    if not isinstance(path, str) or not path:
+        return ""
+    beside = bpy.path.abspath(f"{BESIDE}/{os.path.basename(path)}") if bpy.data.filepath else path
+    return beside if not os.path.exists(path) and os.path.exists(beside) else path
 
 
 def current(context) -> tuple[bpy.types.Object | None, Job | None]:
@@ -71,7 +82,7 @@ def follow():
 
 def _arrived(job: Job):
     """Loads the result where its splat is at hand; else the panel offers it."""
-    splats = [obj for obj in bpy.data.objects if FOLDER in obj and bpy.path.abspath(obj[FOLDER]) == str(job.folder.path)]
+    splats = [obj for obj in bpy.data.objects if FOLDER in obj and folder_of(obj) == str(job.folder.path)]
     if not splats or bpy.context.mode != "OBJECT":
         return
     with contextlib.suppress(SplatError):  # the Load button says it again
@@ -83,7 +94,10 @@ def _arrived(job: Job):
 def finish(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
     """Brings a finished job's result into the scene."""
     pruned = job_result.load(context, obj, job.folder)
-    job.result = job.result or job.folder.result()
+    result = job.folder.result()
+    psnr = [result[side].get("psnr") for side in ("before", "after")]
+    if all(isinstance(value, float) for value in psnr):  # null where pictures and photographs are the same
+        pruned[job_result.PSNR] = psnr
     pruned.svrgs_share = 100 * pruned[job_result.KEPT] / job.folder.request()["count"]
     if context.view_layer.objects.active == obj:
         obj.select_set(False)

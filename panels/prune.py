@@ -134,7 +134,7 @@ def draw_figures(layout, job):
 
 
 def draw_result(layout, pruned):
-    original = pruned.get("svrgs_original")
+    original = pruned.get(job_result.ORIGINAL)
     if not job_result.undecided(pruned):
         lines(layout, f"Pruned to {size_of(pruned):,} Gaussians, {file_size(pruned, size_of(pruned))}", "CHECKMARK")
         if original is not None:
@@ -146,7 +146,10 @@ def draw_result(layout, pruned):
     layout.prop(pruned, "svrgs_share", slider=True)
     of = f" of {size_of(original):,}" if original is not None else ""
     layout.label(text=f"{count:,}{of} Gaussians, {file_size(pruned, count)}")
-    if count > pruned["svrgs_kept"]:
+    if job_result.PSNR in pruned:
+        before, after = pruned[job_result.PSNR]
+        lines(layout, f"PSNR {before:.2f} → {after:.2f} dB, {pruned[job_result.KEPT]:,} recovered")
+    if count > pruned[job_result.KEPT]:
         lines(layout, f"{count - pruned['svrgs_kept']:,} more than were recovered: shown as in the original")
     row = layout.row(align=True)
     row.operator("svrgs.apply", icon="CHECKMARK")
@@ -172,7 +175,7 @@ def lines(layout, text: str, icon: str = "NONE"):
     """Labels of as many lines as the sidebar needs."""
     column, line = layout.column(align=True), ""
     region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
-    room = (region.width if region is not None else 300) / scale / CHARACTER - 3 - 3 * (icon != "NONE")
+    room = (region.width / scale if region is not None and scale else 300) / CHARACTER - 3 - 3 * (icon != "NONE")  # no scale without a window
     for word in text.split():
         if line and len(line) + len(word) >= room:
             column.label(text=line, icon=icon)

@@ -18,6 +18,7 @@ pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
 from svrgs_addon.background import folder as folders
+from svrgs_addon.background import plot
 from svrgs_addon.background.folder import JobFolder
 from svrgs_addon.background.parent import Job
 from svrgs_addon.errors import FormatError, SceneError
@@ -273,6 +274,26 @@ def test_hostile_arrays_are_refused(tiny, tmp_path):
     np.save(folder / "kept.npy", np.ones(3, bool))
     with pytest.raises(FormatError, match="expected bool"):
         folder.arrays()
+
+
+def test_hostile_states_and_metrics_show_nothing_that_is_not_a_fact(tiny, tmp_path):
+    folder = create(tmp_path / "job", tiny)
+    folder.write_json("state.json", {"state": "running", "count": "many", "psnr": "x", "total": True, "iteration": 3, "evil": 1, "text": ["a"]})
+    assert folder.state() == {"state": "running", "iteration": 3}
+    (folder / "metrics.csv").write_bytes(b"iteration,count,loss,psnr\n1,2,3,\nnan,1,1,1\n1,2\nx,y,z,w\n1e300,inf,-1,5\n2,9,3,")
+    metrics = folder.metrics()
+    assert metrics["iteration"].tolist() == [1, 1e300, 2]
+    assert plot.draw(metrics, 10).shape == (plot.SIDE, plot.SIDE, 4)
+    (folder / "metrics.csv").write_bytes(b"\xff\x00" * 100)
+    assert not len(folder.metrics()["iteration"])
+
+
+def test_the_plot_grows_with_the_run():
+    columns = {"iteration": np.arange(1, 51.0), "count": np.linspace(100, 20, 50), "psnr": np.where(np.arange(50) % 5, np.nan, 30.0)}
+    half, whole = (plot.draw(columns, total) for total in (100, 50))
+    for picture, share in ((half, 0.5), (whole, 1.0)):
+        colored = (np.ptp(picture[..., :3], axis=-1) > 0.1).any(axis=0)
+        assert np.flatnonzero(colored).max() == pytest.approx(share * plot.SIDE, abs=2)
 
 
 def test_discarding_removes_the_job_and_nothing_else(done, tiny, tmp_path):

@@ -17,10 +17,10 @@ import numpy as np
 
 from ..cli import guarded
 
-LOOK_SECONDS, STEP_SECONDS = 1.2, 1.0  # at most, beside reading
+LOOK_SECONDS, STEP_SECONDS = 0.8, 0.6  # at most, beside reading
 VIEWS = 8  # looked at, spread over all
 SIDE = 512  # pixels of a reduced view
-STEPS = 4  # after one that is not measured
+STEPS = 3  # after one that is not measured
 # Masks drop what the pixels it covers see least of: alpha T, in the mean over them, below about KNEE (lambda_f / 1e-4)^SLOPE.
 # Fitted to runs of method svr on one scene of photographs with lambda_f from 1e-5 to 1e-3: an expectation, no more.
 KNEE, SLOPE = 0.0128, 0.37

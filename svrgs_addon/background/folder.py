@@ -37,6 +37,10 @@ LARGEST_JSON = 1 << 20
 CANCEL, PAUSE = "cancel", "pause"  # flag files
 ENDED = ("paused", "cancelled", "interrupted", "failed", "done")
 METRICS = ("iteration", "count", "loss", "psnr")
+FACTS = {  # of a job's state, and their types
+    "state": str, "text": str, "pid": int, "iteration": int, "total": int, "phase": str, "count": int, "loss": float, "psnr": float,
+    "seconds_left": float,
+}  # fmt: skip
 OPTIONS = {  # those of `svrgs prune` that a job may have, and their types
     "colmap": str, "images": str, "method": str, "lambda_f": float, "target": float, "target_count": int, "iterations": int,
     "recovery": int, "seed": int, "threads": int, "holdout": int, "min_contribution": float, "visible_mask": bool, "views_by_loss": bool,
@@ -91,7 +95,8 @@ class JobFolder:
     def state(self) -> dict:
         """state.json. Of a job that says it runs but shows no sign of life, "state" is "interrupted"; of no job, "missing"."""
         state = self._json("state.json")
-        if state is None or not isinstance(state.get("state"), str):
+        state = facts_of(state or {})
+        if "state" not in state:
             return {"state": "interrupted" if (self / "job.json").exists() else "missing"}
         if state["state"] not in ENDED and not self.alive():
             state["state"] = "interrupted"
@@ -106,7 +111,7 @@ class JobFolder:
     def result(self) -> dict:
         """The JSON result of a job that is done. Raises FormatError."""
         result = self._json("result.json")
-        if result is None:
+        if result is None or not all(isinstance(result.get(side), dict) for side in ("before", "after")):
             raise FormatError(f"{self.path}: holds no result")
         return result
 
@@ -125,9 +130,9 @@ class JobFolder:
 
     def metrics(self) -> dict[str, np.ndarray]:
         """Columns of metrics.csv, float64; NaN where there is no value; of whole lines only."""
-        with contextlib.suppress(OSError, UnicodeDecodeError):
-            lines = list(csv.reader(io.StringIO((self / "metrics.csv").read_text())))[1:]
-            rows = [row for row in map(_numbers, lines) if len(row) == len(METRICS)]
+        with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), open(self / "metrics.csv") as file:
+            lines = list(csv.reader(io.StringIO(file.read(LARGEST_JSON))))[1:]
+            rows = [row for row in map(_numbers, lines) if len(row) == len(METRICS) and math.isfinite(row[0])]
             return dict(zip(METRICS, np.array(rows, np.float64).reshape(-1, len(METRICS)).T, strict=True))
         return {name: np.empty(0) for name in METRICS}
 
@@ -175,6 +180,11 @@ class JobFolder:
         except (OSError, ValueError, RecursionError):
             return None
         return value if isinstance(value, dict) else None
+
+
+def facts_of(message: dict) -> dict:
+    """What a message or a state says that is a fact of the right type."""
+    return {name: value for name, value in message.items() if name in FACTS and _is(FACTS[name], value)}
 
 
 def _check_options(options):

@@ -14,7 +14,7 @@ import sys
 import time
 
 from .. import child
-from .folder import CANCEL, ENDED, PAUSE, JobFolder
+from .folder import CANCEL, ENDED, PAUSE, JobFolder, facts_of
 
 START_SECONDS = 60.0  # within which a process must say something
 SILENT_SECONDS = 60.0  # without a sign of life: worth telling
@@ -114,7 +114,7 @@ class Job:
         return [message for line in data.splitlines() if (message := _message(line)) is not None]
 
     def _hear(self, message: dict):
-        self.facts |= {name: value for name, value in message.items() if name not in ("type", "result")}
+        self.facts |= facts_of(message)
         if message["type"] == "DONE":
             self.result = message.get("result")
 

@@ -274,7 +274,9 @@ class Layout:
 
     @property
     def text(self) -> str:
-        return " ".join(str(word) for note in self.notes for word in note)
+        """The labels, one after the other; then all else."""
+        labels = [note[1] for note in self.notes if note[0] == "label"]
+        return " ".join([*labels, *(str(word) for note in self.notes if note[0] != "label" for word in note)])
 
 
 def drawn(panel: str) -> str:
@@ -313,7 +315,7 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     follow(watch, lambda: len(bpy.data.objects) == 3)
     assert "125 of 250 Gaussians" in drawn("prune")
     bpy.context.object.svrgs_share = 60
-    assert "25 more than" in drawn("prune")
+    assert "25 more than were recovered" in drawn("prune")
     bpy.ops.svrgs.apply()
     assert "Discard Original" in drawn("prune") and splat.name in drawn("prune")
     monkeypatch.setattr(part("panels.prune"), "native_problem", lambda: "the native library is missing")
