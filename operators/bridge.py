@@ -24,7 +24,7 @@ from ..svrgs_addon.transform import UNIFORM, stretch
 NOTES = "svrgs"  # property of a splat's data-block
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
 ROOT = "svrgs_root"  # property of the empty that holds what shares file coordinates
-DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: the COLMAP folder its cameras are of, and of its images
+DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: where its photographs are, the name of their folder
 TYPES = ("MESH", "POINTCLOUD")
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down

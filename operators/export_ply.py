@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
@@ -51,7 +50,7 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
         try:
             scene = bridge.scene_from_object(obj)
             if self.space == "WORLD":
-                matrix = np.array(bridge.AXES.inverted() @ obj.matrix_world if self.y_down else obj.matrix_world)
+                matrix = bridge.AXES.inverted() @ obj.matrix_world if self.y_down else obj.matrix_world
                 if stretch(matrix) - 1 > 10 * UNIFORM:
                     self.report({"WARNING"}, f"'{obj.name}' is scaled differently along its axes: colours that depend on the view are exact only as rotated")
                 scene = transformed(scene, matrix)

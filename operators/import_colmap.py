@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.camera import Camera
@@ -42,25 +41,25 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        objects = self.build(context, folder.resolve().name, photos)
-        root = bridge.root_of(objects[-1])
-        root[bridge.DATASET], root[bridge.IMAGES] = str(folder.resolve()), self.images
-        select(context, objects[-1:])
+        splat = context.object if bridge.is_splat(context.object) else None
+        root = self.build(context, folder.absolute(), photos)
+        select(context, [splat or root])
         shown = sum(file is not None for file in photos.files) if self.photographs else 0
         if photos.warning:
             self.report({"WARNING"}, photos.warning)
         self.report({"INFO"}, f"Imported {len(photos.cameras):,} cameras, {shown:,} photographs and {len(photos.points):,} sparse points")
         return {"FINISHED"}
 
-    def build(self, context, name: str, photos: PosedPhotos) -> list[bpy.types.Object]:
-        """The points, then the cameras in their order; the first becomes the scene's camera."""
+    def build(self, context, folder: Path, photos: PosedPhotos) -> bpy.types.Object:
+        """The root above the points and the cameras, the first of which becomes the scene's camera."""
+        name = folder.name
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
         root, objects = join(context.object, name, collection), []
+        root[bridge.DATASET], root[bridge.IMAGES] = str(folder), self.images
         if self.points and len(photos.points):
             objects.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
-        extent = _extent(photos.cameras)
-        objects += [_camera(camera, extent, collection) for camera in photos.cameras]
+        objects += [_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras]
         for obj in objects:
             obj.parent = root
         if self.photographs:
@@ -69,7 +68,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         context.scene.camera = objects[-len(photos.cameras)]
         bridge.apply_camera_size(context.scene)
         context.view_layer.update()
-        return objects
+        return root
 
     def invoke(self, context, event):
         context.window_manager.fileselect_add(self)
@@ -86,12 +85,6 @@ def join(obj: bpy.types.Object | None, name: str, collection: bpy.types.Collecti
     root = bridge.new_root(name, collection, obj.matrix_world)
     bridge.hang_below(obj, root)
     return root
-
-
-def _extent(cameras: list[Camera]) -> float:
-    """Diagonal of the box around all cameras, or 1."""
-    places = np.array([camera.position for camera in cameras])
-    return float(np.linalg.norm(np.ptp(places, axis=0))) or 1.0
 
 
 def _camera(camera: Camera, extent: float, collection: bpy.types.Collection) -> bpy.types.Object:

@@ -10,7 +10,7 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
 
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.formats import drop_nonfinite
+from ..svrgs_addon.formats import drop_nonfinite, read_ply_parts
 from ..svrgs_addon.splat_files import read_scene
 from . import bridge
 from .select import select
@@ -29,8 +29,7 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
     y_down: BoolProperty(name="Y Is Down", default=True, description="The file's y axis points down, as training leaves it; the object is turned upright")
 
     def execute(self, context):
-        paths = [Path(self.directory) / file.name for file in self.files if file.name] or [Path(self.filepath)]
-        notes, objects = [], []
+        paths, notes, objects = self.paths(), [], []
         for path in paths:
             try:
                 scene, dropped = drop_nonfinite(read_scene(path))
@@ -53,8 +52,20 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
             bridge.hang_below(obj, root)
         return obj
 
+    def paths(self) -> list[Path]:
+        folder = Path(bpy.path.abspath(self.directory))
+        return [folder / file.name for file in self.files if file.name] or [Path(bpy.path.abspath(self.filepath))]
+
     def invoke(self, context, event):
-        return self.invoke_popup(context) if self.filepath or self.files else ImportHelper.invoke(self, context, event)
+        """Opens the file browser; for dropped files a dialog, or a sentence where one of them is a mesh."""
+        if self.properties.is_property_set("filepath"):
+            try:
+                for path in self.paths():
+                    next(read_ply_parts(path))  # the header, and no more than a few thousand Gaussians
+            except SplatError as error:
+                self.report({"ERROR"}, str(error))
+                return {"CANCELLED"}
+        return self.invoke_popup(context)
 
 
 class SVRGS_FH_ply(bpy.types.FileHandler):

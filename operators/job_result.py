@@ -6,12 +6,10 @@ svrgs.apply, and the original not before svrgs.discard.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import bpy
-import numpy as np
 
 from ..svrgs_addon.background.folder import JobFolder
+from ..svrgs_addon.background.selection import BOUNDARY, lowest, merged, numbered
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.scene import Scene
 from ..svrgs_addon.splat_files import read_scene
@@ -21,7 +19,6 @@ REMOVED, SCORE, ROW = "removed", "svrgs:score", "svrgs:row"  # attributes
 ORIGINAL, PRUNED, KEPT = "svrgs_original", "svrgs_pruned", "svrgs_kept"  # properties of objects: the other one; how many the job kept
 PSNR = "svrgs_psnr"  # property of the pruned one: dB before and after, over the test photographs
 HIDER = "SVR-GS Removed"  # the modifier that leaves out what is marked, and its node group
-BOUNDARY = 0.5  # scores above: kept by the job
 
 
 def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
@@ -36,7 +33,7 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
         forget(obj)
     pruned = bridge.object_from_scene(f"{obj.name} pruned", recovered, obj.users_collection[0], obj.matrix_world)
     pruned.parent, pruned.matrix_parent_inverse, pruned.matrix_basis = obj.parent, obj.matrix_parent_inverse, obj.matrix_basis
-    rows = np.arange(len(kept), dtype=np.int32)
+    rows = numbered(len(kept))
     for target, chosen in ((obj, slice(None)), (pruned, kept)):
         bridge.set_values(target, SCORE, "FLOAT", score[chosen])
         bridge.set_values(target, ROW, "INT", rows[chosen])
@@ -71,7 +68,7 @@ def show(pruned: bpy.types.Object, count: int):
     """Marks all but the `count` Gaussians that rank highest. What the job had dropped is shown as it was, not recovered."""
     original = pruned.get(ORIGINAL)
     score = bridge.values(original or pruned, SCORE)
-    limit = _limit(score, count)
+    limit = lowest(score, count)
     bridge.set_values(pruned, REMOVED, "BOOLEAN", bridge.values(pruned, SCORE) < limit)
     if original is None:
         return
@@ -81,23 +78,16 @@ def show(pruned: bpy.types.Object, count: int):
         obj.hide_viewport = obj.hide_render = hidden
 
 
-def _limit(score: np.ndarray, count: int) -> float:
-    """The lowest score among the `count` highest."""
-    if count >= len(score):
-        return -np.inf
-    return np.inf if count < 1 else np.partition(score, len(score) - count)[len(score) - count]
-
-
 def marked_count(obj: bpy.types.Object) -> int:
     """Gaussians of the splat that are marked as removed."""
     removed = bridge.values(obj, REMOVED)
-    return 0 if removed is None else int(np.count_nonzero(removed))
+    return 0 if removed is None else int(removed.sum())
 
 
 def shown_count(pruned: bpy.types.Object) -> int:
     """Gaussians that Apply would leave."""
     original = pruned.get(ORIGINAL)
-    return int(np.count_nonzero(~bridge.values(original or pruned, REMOVED)))
+    return int((~bridge.values(original or pruned, REMOVED)).sum())
 
 
 def chosen(pruned: bpy.types.Object) -> Scene:
@@ -110,15 +100,7 @@ def chosen(pruned: bpy.types.Object) -> Scene:
     back = ~bridge.values(original, REMOVED) & (bridge.values(original, SCORE) <= BOUNDARY)
     if not back.any():
         return scene
-    order = np.argsort(np.concatenate([rows, bridge.values(original, ROW)[back]]), kind="stable")
-    return _joined(scene, bridge.scene_from_object(original).select(back)).select(order)
-
-
-def _joined(a: Scene, b: Scene) -> Scene:
-    join = lambda name: np.concatenate([getattr(a, name), getattr(b, name)])  # noqa: E731
-    attributes = {name: np.concatenate([column, b.attributes[name]]) for name, column in a.attributes.items() if name in b.attributes}
-    arrays = {name: join(name) for name in ("means", "log_scales", "quats", "opacity_logits", "sh")}
-    return replace(a, **arrays, attributes=attributes)
+    return merged(scene, rows, bridge.scene_from_object(original).select(back), bridge.values(original, ROW)[back])
 
 
 def unmark(obj: bpy.types.Object):

@@ -26,7 +26,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     scene: StringProperty(name="Scene", subtype="FILE_PATH", description="Splat file to prune. Empty: the active splat")
-    colmap: StringProperty(name="Dataset", subtype="DIR_PATH", description="COLMAP dataset of the photographs the splat was trained on")
+    colmap: StringProperty(name="Dataset", subtype="DIR_PATH", description="COLMAP dataset of the photographs the splat was trained on. Empty: that of the cameras imported beside it")
     images: StringProperty(name="Images", description="Name of the image folder in the dataset. Empty: images")
     out: StringProperty(name="Output", subtype="FILE_PATH", description="File for the pruned splat. Empty: it comes into the scene alone")
     report_folder: StringProperty(name="Report", subtype="DIR_PATH", description="Folder for an HTML report. Empty: none")
@@ -71,16 +71,18 @@ class SVRGS_OT_prune(bpy.types.Operator):
             scene = aside / "scene.ply"
             write_scene(scene, bridge.scene_from_object(source))
         out = Path(bpy.path.abspath(self.out)) if self.out else aside / "pruned.ply"
-        status, result = child.run(["prune", str(scene), "--out", str(out), *self.words(), "--threads", str(threads)])
+        status, result = child.run(["prune", str(scene), "--out", str(out), *self.words(source), "--threads", str(threads)])
         if status or "count" not in result:
             raise SplatError(result.get("error", f"pruning ended with status {status}"))
         print(json.dumps(result), flush=True)
         return result, read_scene(out)
 
-    def words(self) -> list[str]:
-        """The options of `svrgs prune` that were set."""
+    def words(self, source: bpy.types.Object | None) -> list[str]:
+        """The options of `svrgs prune` that were set, here or by the import of the photographs."""
+        root = bridge.root_of(source) or {}
+        colmap, images = (self.colmap, self.images) if self.colmap else (root.get(bridge.DATASET, ""), self.images or root.get(bridge.IMAGES, ""))
         given = {
-            "--colmap": bpy.path.abspath(self.colmap), "--images": self.images, "--report": bpy.path.abspath(self.report_folder),
+            "--colmap": bpy.path.abspath(colmap), "--images": images, "--report": bpy.path.abspath(self.report_folder),
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
         }  # fmt: skip
         words = [str(word) for name, value in given.items() if value for word in (name, value)]

@@ -1,8 +1,8 @@
-"""What the user sees: one file per panel. What they know they ask operators/, never the product itself."""
+"""What the user sees: one file per panel. Panels know operators and properties by name only."""
 
-from . import export, preferences, properties, prune, scene
+from . import export, preferences, prune, scene
 
-MODULES = (preferences, properties, scene, prune, export)
+MODULES = (preferences, scene, prune, export)
 
 
 def register():

@@ -2,9 +2,7 @@
 
 import bpy
 
-from ..operators import job_result
-from ..operators.job import file_size
-from .prune import is_splat, lines, size_of
+from .lines import lines
 
 
 class SVRGS_PT_export(bpy.types.Panel):
@@ -15,14 +13,13 @@ class SVRGS_PT_export(bpy.types.Panel):
     bl_order = 4
 
     def draw(self, context):
-        layout, obj = self.layout, context.object
-        if not is_splat(obj):
+        layout, state = self.layout, context.window_manager.svrgs_prune_state
+        if not state.size:
             layout.label(text="Select the splat to export", icon="INFO")
             return
-        layout.label(text=f"{obj.name}: {size_of(obj):,} Gaussians, {file_size(obj, size_of(obj))}")
-        marked = job_result.marked_count(obj)
-        if marked:
-            lines(layout, f"{marked:,} of them are marked as removed and would be exported: Apply first", "INFO")
+        layout.label(text=f"{context.object.name}: {state.size}")
+        if state.marked:
+            lines(layout, f"{state.marked:,} of them are marked as removed and would be exported: Apply first", "INFO")
         layout.operator("svrgs.export_ply", icon="EXPORT")
 
 

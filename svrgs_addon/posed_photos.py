@@ -30,6 +30,11 @@ class PosedPhotos:
     point_colors: np.ndarray  # (P, 3) uint8
     warning: str = ""
 
+    @property
+    def extent(self) -> float:
+        """Diagonal of the box around all cameras."""
+        return float(np.linalg.norm(np.ptp([camera.position for camera in self.cameras], axis=0)))
+
 
 def read_in_child(folder: Path, images: str = "", undistorted: Path | None = None) -> PosedPhotos:
     """The dataset in `folder`. undistorted: where photographs of lenses with distortion are written as their pinholes see them.

@@ -88,6 +88,7 @@ def test_the_score_orders_the_source_as_the_job_did(done, tiny):
     job, _ = done
     kept, score = job.folder.arrays()
     assert kept.sum() == 125 and (score[kept] > 0.5).all() and (score[~kept] < 0.5).all() and (score >= 0).all()
+    assert len(np.unique(score)) == tiny_dataset.COUNT, "any count can be asked for"
     faint = np.arange(tiny_dataset.COUNT) >= 2 * tiny_dataset.SEEN
     assert not kept[faint].any(), "what no view can show goes first"
     assert score[faint].max() < score[~faint & ~kept].max()

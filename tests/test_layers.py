@@ -55,6 +55,8 @@ def test_imports(file):
         assert relative or top not in LAYERS, f"{module} must be imported relatively: the extension's package has another name"
         assert top not in LAYERS[layer + 1 :], f"{module} is above"
         assert top != "ctypes" or file.name == "native.py", "only native.py loads the native library"
+        assert layer < 2 or not relative or module.startswith("panels"), "panels know operators and properties by name"
+        assert layer == 0 or top != "numpy" or file.name == "bridge.py", "only bridge.py turns Blender's data into arrays"
     if layer == 0 and file.name != "torch_engine.py":
         heavy = {module.split(".")[0] for module, _ in imports(at_top(tree), file)} & HEAVY
         assert not heavy, f"{heavy} must be imported inside functions"

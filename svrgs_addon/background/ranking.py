@@ -16,7 +16,6 @@ from ..scene import Scene
 
 ALIVE = np.iinfo(np.int32).max
 VIEWS = 32  # looked at for the order of what no mask ever judged
-BELOW_ONE = np.float32(1 - 1e-6)
 
 
 class Ranking:
@@ -69,16 +68,18 @@ class Ranking:
         self._origin = run.model.origin
         self._logits = run.model.values[MASK].astype(np.float32) if run.model.learns_masks else None  # a copy: keep() moves rows in place
 
-    def scores(self, kept: np.ndarray, total: int, importance: np.ndarray) -> np.ndarray:
-        """(N,) float32 in 0..1: above 0.5 what was kept, by probability; below what was dropped, by when, then by probability.
+    def scores(self, kept: np.ndarray, importance: np.ndarray) -> np.ndarray:
+        """(N,) float32 in 0..1, all different: above 0.5 what was kept, by probability; below what was dropped, by when, then by probability.
 
-        kept (N,) bool; total: the run's iterations; importance (N,) in 0..1 stands in where no probability was learned.
+        kept (N,) bool; importance (N,) decides between those of one probability, and where none was learned.
         """
         if self._logits is not None:  # the run ended with its masks
             self.probability[self._rows[self._origin]] = sigmoid(self._logits)
-        p = np.minimum(np.where(np.isnan(self.probability), importance, self.probability), BELOW_ONE)
-        gone = np.minimum(self.dropped, total) + p.astype(np.float64)
-        return np.where(kept, 0.5 + 0.5 * p, 0.5 * gone / (total + 1)).astype(np.float32)
+        order = np.lexsort((importance, np.nan_to_num(self.probability, nan=-1.0), np.where(kept, ALIVE, self.dropped)))
+        score, gone = np.empty(len(kept), np.float32), len(kept) - int(kept.sum())
+        score[order[:gone]] = 0.5 * np.arange(gone) / max(1, gone)
+        score[order[gone:]] = 0.5 + 0.5 * np.arange(1, len(kept) - gone + 1) / max(1, len(kept) - gone)
+        return score
 
 
 def importance(scene: Scene, dataset, rasterizer, options) -> np.ndarray:

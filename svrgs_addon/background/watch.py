@@ -69,7 +69,7 @@ class Watch:
         source = load_scene(self.folder / "scene.ply").scene
         rank[source.attributes[ROW]] = importance(source, self.run.dataset, Rasterizer(), render_options(source, self.run.settings.background))
         _save(self.folder / "kept.npy", kept)
-        _save(self.folder / "score.npy", self.ranking.scores(kept, self.run.settings.total, rank))
+        _save(self.folder / "score.npy", self.ranking.scores(kept, rank))
         write_scene(self.folder / "pruned.ply", without_rows(recovered))
         result |= {"out": str(self.folder / "pruned.ply"), "bytes": (self.folder / "pruned.ply").stat().st_size}
         result["after"] = result["after"] | {"bytes": result["bytes"]}

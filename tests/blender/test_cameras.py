@@ -141,16 +141,41 @@ def test_cameras_without_perspective_and_uneven_splats_are_refused(bridge):
         bridge.camera_from_object(obj, bpy.context.scene)
 
 
-def test_a_render_takes_the_size_of_a_camera_that_became_active_just_before(tmp_path):
+class Nothing(bpy.types.RenderEngine):
+    """Notes the size it is asked for."""
+
+    bl_idname, bl_label = "TEST_NOTHING", "Nothing"
+    asked = []
+
+    def render(self, depsgraph):
+        self.asked.append((self.resolution_x, self.resolution_y))
+        self.end_result(self.begin_result(0, 0, self.resolution_x, self.resolution_y))
+
+
+def test_a_render_takes_the_size_of_a_camera_that_became_active_just_before():
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "varied"))
     scene = bpy.context.scene
-    scene.render.engine = "BLENDER_WORKBENCH"
-    scene.render.filepath = str(tmp_path / "shot.png")
     activate(cameras()[0])
-    scene.camera = cameras()[-1]
-    for handler in bpy.app.handlers.render_init:
-        handler(scene)
-    assert (scene.render.resolution_x, scene.render.resolution_y) == tuple(cameras()[-1].data["svrgs_size"])
+    engine, scene.camera = scene.render.engine, cameras()[-1]
+    bpy.utils.register_class(Nothing)
+    try:
+        scene.render.engine = Nothing.bl_idname
+        bpy.ops.render.render()
+    finally:
+        scene.render.engine = engine
+        bpy.utils.unregister_class(Nothing)
+    assert Nothing.asked == [tuple(cameras()[-1].data["svrgs_size"])]
+
+
+def test_the_size_saved_with_a_file_is_kept_on_opening(tmp_path):
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.scene.render.resolution_x = 32
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
+    bpy.context.view_layer.update()
+    assert bpy.context.scene.render.resolution_x == 32
+    activate(cameras()[3])
+    assert bpy.context.scene.render.resolution_x == 64
 
 
 def test_a_smaller_render_of_the_same_camera_stays_small():

@@ -318,5 +318,5 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     assert "25 more than were recovered" in drawn("prune")
     bpy.ops.svrgs.apply()
     assert "Discard Original" in drawn("prune") and splat.name in drawn("prune")
-    monkeypatch.setattr(part("panels.prune"), "native_problem", lambda: "the native library is missing")
+    monkeypatch.setattr(part("operators.prune_state"), "native_problem", lambda: "the native library is missing")
     assert "the native library is missing" in drawn("prune")

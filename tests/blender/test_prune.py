@@ -47,6 +47,17 @@ def test_pruning_the_active_splat_is_the_job_of_the_command_line(from_a_shell, b
     assert pruned.matrix_world == source.matrix_world
 
 
+def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, bridge):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.object.parent.location = (1, 2, 3)
+    source = bpy.context.object
+    bpy.ops.svrgs.prune(**SHORT)
+    pruned = bpy.context.object
+    bpy.context.view_layer.update()
+    assert bridge.count(pruned) == from_a_shell[0]["count"] and pruned.parent == source.parent and pruned.matrix_world == source.matrix_world
+
+
 def test_pruning_a_file_needs_no_object(from_a_shell, bridge):
     bpy.ops.svrgs.prune(scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), **SHORT)
     assert bridge.count(bpy.context.object) == from_a_shell[0]["count"]

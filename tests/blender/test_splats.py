@@ -176,3 +176,52 @@ def test_importing_leaves_nothing_else_behind(splat):
 def test_export_says_what_is_missing(tmp_path):
     with pytest.raises(RuntimeError, match="Select a Gaussian splat first"):
         exported(tmp_path)
+
+
+def test_hidden_splats_and_points_stay_whole(splat, tmp_path):
+    obj, _, file = splat
+    obj.hide_viewport = obj.hide_render = True
+    obj.hide_set(True)
+    if obj.type == "MESH":
+        obj.data.vertices.foreach_set("hide", np.ones(len(obj.data.vertices), bool))
+    assert exported(tmp_path).read_bytes() == file.read_bytes()
+
+
+def test_joined_splats_are_exported_together(make_scene, ply, tmp_path):
+    """Ctrl-J fills what one of them lacks with zeros."""
+    a, b = make_scene(100, degree=1, further=False), make_scene(50, degree=3, further=False)
+    for name, scene in (("a", a), ("b", b)):
+        ply.write_ply(tmp_path / f"{name}.ply", scene)
+    bpy.ops.svrgs.import_ply(directory=str(tmp_path), files=[{"name": "a.ply"}, {"name": "b.ply"}])
+    bpy.ops.object.join()
+    found = ply.read_ply(exported(tmp_path))
+    order = np.argsort(found.means[:, 0])
+    expected = np.concatenate([a.means, b.means])[np.argsort(np.concatenate([a.means, b.means])[:, 0])]
+    assert found.sh.shape == (150, 16, 3)
+    np.testing.assert_array_equal(found.means[order][:, 0], expected[:, 0])
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_the_smallest_files_survive(make_scene, ply, tmp_path, count):
+    ply.write_ply(tmp_path / "in.ply", make_scene(10).select(slice(0, count)))
+    bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "in.ply"))
+    assert exported(tmp_path).read_bytes() == (tmp_path / "in.ply").read_bytes()
+
+
+def test_importing_while_another_object_is_in_edit_mode_leaves_it_there(make_scene, ply, tmp_path, bridge):
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    bpy.ops.object.mode_set(mode="EDIT")
+    ply.write_ply(tmp_path / "in.ply", make_scene(10))
+    bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "in.ply"))
+    assert bpy.context.object == cube and cube.mode == "EDIT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert bridge.is_splat(bpy.data.objects["in"]) and not bridge.is_splat(cube)
+
+
+def test_a_mesh_is_no_splat(tmp_path):
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.wm.ply_export(filepath=str(tmp_path / "mesh.ply"))
+    with pytest.raises(RuntimeError, match="so it is not a 3DGS splat"):
+        bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "mesh.ply"), directory=str(tmp_path), files=[{"name": "mesh.ply"}])
+    assert len(bpy.data.objects) == 1

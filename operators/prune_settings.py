@@ -1,4 +1,4 @@
-"""What the panels remember: the settings of pruning with the scene, how much of a result is shown with its splat."""
+"""What the panel remembers: the settings of pruning with the scene, how much of a result is shown with its splat."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import math
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..operators import job_result
-from ..operators.prune import METHODS, PRUNE_ITERATIONS, RECOVERY
+from ..svrgs_addon.arguments import MIN_CONTRIBUTION, PRUNE_ITERATIONS, RECOVERY
+from ..svrgs_addon.finetune.settings import METHODS
+from . import bridge, job_result
 
 GOALS = [
     ("LAMBDA", "Strength λ_F", "Remove what the spatial mask finds superfluous; λ_F says how strictly"),
@@ -28,13 +29,7 @@ def _set_lambda(settings, value: float):
 
 def _share_changed(obj, context):
     if job_result.undecided(obj):
-        job_result.show(obj, round(obj.svrgs_share / 100 * _source_count(obj)))
-
-
-def _source_count(pruned) -> int:
-    """Gaussians that the result was pruned from."""
-    source = pruned.get(job_result.ORIGINAL) or pruned
-    return len(source.data.vertices if source.type == "MESH" else source.data.points)
+        job_result.show(obj, round(obj.svrgs_share / 100 * bridge.count(obj.get(job_result.ORIGINAL) or obj)))
 
 
 class SVRGS_PG_prune(bpy.types.PropertyGroup):
@@ -56,7 +51,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     seed: IntProperty(name="Seed", min=0, description="The same seed gives the same result")
     holdout: IntProperty(name="Test Every", min=0, default=8, description="Every so many photographs one is kept for measuring. 0: none")
     min_contribution: FloatProperty(
-        name="First Cut", min=0, max=0.99, default=0.02, precision=3, description="First drop what never covers this much of a pixel in any photograph"
+        name="First Cut", min=0, max=0.99, default=MIN_CONTRIBUTION, precision=3, description="First drop what never covers this much of a pixel in any photograph"
     )
     visible_mask: BoolProperty(name="Visible Part Only", description="Count along a ray only what is seen, instead of all Gaussians to its end")
     views_by_loss: BoolProperty(name="Harder Views More Often", description="Look at the photographs that are matched best only every other time")
