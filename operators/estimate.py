@@ -33,12 +33,12 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     if "error" in found:
         return [found["error"]]
     kept, count = found["kept"], found["count"]
-    minutes = found["seconds"] / 60
+    minutes, speed = found["seconds"] / 60, f"({found['steps_per_second']:.0f} steps/s)"
     return [
         f"About {kept:,} of {count:,} would stay ({kept / count:.0%})",
         f"{file_size(obj, count)} → about {file_size(obj, kept)}",
         f"{found['invisible']:,} too faint to be seen, {found['unseen']:,} in none of {found['views']} views, {found['faint']:,} next to nothing",
-        f"About {minutes:.0f} min ({found['steps_per_second']:.0f} steps/s)" if minutes >= 1 else f"Less than a minute ({found['steps_per_second']:.0f} steps/s)",
+        f"About {minutes:.0f} min {speed}" if minutes >= 1 else f"Less than a minute {speed}",
     ]
 
 

@@ -38,7 +38,9 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     )
     images: StringProperty(name="Images", description="Name of the image folder in the dataset, such as images_4. Empty: images")
     goal: EnumProperty(name="Goal", items=GOALS, description="What decides how much goes")
-    strength: FloatProperty(name="λ_F", min=-7, max=0, soft_min=-5, soft_max=-3, default=-4, step=5, precision=2, description="Weight of the spatial mask, as power of ten")
+    strength: FloatProperty(
+        name="λ_F", min=-7, max=0, soft_min=-5, soft_max=-3, default=-4, step=5, precision=2, description="Weight of the spatial mask, as power of ten"
+    )
     lambda_f: FloatProperty(
         name="λ_F", get=_get_lambda, set=_set_lambda, min=1e-7, max=1, soft_min=1e-5, soft_max=1e-3, precision=6, description="Weight of the spatial mask"
     )
@@ -47,7 +49,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     size: FloatProperty(name="Size in MB", min=0.001, soft_max=500, default=20, precision=1, description="Size of the pruned file, in megabytes")
     method: EnumProperty(name="Method", items=[(name, name, "") for name in METHODS], description="How it is found out what can go")
     iterations: IntProperty(name="Iterations", min=0, soft_max=30_000, default=PRUNE_ITERATIONS, description="Steps in which it is learned what can go")
-    recovery: IntProperty(name="Recovery", min=0, soft_max=30_000, default=RECOVERY, description="Steps after it, in which the rest wins the quality back")
+    recovery: IntProperty(name="Recovery", min=0, soft_max=30_000, default=RECOVERY, description="Steps after it, to win the quality back")
     seed: IntProperty(name="Seed", min=0, description="The same seed gives the same result")
     holdout: IntProperty(name="Test Every", min=0, default=8, description="Every so many photographs one is kept for measuring. 0: none")
     min_contribution: FloatProperty(

@@ -224,7 +224,10 @@ def test_without_a_splat_the_buttons_say_what_to_do():
 
 @pytest.mark.parametrize(
     "goal, target",
-    [({"goal": "SHARE", "share": 10}, 25), ({"goal": "COUNT", "count": 70}, 70), ({"goal": "SIZE", "size": 0.0104}, 100), ({"goal": "COUNT", "count": 9999}, 250)],
+    [
+        ({"goal": "SHARE", "share": 10}, 25), ({"goal": "COUNT", "count": 70}, 70), ({"goal": "SIZE", "size": 0.0104}, 100),
+        ({"goal": "COUNT", "count": 9999}, 250),
+    ],  # fmt: skip
 )
 def test_targets_become_counts(splat, goal, target):
     set_up(goal)
