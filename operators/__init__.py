@@ -2,15 +2,22 @@
 
 from . import (
     active_camera,
+    apply,
     command_line,
     compare,
     contribution,
+    estimate,
     export_ply,
     import_colmap,
     import_ply,
+    job,
+    job_plot,
+    job_watch,
     looking,
     overlay,
     prune,
+    prune_settings,
+    prune_state,
     render_engine,
     scene_cache,
     spatial_mask,
@@ -18,7 +25,7 @@ from . import (
 )
 
 MODULES = (
-    import_ply, import_colmap, export_ply, prune, active_camera, command_line,
+    import_ply, import_colmap, export_ply, prune, prune_settings, estimate, job_plot, job_watch, job, apply, prune_state, active_camera, command_line,
     scene_cache, looking, viewport, overlay, render_engine, spatial_mask, contribution, compare,
 )  # fmt: skip
 

@@ -69,6 +69,32 @@ def scene_from_object(obj: bpy.types.Object) -> Scene:
         return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
 
 
+def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
+    """(N,) or (N, width) numbers of a splat's further attribute; None where it has none of that name."""
+    return _get(obj.data, name)
+
+
+def set_values(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray):
+    """Gives the splat a further attribute of Blender's data type `kind`, one row a Gaussian."""
+    _set(obj.data, name, kind, values)
+    obj.data.update_tag()
+
+
+def forget_values(obj: bpy.types.Object, *names: str):
+    """Removes further attributes, as far as there are any."""
+    for name in names:
+        if name in obj.data.attributes:
+            obj.data.attributes.remove(obj.data.attributes[name])
+
+
+def replace_gaussians(obj: bpy.types.Object, scene: Scene):
+    """Gives the splat other Gaussians; it stays the same object."""
+    new = object_from_scene(obj.data.name, scene, bpy.context.scene.collection)
+    old, obj.data = obj.data, new.data
+    bpy.data.objects.remove(new)
+    getattr(bpy.data, "meshes" if isinstance(old, bpy.types.Mesh) else "pointclouds").remove(old)
+
+
 @contextlib.contextmanager
 def _out_of_edit_mode(obj: bpy.types.Object):
     """The object's data as it now is: of a mesh in Edit Mode that lies elsewhere."""
@@ -131,7 +157,8 @@ def _get(data, name: str) -> np.ndarray | None:
         return None
     kind = attribute.data_type
     width = WIDTH.get(kind, 1)
-    values = np.empty(len(attribute.data) * width, np.int32 if kind.startswith("INT") else np.float32)
+    dtype = bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32  # of another type it takes a thousand times as long
+    values = np.empty(len(attribute.data) * width, dtype)
     attribute.data.foreach_get(VALUE.get(kind, "value"), values)
     return values.reshape(-1, width) if width > 1 else values
 

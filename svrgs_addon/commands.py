@@ -87,8 +87,11 @@ def _item_options(options: Options, item: Item, report: Path | None) -> dict:
     return {**rest, "scene": item.scene, "colmap": item.colmap, "out": item.out, "report": report}
 
 
-def prune_one(options: Options) -> dict:
-    """One scene: options.scene, .colmap, .out, .report beside those of the command line; returns the JSON result."""
+def prune_one(options: Options, adapt: Callable = lambda job: job) -> dict:
+    """One scene: options.scene, .colmap, .out, .report beside those of the command line; returns the JSON result.
+
+    adapt: from the jobs.JobOptions of the command line to those the job is run with.
+    """
     from . import jobs
     from .finetune.plan import prune_settings
     from .progress import StopRequest
@@ -105,7 +108,7 @@ def prune_one(options: Options) -> dict:
     jobs.check_outputs(job)
     dataset = _load(options)
     with StopRequest() as stop:
-        return jobs.prune(options.scene, dataset, settings, replace(job, stop=stop))
+        return jobs.prune(options.scene, dataset, settings, adapt(replace(job, stop=stop)))
 
 
 def _method(options: Options) -> str:

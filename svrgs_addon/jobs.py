@@ -47,6 +47,7 @@ class JobOptions:
     lpips_missing: str = ""  # why there is none
     observe: Callable[[loop.Progress], None] = lambda _: None
     stop: Callable[[], bool] = lambda: False
+    begin: Callable[[loop.Run], None] = lambda _: None  # called with the run, restored if there is a checkpoint, before its first step
 
     @property
     def folder(self) -> Path:
@@ -170,6 +171,7 @@ def fine_tune(model: Model, dataset: Dataset, settings: Settings, options: JobOp
         checkpoint.restore(run, options.folder, identity)
     else:
         checkpoint.forget(options.folder)
+    options.begin(run)
     saved = time.monotonic()
 
     def observe(progress: loop.Progress):

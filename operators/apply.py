@@ -1,0 +1,95 @@
+"""What was pruned becomes final; afterwards the original can go."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..svrgs_addon.errors import SplatError
+from . import bridge, job_result
+from .job import file_size, forget_job
+from .select import select
+
+
+class SVRGS_OT_apply(bpy.types.Operator):
+    bl_idname = "svrgs.apply"
+    bl_label = "Apply"
+    bl_description = "Keep the Gaussians that are shown, delete the others from the pruned splat. The original stays, hidden"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        _, pruned = job_result.pair_of(context.object)
+        if context.mode == "OBJECT" and job_result.undecided(pruned):
+            return True
+        cls.poll_message_set("Leave Edit Mode first" if context.mode != "OBJECT" else "Select a splat that was pruned and not applied yet")
+        return False
+
+    def execute(self, context):
+        original, pruned = job_result.pair_of(context.object)
+        try:
+            scene = job_result.chosen(pruned)
+            if not scene.count:
+                raise SplatError("nothing would be left: keep more")
+            bridge.replace_gaussians(pruned, scene)
+        except SplatError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        job_result.unmark(pruned)
+        pruned.hide_viewport = pruned.hide_render = False
+        before = ""
+        if original is not None:
+            job_result.unmark(original)
+            original.hide_viewport = original.hide_render = True
+            before = f" of {bridge.count(original):,}"
+        select(context, [pruned])
+        self.report({"INFO"}, f"Kept {scene.count:,}{before} Gaussians, {file_size(pruned, scene.count)}")
+        return {"FINISHED"}
+
+
+class SVRGS_OT_discard(bpy.types.Operator):
+    bl_idname = "svrgs.discard"
+    bl_label = "Discard"
+    bl_description = "Remove one side of a pruning from the file, and the job's files"
+    bl_options = {"REGISTER", "UNDO"}
+
+    what: bpy.props.EnumProperty(
+        name="What",
+        items=[("ORIGINAL", "Original", "The splat as it was before pruning"), ("RESULT", "Result", "The pruned splat; the original is as it was")],
+    )
+
+    @classmethod
+    def poll(cls, context):
+        original, pruned = job_result.pair_of(context.object)
+        if original is not None and pruned is not None and context.mode == "OBJECT":
+            return True
+        cls.poll_message_set("Select a splat that was pruned, or its original")
+        return False
+
+    def execute(self, context):
+        original, pruned = job_result.pair_of(context.object)
+        if self.what == "ORIGINAL" and job_result.undecided(pruned):
+            self.report({"ERROR"}, "Apply the result first: it may still bring Gaussians of the original back")
+            return {"CANCELLED"}
+        try:
+            forget_job(original)
+        except SplatError as error:
+            self.report({"WARNING"}, str(error))
+        gone, left = (original, pruned) if self.what == "ORIGINAL" else (pruned, original)
+        said = f"Discarded '{gone.name}' with {bridge.count(gone):,} Gaussians; '{left.name}' stays"
+        (job_result.forget if gone is pruned else job_result.remove)(original)
+        select(context, [left])
+        self.report({"INFO"}, said)
+        return {"FINISHED"}
+
+
+CLASSES = (SVRGS_OT_apply, SVRGS_OT_discard)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister():
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

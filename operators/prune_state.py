@@ -1,0 +1,160 @@
+"""What the prune panel shows, as properties it knows by name: which stage pruning is at, and what is to be said of it.
+
+Read-only, found out anew at each look; nothing of it is stored.
+"""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+
+from . import bridge, estimate, job_plot, job_result
+from .job import dataset_of, file_size, native_problem, uses_lambda
+from .job_watch import BUSY, WAITING, current
+
+SILENT = 60.0  # seconds without a sign of life that are worth telling
+WAITING_TEXT = {"paused": "Paused", "cancelled": "Cancelled", "interrupted": "An interrupted job was found", "failed": "The job failed"}
+
+
+def stage(context) -> str:
+    """BROKEN, BUSY, WAITING, FINISHED (a job), RESULT, APPLIED (a pruned splat), READY (a splat) or NOTHING."""
+    if native_problem():
+        return "BROKEN"
+    _, job = current(context)
+    if job is not None:
+        return "BUSY" if job.state in BUSY else "WAITING" if job.state in WAITING else "FINISHED"
+    _, pruned = job_result.pair_of(context.object)
+    if pruned is not None:
+        return "RESULT" if job_result.undecided(pruned) else "APPLIED"
+    return "READY" if bridge.is_splat(context.object) else "NOTHING"
+
+
+def sentences(context) -> list[str]:
+    """What is to be said at this stage."""
+    return {
+        "BROKEN": lambda context: [native_problem()], "BUSY": _of_running, "WAITING": _of_waiting, "FINISHED": lambda context: ["A finished job was found"],
+        "RESULT": _of_result, "APPLIED": _of_applied, "READY": _of_ready, "NOTHING": lambda context: ["Select a splat, or import one in step 1"],
+    }[stage(context)](context)  # fmt: skip
+
+
+def _of_ready(context) -> list[str]:
+    found = estimate.of(context.object)
+    said = ["Looking at some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
+    return said if dataset_of(context)[0] else [*said, "Choose the dataset of the splat's photographs, or import its cameras in step 1"]
+
+
+def _of_running(context) -> list[str]:
+    _, job = current(context)
+    silent = [f"No sign of life for {job.seconds_silent:.0f} s: Cancel ends it"] if job.seconds_silent > SILENT else []
+    return [job.facts.get("text") or "Working", *_figures(job.facts), *silent]
+
+
+def _of_waiting(context) -> list[str]:
+    _, job = current(context)
+    at = f" at {_share(job.facts):.0%}" if job.facts.get("total") else ""
+    return [WAITING_TEXT[job.state] + at, *filter(None, [job.facts.get("text")]), *_figures(job.facts)]
+
+
+def _of_result(context) -> list[str]:
+    original, pruned = job_result.pair_of(context.object)
+    count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
+    said = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {file_size(pruned, count)}"]
+    if job_result.PSNR in pruned:
+        before, after = pruned[job_result.PSNR]
+        said.append(f"PSNR {before:.2f} → {after:.2f} dB, {kept:,} recovered")
+    return [*said, f"{count - kept:,} more than were recovered: shown as in the original"] if count > kept else said
+
+
+def _of_applied(context) -> list[str]:
+    original, pruned = job_result.pair_of(context.object)
+    return [
+        f"Pruned to {bridge.count(pruned):,} Gaussians, {file_size(pruned, bridge.count(pruned))}",
+        f"The original '{original.name}' ({bridge.count(original):,}) is hidden",
+    ]
+
+
+def _figures(facts: dict) -> list[str]:
+    if not facts.get("count"):
+        return []
+    return [f"{facts['count']:,} Gaussians" + (f", PSNR {facts['psnr']:.2f} dB" if facts.get("psnr") else "")]
+
+
+def _share(facts: dict) -> float:
+    return facts.get("iteration", 0) / max(1, facts.get("total", 1))
+
+
+def _time_left(facts: dict) -> str:
+    if not facts.get("total"):
+        return "Starting"
+    left = facts.get("seconds_left", 0)
+    return f"{_share(facts):.0%}, " + (f"{left / 60:.0f} min left" if left >= 90 else f"{left:.0f} s left")
+
+
+def _of_job(value, otherwise):
+    """A getter of value(job), for where there is a job."""
+
+    def get(_):
+        _, job = current(bpy.context)
+        return value(job) if job is not None else otherwise
+
+    return get
+
+
+_progress = _of_job(lambda job: _share(job.facts), 0.0)
+_time = _of_job(lambda job: _time_left(job.facts), "")
+_plot = _of_job(lambda job: job_plot.icon(job.folder), 0)
+
+
+def _stage(_) -> str:
+    return stage(bpy.context)
+
+
+def _sentences(_) -> str:
+    return "\n".join(sentences(bpy.context))
+
+
+def _dataset(_) -> str:
+    return dataset_of(bpy.context)[0]
+
+
+def _uses_lambda(_) -> bool:
+    return uses_lambda(bpy.context.scene.svrgs_prune.method)
+
+
+def _subject(_) -> str:
+    splat, _ = current(bpy.context)
+    _, pruned = job_result.pair_of(bpy.context.object)
+    obj = splat or pruned or bpy.context.object
+    return obj.name if obj is not None else ""
+
+
+def _size(_) -> str:
+    obj = bpy.context.object
+    return f"{bridge.count(obj):,} Gaussians, {file_size(obj, bridge.count(obj))}" if bridge.is_splat(obj) else ""
+
+
+def _marked(_) -> int:
+    return job_result.marked_count(bpy.context.object) if bridge.is_splat(bpy.context.object) else 0
+
+
+class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
+    stage: StringProperty(get=_stage)
+    sentences: StringProperty(get=_sentences)
+    subject: StringProperty(get=_subject)
+    progress: FloatProperty(get=_progress)
+    time_left: StringProperty(get=_time)
+    plot: IntProperty(get=_plot)
+    dataset: StringProperty(get=_dataset)
+    uses_lambda: BoolProperty(get=_uses_lambda)
+    size: StringProperty(get=_size)
+    marked: IntProperty(get=_marked)
+
+
+def register():
+    bpy.utils.register_class(SVRGS_PG_prune_state)
+    bpy.types.WindowManager.svrgs_prune_state = PointerProperty(type=SVRGS_PG_prune_state)
+
+
+def unregister():
+    del bpy.types.WindowManager.svrgs_prune_state
+    bpy.utils.unregister_class(SVRGS_PG_prune_state)

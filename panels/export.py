@@ -1,0 +1,31 @@
+"""Step 4: out of Blender again, with what it will be."""
+
+import bpy
+
+from .lines import lines
+
+
+class SVRGS_PT_export(bpy.types.Panel):
+    bl_label = "4  Export"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "SVR-GS"
+    bl_order = 4
+
+    def draw(self, context):
+        layout, state = self.layout, context.window_manager.svrgs_prune_state
+        if not state.size:
+            layout.label(text="Select the splat to export", icon="INFO")
+            return
+        layout.label(text=f"{context.object.name}: {state.size}")
+        if state.marked:
+            lines(layout, f"{state.marked:,} of them are marked as removed and would be exported: Apply first", "INFO")
+        layout.operator("svrgs.export_ply", icon="EXPORT")
+
+
+def register():
+    bpy.utils.register_class(SVRGS_PT_export)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_PT_export)

@@ -1,0 +1,121 @@
+"""Step 2: what pruning shall do, how it goes on, and what came of it. Draws in any state, and says what to do in it."""
+
+from __future__ import annotations
+
+import bpy
+
+from .lines import lines
+
+PRESETS = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # of the paper
+GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size"}  # property by goal; LAMBDA has its own row
+ADVANCED = ("seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder")
+ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK", "APPLIED": "CHECKMARK"}  # of the first line
+
+
+class SVRGS_PT_prune(bpy.types.Panel):
+    bl_label = "2  Prune"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "SVR-GS"
+    bl_order = 2
+
+    def draw(self, context):
+        state = context.window_manager.svrgs_prune_state
+        stage = state.stage
+        if stage not in ("BROKEN", "NOTHING", "READY"):
+            self.layout.label(text=state.subject, icon="OUTLINER_OB_POINTCLOUD")
+        before = {"READY": draw_settings, "BUSY": draw_progress, "RESULT": draw_share}.get(stage)
+        if before is not None:
+            before(self.layout, context, state)
+        icon = ICONS.get(stage, "NONE")
+        for sentence in state.sentences.splitlines():
+            lines(self.layout, sentence, icon)
+            icon = "NONE"
+        if stage in ("BUSY", "WAITING") and state.plot:
+            self.layout.template_icon(icon_value=state.plot, scale=7)
+            self.layout.label(text="Blue: Gaussians. Orange: PSNR")
+        draw_buttons(self.layout, stage)
+
+
+class SVRGS_PT_prune_advanced(bpy.types.Panel):
+    bl_label = "Advanced"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "SVR-GS"
+    bl_parent_id = "SVRGS_PT_prune"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return context.window_manager.svrgs_prune_state.stage == "READY"
+
+    def draw(self, context):
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        for name in ADVANCED:
+            column.prop(context.scene.svrgs_prune, name)
+
+
+def draw_settings(layout, context, state):
+    settings = context.scene.svrgs_prune
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(settings, "colmap", placeholder=state.dataset)
+    column.prop(settings, "method")
+    column.prop(settings, "goal")
+    if settings.goal == "LAMBDA":
+        draw_strength(column.column(align=True), settings, state)
+    else:
+        column.prop(settings, GOALS[settings.goal])
+    column.prop(settings, "iterations")
+    column.prop(settings, "recovery")
+    row = layout.row(align=True)
+    row.operator("svrgs.estimate", icon="VIEWZOOM")
+    row.operator("svrgs.job_start", icon="PLAY")
+
+
+def draw_strength(column, settings, state):
+    column.active = state.uses_lambda
+    column.prop(settings, "strength", slider=True, text=f"λ_F = {settings.lambda_f * 1e4:.3g}e-4")
+    row = column.row(align=True)
+    for value in PRESETS:
+        row.operator("svrgs.set_lambda", text=f"{value * 1e4:g}e-4").value = value
+
+
+def draw_progress(layout, _, state):
+    layout.progress(factor=state.progress, text=state.time_left)
+
+
+def draw_share(layout, _, state):
+    layout.prop(bpy.data.objects[state.subject], "svrgs_share", slider=True)
+
+
+def draw_buttons(layout, stage: str):
+    row = layout.row(align=True)
+    if stage == "BUSY":
+        row.operator("svrgs.job_pause", icon="PAUSE")
+        row.operator("svrgs.job_cancel", icon="X")
+    elif stage == "WAITING":
+        row.operator("svrgs.job_resume", icon="PLAY")
+        row.operator("svrgs.job_discard", icon="TRASH")
+    elif stage == "FINISHED":
+        row.operator("svrgs.job_load", icon="IMPORT")
+        row.operator("svrgs.job_discard", icon="TRASH")
+    elif stage == "RESULT":
+        row.operator("svrgs.apply", icon="CHECKMARK")
+        row.operator("svrgs.discard", text="Discard Result", icon="TRASH").what = "RESULT"
+    elif stage == "APPLIED":
+        row.operator("svrgs.discard", text="Discard Original", icon="TRASH").what = "ORIGINAL"
+
+
+CLASSES = (SVRGS_PT_prune, SVRGS_PT_prune_advanced)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister():
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

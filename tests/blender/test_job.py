@@ -1,0 +1,328 @@
+"""Pruning in the background from the panel: start, follow, cancel, go on, the result, and what becomes of it."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from conftest import DATA, part
+
+SHORT = {"iterations": 40, "recovery": 20, "goal": "SHARE", "share": 50}
+LONG = {"iterations": 20_000, "recovery": 0, "goal": "LAMBDA", "lambda_f": 1e-5, "min_contribution": 0.0}
+COUNT = 250  # Gaussians of the tiny splat
+
+
+@pytest.fixture
+def watch():
+    module = part("operators.job_watch")
+    yield module
+    for job in module.jobs.values():
+        if job.running:
+            job.cancel()
+            follow(module, lambda job=job: not job.running)
+    module.jobs.clear()
+
+
+@pytest.fixture
+def results():
+    return part("operators.job_result")
+
+
+@pytest.fixture
+def splat(tmp_path):
+    """The tiny splat, active, with settings for its dataset and a folder for its jobs."""
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    settings = bpy.context.scene.svrgs_prune
+    for name, prop in settings.bl_rna.properties.items():
+        if name not in ("rna_type", "name", "lambda_f"):
+            settings.property_unset(name)
+    settings.colmap, settings.folder = str(DATA / "tiny"), str(tmp_path / "jobs")
+    return bpy.context.object
+
+
+def set_up(options: dict):
+    for name, value in options.items():
+        setattr(bpy.context.scene.svrgs_prune, name, value)
+
+
+def follow(watch, until, seconds: float = 60):
+    """Calls the timer's function, as Blender would, until the condition holds."""
+    end = time.monotonic() + seconds
+    while not until():
+        watch.tick()
+        assert time.monotonic() < end, [(job.facts, job.folder.log_tail()) for job in watch.jobs.values()]
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def pruned(splat, watch):
+    """(original, result) of a job that was run to its end."""
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: len(bpy.data.objects) == 2)
+    (result,) = (obj for obj in bpy.data.objects if obj != splat)
+    return splat, result
+
+
+def marked(bridge, obj) -> np.ndarray:
+    return bridge.values(obj, "removed")
+
+
+def evaluated_count(obj) -> int:
+    """Points of the object as it is shown."""
+    data = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    return len(data.vertices if obj.type == "MESH" else data.points)
+
+
+def test_a_job_run_to_its_end_marks_the_original_and_adds_the_recovered(pruned, bridge, results, watch, ply):
+    original, result = pruned
+    assert bridge.count(original) == COUNT and bridge.count(result) == 125 and result.name == "scene pruned"
+    assert marked(bridge, original).sum() == COUNT - 125 and not marked(bridge, result).any()
+    assert original.data.attributes["svrgs:score"].data_type == "FLOAT"
+    assert original.hide_viewport and not result.hide_viewport and result.matrix_world == original.matrix_world
+    (job,) = watch.jobs.values()
+    assert bridge.scene_from_object(result).means.tobytes() == ply.read_ply(job.folder / "pruned.ply").means.tobytes()
+    assert bridge.scene_from_object(original).means.tobytes() == ply.read_ply(DATA / "tiny/scene.ply").means.tobytes()
+    assert bpy.context.object == result and watch.tick() is None
+    assert result.svrgs_share == pytest.approx(50)
+
+
+def test_the_slider_shows_fewer_or_more_at_once(pruned, bridge):
+    original, result = pruned
+    score = bridge.values(original, "svrgs:score")
+    for share in (0, 10, 30, 50, 51, 80, 100, 50):
+        result.svrgs_share = share
+        count = round(share / 100 * COUNT)
+        left = ~marked(bridge, original)
+        assert left.sum() == count
+        assert not left.any() or left.all() or score[left].min() > score[~left].max()
+        assert (~marked(bridge, result)).sum() == min(count, 125)
+        shown = result if count <= 125 else original
+        assert not shown.hide_viewport and (original if shown is result else result).hide_viewport
+        assert evaluated_count(shown) == count, "what is marked is not shown"
+
+
+@pytest.mark.parametrize("share", [20, 50, 70, 100])
+def test_apply_keeps_what_is_shown(pruned, bridge, ply, share):
+    original, result = pruned
+    recovered, source = bridge.scene_from_object(result), bridge.scene_from_object(original)
+    result.svrgs_share = share
+    left, kept = ~marked(bridge, original), bridge.values(original, "svrgs:score") > 0.5
+    bpy.ops.svrgs.apply()
+    expected = np.where(kept[:, None], 0, source.means)
+    expected[kept] = recovered.means
+    final = bridge.scene_from_object(result)
+    assert final.count == round(share / 100 * COUNT) == left.sum()
+    assert (final.means == expected[left]).all() and final.sh.shape == (final.count, *source.sh.shape[1:])
+    assert "removed" not in result.data.attributes and "removed" not in original.data.attributes
+    assert not result.modifiers and not original.modifiers and original.hide_viewport and not result.hide_viewport
+    assert bridge.count(original) == COUNT
+    with pytest.raises(RuntimeError, match="not applied yet"):
+        bpy.ops.svrgs.apply()
+
+
+def test_the_original_stays_until_it_is_discarded(pruned, watch):
+    original, result = pruned
+    (job,) = watch.jobs.values()
+    with pytest.raises(RuntimeError, match="Apply the result first"):
+        bpy.ops.svrgs.discard(what="ORIGINAL")
+    bpy.ops.svrgs.apply()
+    bpy.ops.svrgs.discard(what="ORIGINAL")
+    assert list(bpy.data.objects) == [result] and not job.folder.path.exists()
+    assert bpy.ops.svrgs.job_start.poll(), "what was pruned can be pruned again"
+
+
+def test_a_result_that_does_not_please_is_discarded(pruned, bridge):
+    original, _ = pruned
+    bpy.ops.svrgs.discard(what="RESULT")
+    assert list(bpy.data.objects) == [original] and not original.hide_viewport and not original.modifiers
+    assert "removed" not in original.data.attributes and bpy.context.object == original
+    assert bpy.ops.svrgs.job_start.poll()
+
+
+def test_cancelled_and_resumed(splat, watch):
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    assert not bpy.ops.svrgs.job_start.poll() and not bpy.ops.svrgs.job_resume.poll()
+    follow(watch, lambda: job.facts.get("iteration", 0) > 5)
+    started = time.monotonic()
+    bpy.ops.svrgs.job_cancel()
+    follow(watch, lambda: not job.running)
+    assert time.monotonic() - started < 1 and job.state == "cancelled"
+    assert not bpy.ops.svrgs.job_start.poll(), "what waits is resumed or discarded first"
+    bpy.ops.svrgs.job_resume()
+    follow(watch, lambda: job.facts.get("iteration", 0) > 5)
+    bpy.ops.svrgs.job_pause()
+    follow(watch, lambda: not job.running)
+    assert job.state == "paused"
+    bpy.ops.svrgs.job_discard()
+    assert not job.folder.path.exists() and bpy.ops.svrgs.job_start.poll() and not watch.jobs
+
+
+def test_an_interrupted_job_is_found_when_the_file_is_opened_again(splat, watch, bridge, tmp_path):
+    set_up(SHORT | {"iterations": 2000})
+    bpy.ops.svrgs.job_start()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: job.facts.get("iteration", 0) > 5)
+    job._process.kill()
+    follow(watch, lambda: not job.running)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "work.blend"))
+    assert not watch.jobs
+    obj, found = watch.current(bpy.context)
+    assert obj.name == "scene" and found is not job and found.state == "interrupted"
+    bpy.ops.svrgs.job_resume()
+    follow(watch, lambda: len(bpy.data.objects) == 2)
+    assert bridge.count(bpy.context.object) == 125
+
+
+def test_a_job_goes_on_while_another_file_is_open(splat, watch, tmp_path):
+    set_up(SHORT | {"iterations": 2000})
+    bpy.ops.svrgs.job_start()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    (job,) = watch.jobs.values()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    follow(watch, lambda: not job.running)
+    assert job.state == "done" and not bpy.data.objects
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "work.blend"))
+    assert watch.current(bpy.context)[1].state == "done"
+    bpy.ops.svrgs.job_load()
+    assert len(bpy.data.objects) == 2
+
+
+def test_a_splat_edited_meanwhile_is_told_from_the_one_pruned(splat, watch, bridge):
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    bridge.replace_gaussians(splat, bridge.scene_from_object(splat).select(np.arange(99)))
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: not job.running)
+    assert list(bpy.data.objects) == [splat]
+    with pytest.raises(RuntimeError, match="99 Gaussians, but 250 when the job began"):
+        bpy.ops.svrgs.job_load()
+
+
+def test_without_a_dataset_the_button_says_what_to_do(splat):
+    bpy.context.scene.svrgs_prune.colmap = ""
+    with pytest.raises(RuntimeError, match="Choose the dataset"):
+        bpy.ops.svrgs.job_start()
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.view_layer.objects.active = splat
+    assert bpy.ops.svrgs.job_start.poll(), "that of the imported cameras"
+
+
+def test_without_a_splat_the_buttons_say_what_to_do():
+    for operator in (bpy.ops.svrgs.job_start, bpy.ops.svrgs.estimate):
+        with pytest.raises(RuntimeError, match="Select a Gaussian splat first"):
+            operator()
+    with pytest.raises(RuntimeError, match="No job waits to go on"):
+        bpy.ops.svrgs.job_resume()
+
+
+@pytest.mark.parametrize(
+    "goal, target",
+    [
+        ({"goal": "SHARE", "share": 10}, 25), ({"goal": "COUNT", "count": 70}, 70), ({"goal": "SIZE", "size": 0.0104}, 100),
+        ({"goal": "COUNT", "count": 9999}, 250),
+    ],  # fmt: skip
+)
+def test_targets_become_counts(splat, goal, target):
+    set_up(goal)
+    options = part("operators.job").options_of(bpy.context, splat)
+    assert options["target_count"] == target and options["lambda_f"] == pytest.approx(1e-4)
+
+
+def test_lambda_is_a_number_with_a_logarithmic_slider(splat):
+    settings = bpy.context.scene.svrgs_prune
+    bpy.ops.svrgs.set_lambda(value=1.25e-4)
+    assert settings.lambda_f == pytest.approx(1.25e-4) and settings.strength == pytest.approx(np.log10(1.25e-4))
+    settings.method = "maskgs"
+    assert "lambda_f" not in part("operators.job").options_of(bpy.context, splat)
+
+
+def test_the_estimate_comes_before_anything_runs_and_soon(splat, capfd):
+    set_up({"goal": "LAMBDA"})
+    seconds = []
+    for _ in range(2):  # a busy machine may be slow once
+        started = time.monotonic()
+        bpy.ops.svrgs.estimate()
+        seconds.append(time.monotonic() - started)
+    assert min(seconds) < 5
+    found = part("operators.estimate").of(splat)
+    assert found["count"] == COUNT and found["invisible"] == 10 and found["unseen"] >= 10 and 0 < found["kept"] <= COUNT - 10
+    assert found["seconds"] > 0 and "would stay" in capfd.readouterr().out and len(bpy.data.objects) == 1
+
+
+def test_an_estimate_that_cannot_be_made_says_why(splat):
+    bpy.context.scene.svrgs_prune.colmap = "/nowhere"
+    with pytest.raises(RuntimeError, match="/nowhere: holds no COLMAP model"):
+        bpy.ops.svrgs.estimate()
+
+
+class Layout:
+    """Notes what a panel draws."""
+
+    def __init__(self, notes=None):
+        self.__dict__["notes"] = [] if notes is None else notes
+
+    def __getattr__(self, name):
+        def draw(*words, **options):
+            self.notes.append((name, *words, *options.values()))
+            return Layout(self.notes) if name in ("row", "column", "box") else SimpleNamespace()
+
+        return draw
+
+    def __setattr__(self, name, value):
+        pass
+
+    @property
+    def text(self) -> str:
+        """The labels, one after the other; then all else."""
+        labels = [note[1] for note in self.notes if note[0] == "label"]
+        return " ".join([*labels, *(str(word) for note in self.notes if note[0] != "label" for word in note)])
+
+
+def drawn(panel: str) -> str:
+    layout = Layout()
+    cls = getattr(part(f"panels.{panel}"), f"SVRGS_PT_{panel}")
+    cls.draw(SimpleNamespace(layout=layout), bpy.context)
+    return layout.text
+
+
+def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
+    assert "Select a splat" in drawn("prune") and "Select the splat" in drawn("export")
+    bpy.ops.object.camera_add()
+    assert "Select a splat" in drawn("prune")
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat = bpy.context.object
+    bpy.context.scene.svrgs_prune.colmap = ""
+    assert "Choose the dataset" in drawn("prune") and "250 Gaussians" in drawn("export")
+    set_up(LONG | {"colmap": str(DATA / "tiny"), "folder": str(tmp_path / "jobs")})
+    for goal in ("LAMBDA", "SHARE", "COUNT", "SIZE"):
+        bpy.context.scene.svrgs_prune.goal = goal
+        assert "svrgs.job_start" in drawn("prune") and "svrgs.estimate" in drawn("prune")
+    bpy.ops.svrgs.job_start()
+    assert "Starting" in drawn("prune")
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: job.facts.get("psnr"))
+    said = drawn("prune")
+    assert "Gaussians, PSNR" in said and "left" in said and "svrgs.job_pause" in said
+    picture = part("operators.job_plot")._pictures[0][str(job.folder.path)]
+    assert len({tuple(pixel) for pixel in np.reshape(picture.image_pixels_float, (-1, 4)).round(2)}) == 4, "ground, grid and two lines"
+    job._process.kill()
+    follow(watch, lambda: not job.running)
+    assert "An interrupted job was found" in drawn("prune") and "svrgs.job_discard" in drawn("prune")
+    bpy.ops.svrgs.job_discard()
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: len(bpy.data.objects) == 3)
+    assert "125 of 250 Gaussians" in drawn("prune")
+    bpy.context.object.svrgs_share = 60
+    assert "25 more than were recovered" in drawn("prune")
+    bpy.ops.svrgs.apply()
+    assert "Discard Original" in drawn("prune") and splat.name in drawn("prune")
+    monkeypatch.setattr(part("operators.prune_state"), "native_problem", lambda: "the native library is missing")
+    assert "the native library is missing" in drawn("prune")

@@ -1,0 +1,74 @@
+"""The extension in a real window, driven with mouse and keyboard by the scripts in tests/window.
+
+SVRGS_BLENDER names the Blender (a command that takes Blender's arguments); without a screen an Xvfb is started, if there is one.
+SVRGS_PICTURES names a folder to keep the pictures in.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from test_extension import extension_zip  # noqa: F401
+
+WINDOW = Path(__file__).parent / "window"
+SIZE = (1280, 960)
+
+
+@pytest.fixture(scope="module")
+def blender() -> list[str]:
+    named = os.environ.get("SVRGS_BLENDER")
+    if not named:
+        pytest.skip("SVRGS_BLENDER names no Blender with a window")
+    return shlex.split(named)
+
+
+@contextlib.contextmanager
+def screen():
+    """Environment with a screen: this one's, or a virtual one."""
+    if os.environ.get("DISPLAY") or not shutil.which("Xvfb"):
+        yield dict(os.environ)
+        return
+    read, write = os.pipe()
+    with subprocess.Popen(["Xvfb", "-displayfd", str(write), "-screen", "0", f"{SIZE[0]}x{SIZE[1]}x24", "-nolisten", "tcp"], pass_fds=[write]) as server:
+        os.close(write)
+        with os.fdopen(read) as display:
+            yield {**os.environ, "DISPLAY": ":" + display.readline().strip(), "LIBGL_ALWAYS_SOFTWARE": "1"}
+        server.terminate()
+
+
+@pytest.fixture
+def drive(blender, extension_zip, tmp_path):  # noqa: F811
+    """Runs a script of tests/window with the extension enabled; what it wrote to seen.json."""
+
+    def run(script: str, data: Path) -> dict:
+        out = Path(os.environ.get("SVRGS_PICTURES", tmp_path / "out"))
+        out.mkdir(parents=True, exist_ok=True)
+        with screen() as environment:
+            environment["BLENDER_USER_RESOURCES"] = str(tmp_path / "user")
+            install = [*blender, "--command", "extension", "install-file", "-r", "user_default", "-e", str(extension_zip)]
+            done = subprocess.run(install, env=environment, capture_output=True, text=True, timeout=120)
+            assert "STATUS Installed" in done.stdout or "STATUS Reinstalled" in done.stdout, done.stdout + done.stderr
+            window = ["--window-geometry", "0", "0", *map(str, SIZE), "--enable-event-simulate", "-P", str(WINDOW / script)]
+            done = subprocess.run([*blender, *window, "--", str(data), str(out)], env=environment, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+        return json.loads((out / "seen.json").read_text())
+
+    return run
+
+
+def test_pruning_with_the_mouse(drive, tiny):
+    seen = drive("prune.py", tiny.folder)
+    assert seen["estimate"][0] == "About 100 of 250 would stay (40%)"
+    assert seen["running"]["psnr"] > 20 and seen["running"]["total"] == 9000
+    assert seen["paused"]["state"] == "paused" and seen["paused"]["iteration"] > 1500
+    assert seen["result"] == ["scene pruned", 100, 100]
+    assert seen["fewer"] == seen["applied"] == 50
+    assert seen["undone"] == [100, 50]

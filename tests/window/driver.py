@@ -1,0 +1,97 @@
+"""Runs inside Blender's window: a script as a generator of pauses, with the mouse, the keyboard and screenshots.
+
+Blender is started with --enable-event-simulate, so that events come from here alone. Coordinates: pixels from the top left of a
+window of SIZE. Whatever goes wrong ends Blender with status 1, and a last picture.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import bpy
+
+SIZE = (1280, 960)
+DATA, OUT = (Path(word) for word in sys.argv[sys.argv.index("--") + 1 :])
+
+
+def window() -> bpy.types.Window:
+    return bpy.context.window_manager.windows[0]
+
+
+def click(x: int, y: int) -> Iterator[float]:
+    """Left click."""
+    for dx in (-9, -3, 0):
+        window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x + dx, y=SIZE[1] - y)
+        yield 0.1
+    for value in ("PRESS", "RELEASE"):
+        window().event_simulate(type="LEFTMOUSE", value=value, x=x, y=SIZE[1] - y)
+        yield 0.1
+    yield 0.2
+
+
+def key(letter: str, x: int, y: int, **modifiers: bool) -> Iterator[float]:
+    """A key, with the pointer over (x, y)."""
+    window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x, y=SIZE[1] - y)
+    yield 0.1
+    for value in ("PRESS", "RELEASE"):
+        window().event_simulate(type=letter, value=value, x=x, y=SIZE[1] - y, **modifiers)
+        yield 0.1
+    yield 0.3
+
+
+def until(condition: Callable[[], object], what: str, seconds: float = 30) -> Iterator[float]:
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError(f"not within {seconds:.0f} s: {what}")
+        yield 0.05
+
+
+def sidebar(tab: str) -> Iterator[float]:
+    """Opens the 3D view's sidebar at a tab."""
+    area = next(area for area in window().screen.areas if area.type == "VIEW_3D")
+    area.spaces.active.show_region_ui = True
+    region = next(region for region in area.regions if region.type == "UI")
+
+    def there() -> bool:  # tabs exist once the sidebar has been drawn
+        region.tag_redraw()
+        try:
+            region.active_panel_category = tab
+        except (AttributeError, TypeError):
+            return False
+        return region.active_panel_category == tab
+
+    yield from until(there, f"the tab {tab}")
+    yield 0.5
+
+
+def shot(name: str):
+    """A picture of the screen, where ImageMagick can take one: Blender's own screenshots are black without a real screen."""
+    if shutil.which("import"):
+        subprocess.run(["import", "-silent", "-window", "root", str(OUT / f"{name}.png")], check=True)
+
+
+def run(steps: Iterator[float]):
+    """Lets Blender draw for as long as the script yields; then quits."""
+    bpy.context.preferences.view.show_splash = False
+
+    def tick() -> float | None:
+        try:
+            return next(steps)
+        except StopIteration:
+            sys.stdout.flush()
+            os._exit(0)  # not through a question about unsaved changes
+        except BaseException:
+            traceback.print_exc()
+            shot("failed")
+            sys.stderr.flush()
+            os._exit(1)
+
+    bpy.app.timers.register(tick, first_interval=1.5, persistent=True)

@@ -1,0 +1,81 @@
+"""Estimate, prune, pause, go on, look at fewer, apply and undo, with the mouse. Writes what it saw to OUT/seen.json."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import bpy
+import driver
+from driver import DATA, OUT, click, key, shot, until
+
+PACKAGE = "bl_ext.user_default.svrgs"
+LEFT, RIGHT = 842, 961  # the two buttons of a row
+START, PAUSE, RESUME, APPLY = 405, 546, 527, 370  # heights of these rows
+VIEW = (400, 700)  # somewhere in the 3D view
+
+
+def part(name: str):
+    return importlib.import_module(f"{PACKAGE}.{name}")
+
+
+def steps():
+    watch, results, estimate = part("operators.job_watch"), part("operators.job_result"), part("operators.estimate")
+    seen = {}
+    bpy.ops.object.select_all(action="SELECT")
+    bpy.ops.object.delete()
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "scene.ply"))
+    splat = bpy.context.object.name
+    bpy.ops.svrgs.import_colmap(directory=str(DATA))
+    bpy.context.view_layer.objects.active = bpy.data.objects[splat]
+    settings = bpy.context.scene.svrgs_prune
+    settings.iterations, settings.recovery, settings.goal, settings.share, settings.folder = 6000, 3000, "SHARE", 40, str(OUT / "jobs")
+    bpy.ops.ed.undo_push(message="Ready")
+    yield from driver.sidebar("SVR-GS")
+
+    yield from click(LEFT, START)
+    yield from until(lambda: "kept" in estimate.of(bpy.data.objects[splat]), "an estimate")
+    yield 0.5
+    seen["estimate"] = estimate.sentences(bpy.data.objects[splat])
+    shot("estimate")
+
+    job = lambda: watch.current(bpy.context)[1]  # noqa: E731
+    yield from click(RIGHT, START)
+    yield from until(job, "a job")
+    yield from until(lambda: job().facts.get("iteration", 0) > 1500, "1500 iterations")
+    yield 0.3
+    seen["running"] = job().facts
+    shot("running")
+    yield from click(LEFT, PAUSE)
+    yield from until(lambda: not job().running, "the pause")
+    yield 0.5
+    seen["paused"] = dict(job().facts)
+    shot("paused")
+    yield from click(LEFT, RESUME)
+    yield from until(lambda: "pruned" in bpy.context.object.name, "the result", 90)
+    yield 0.8
+    pruned, kept = bpy.context.object.name, bpy.context.object["svrgs_kept"]
+    seen["result"] = [pruned, kept, results.shown_count(bpy.context.object)]
+    shot("result")
+
+    bpy.context.object.svrgs_share = 20
+    yield 0.5
+    seen["fewer"] = results.shown_count(bpy.context.object)
+    shot("fewer")
+    bpy.ops.ed.undo_push(message="Fewer")
+    yield from click(LEFT, APPLY)
+    yield from until(lambda: not results.undecided(bpy.data.objects[pruned]), "Apply")
+    seen["applied"] = len(bpy.data.objects[pruned].data.attributes["scale"].data)
+    yield 0.5
+    shot("applied")
+    yield from key("Z", *VIEW, ctrl=True)
+    yield from until(lambda: results.undecided(bpy.data.objects[pruned]), "the undoing of Apply")
+    seen["undone"] = [len(bpy.data.objects[pruned].data.attributes["scale"].data), results.shown_count(bpy.data.objects[pruned])]
+    (OUT / "seen.json").write_text(json.dumps(seen))
+
+
+driver.run(steps())
