@@ -12,7 +12,7 @@ from ..svrgs_addon import native
 from ..svrgs_addon.background.folder import JobFolder
 from ..svrgs_addon.background.parent import Job
 from ..svrgs_addon.errors import NativeError, SplatError
-from ..svrgs_addon.finetune.settings import METHODS
+from ..svrgs_addon.finetune.methods import METHODS
 from . import bridge
 from .job_watch import BESIDE, BUSY, FOLDER, WAITING, current, finish, follow, job_of, jobs
 from .preferences import PACKAGE, threads
@@ -40,7 +40,7 @@ def options_of(context, obj: bpy.types.Object) -> dict:
     }  # fmt: skip
     if uses_lambda(s.method):
         options["lambda_f"] = s.lambda_f
-    if METHODS[s.method].learns_masks:
+    if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
     targets = {"SHARE": s.share / 100 * total, "COUNT": s.count, "SIZE": s.size * 1e6 / bytes_each(obj)}
     if s.goal in targets:
@@ -62,7 +62,7 @@ def file_size(obj: bpy.types.Object, count: int) -> str:
 
 def uses_lambda(method: str) -> bool:
     """Whether the method has a spatial mask to weigh."""
-    return METHODS[method].mask_kind != "none"
+    return METHODS[method].lambda_f > 0
 
 
 def obstacle(context) -> str:

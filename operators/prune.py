@@ -12,7 +12,7 @@ from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 from ..svrgs_addon import child
 from ..svrgs_addon.arguments import PRUNE_ITERATIONS, RECOVERY
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.finetune.settings import METHODS
+from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.splat_files import read_scene, write_scene
 from . import bridge
 from .preferences import threads

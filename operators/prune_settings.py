@@ -8,7 +8,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.arguments import MIN_CONTRIBUTION, PRUNE_ITERATIONS, RECOVERY
-from ..svrgs_addon.finetune.settings import METHODS
+from ..svrgs_addon.finetune.methods import METHODS
 from . import bridge, job_result
 
 GOALS = [

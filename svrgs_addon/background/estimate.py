@@ -34,7 +34,7 @@ def estimate(request: dict) -> dict:
     from .. import native
     from ..dataset import load_dataset
     from ..evaluate import refuse_unseen
-    from ..finetune.settings import METHODS
+    from ..finetune.methods import METHODS
     from ..splat_files import invisible, load_scene
 
     native.set_threads(request["threads"])
@@ -47,9 +47,9 @@ def estimate(request: dict) -> dict:
     kept = peaks >= limit
     if method.learns_masks and request["iterations"]:
         kept &= sums > np.maximum(hits, 1) * _limit(request.get("lambda_f") or 1e-4)
-    share = (request.get("target_count") or int(kept.sum())) / scene.count
+    share = (request.get("target_count") or method.share * scene.count or int(kept.sum())) / scene.count
     rate = _rate(scene, dataset, request)
-    learning = request["iterations"] if method.learns_masks else 0
+    learning = sum(phase.steps for phase in method.prune_phases(request["iterations"], 0, 1))
     cost = lambda left: FIXED_SHARE + (1 - FIXED_SHARE) * left  # noqa: E731
     return {
         "count": scene.count,
@@ -93,7 +93,7 @@ def _rate(scene, dataset, request: dict) -> float:
     from ..finetune.engine import NativeEngine
     from ..finetune.loop import Run
     from ..finetune.model import Model
-    from ..finetune.settings import prune_settings
+    from ..finetune.plan import prune_settings
 
     settings = prune_settings(request["method"], max(STEPS + 2, request["iterations"]), STEPS + 2)
     run = Run(Model.of(scene), dataset, settings, NativeEngine(), scene.antialiased)
