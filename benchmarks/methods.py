@@ -9,7 +9,7 @@ experiment that was stopped goes on where it was. Scenes between runs lie in --w
 
     table   `svrgs train` with each method from the sparse points, all with the published schedule times --schedule
     lambda  the paper's sweep of lambda_F, from the sparse points
-    pareto  `svrgs prune` of the table's 3DGS scene, every method with its own strength swept
+    pareto  `svrgs prune` of the table's 3DGS scene (of --trained, share of the schedule), every method at several counts
 """
 
 from __future__ import annotations
@@ -42,26 +42,18 @@ TABLE = {
     "Scenario B": ["--method", "svr-b"],
     "SVR-GS, self term": ["--method", "svr-self"],
     "SVR-GS, even": ["--method", "svr-even"],
+    "svr": ["--method", "svr"],
 }
 LAMBDAS = ("1e-4", "1.25e-4", "1.6e-4", "2e-4")
-TARGETS = ("0.5", "0.25", "0.125", "0.0625")
-
-
-def strengths(method: str, flag: str, values: tuple[str, ...]) -> dict[str, list[str]]:
-    return {f"{method} {value}": ["--method", method, flag, value] for value in values}
+TARGETS = ("0.5", "0.25", "0.17", "0.08")
+RIVALS = ("opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns")
+OURS = ("svr-mask", "svr-self", "svr-even", "svr-worth", "svr")
 
 
 def pareto() -> dict[str, list[str]]:
+    """Learned methods adapt their strength to the target, the others cut to it."""
     runs = {"3dgs": ["--method", "3dgs"]}
-    for method in ("lightgaussian", "contribution", "max-contribution", "pup", "opacity", "gns"):
-        runs |= strengths(method, "--target", TARGETS)
-    for method in ("svr", "svr-self", "svr-even"):
-        runs |= strengths(method, "--lambda-f", ("2.5e-5", "1e-4", "4e-4", "1.6e-3"))
-    runs |= strengths("svr-b", "--lambda-f", ("1e-4", "4e-4"))
-    runs |= strengths("svr-a", "--lambda-f", ("1e-2", "4e-2"))
-    runs |= strengths("maskgs", "--lambda-m", ("2.5e-2", "1e-1", "4e-1", "1.6"))
-    runs |= strengths("compact3dgs", "--lambda-m", ("5e-4", "2e-3", "8e-3"))
-    return runs
+    return runs | {f"{method} {target}": ["--method", method, "--target", target] for target in TARGETS for method in RIVALS + OURS}
 
 
 STUDIES = {
@@ -79,14 +71,17 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
                 for label, flags in STUDIES[study].items():
                     if options.only and not any(word in label for word in options.only):
                         continue
-                    name = scene.partition("=")[0]
-                    yield {"study": study, "scene": name, "run": label, "flags": flags, "seed": seed, "schedule": options.schedule, "shrink": options.shrink}
+                    yield {
+                        "study": study, "scene": scene.partition("=")[0], "run": label, "flags": flags, "seed": seed,
+                        "schedule": options.schedule, "trained": options.trained or options.schedule, "shrink": options.shrink,
+                    }  # fmt: skip
+
 
 
 def command(request: dict, data: list[str], work: Path) -> list[str]:
     """The svrgs command of a run; data: its --colmap and --images."""
     out = work / f"{request['study']}.ply"
-    trained = work / f"trained-{request['seed']}-{request['schedule']}.ply"
+    trained = work / f"trained-{request['seed']}-{request['trained']}.ply"
     common = [*request["flags"], *data, "--seed", str(request["seed"]), "--schedule", str(request["schedule"]), "--json", "--quiet"]
     start = [sys.executable, "-m", "svrgs_addon"]
     if request["study"] == "pareto":
@@ -105,7 +100,7 @@ def measured(request: dict, data: list[str], work: Path) -> dict:
 
 
 def key(row: dict) -> str:
-    return json.dumps([row[name] for name in ("study", "scene", "run", "flags", "seed", "schedule", "shrink")])
+    return json.dumps([row[name] for name in ("study", "scene", "run", "flags", "seed", "schedule", "trained", "shrink")])
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -138,6 +133,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--study", action="append", choices=list(STUDIES), help="default: all")
     parser.add_argument("--only", action="append", metavar="WORD", help="only runs whose name has it")
     parser.add_argument("--schedule", type=float, default=0.1, help="share of the published 30 000 + 5 000 iterations (default: 0.1)")
+    parser.add_argument("--trained", type=float, help="with pareto: the schedule of the scene that is pruned (default: --schedule)")
     parser.add_argument("--shrink", type=int, default=1, help="pixels a side that become one (default: 1)")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--rows", type=Path, default=ROOT / "docs" / "results" / "rows.jsonl")

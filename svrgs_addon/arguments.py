@@ -9,7 +9,7 @@ from . import __version__
 
 TRAIN_ITERATIONS, PRUNE_ITERATIONS, RECOVERY = 30_000, 3_000, 5_000
 MIN_CONTRIBUTION = 0.02
-LEARNED = "svr, svr-self, svr-even, svr-worth, svr-a, svr-b, maskgs (also -alpha, -beta, -gamma), compact3dgs, gns"
+LEARNED = "svr, svr-mask, svr-self, svr-even, svr-worth, svr-a, svr-b, maskgs (also -alpha, -beta, -gamma), compact3dgs, gns"
 RANKED = "lightgaussian, pup, contribution, max-contribution, opacity"
 METHODS = f"learned: {LEARNED}; by a score, once: {RANKED}; none: 3dgs"
 

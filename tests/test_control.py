@@ -66,7 +66,7 @@ def test_the_strength_stays_within_limits(monkeypatch):
 
 @pytest.mark.parametrize(("changes", "steered"), [({}, False), ({"target": 5}, True), ({"share": 0.5}, True), ({"max_drop": 0.5}, True)])
 def test_only_what_is_asked_for_is_steered(changes, steered):
-    settings = Settings("svr", (), **changes)
+    settings = Settings("svr-mask", (), **changes)
     assert (control_for(settings, learns_masks=True) is not None) == steered
     assert control_for(settings, learns_masks=False) is None
 
@@ -90,7 +90,7 @@ def to_the_end(run: Run) -> Run:
 
 
 @pytest.mark.parametrize("target", [90, 140])
-@pytest.mark.parametrize("method", ["svr", "maskgs", "compact3dgs"])
+@pytest.mark.parametrize("method", ["svr-mask", "maskgs", "compact3dgs"])
 def test_masks_alone_come_near_the_target(tiny, data, method, target):
     """Of 240; the ranking then meets it exactly."""
     run = to_the_end(steered_run(tiny, data, method, target=target))
@@ -99,7 +99,7 @@ def test_masks_alone_come_near_the_target(tiny, data, method, target):
 
 
 def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
-    run = steered_run(tiny, data, "svr", max_drop=1.0)
+    run = steered_run(tiny, data, "svr-mask", max_drop=1.0)
     to_the_end(run)
     drop = run.control.start - control.psnr_of(run, None)
     assert run.model.count < 200 and drop <= 1.0
@@ -108,7 +108,7 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
 
 @pytest.mark.parametrize("goal", [{"target": 90}, {"max_drop": 1.0}], ids=["target", "max-drop"])
 def test_a_steered_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tiny, data, tmp_path, goal):
-    whole, first, second = (steered_run(tiny, data, "svr", 600, **goal) for _ in range(3))
+    whole, first, second = (steered_run(tiny, data, "svr-mask", 600, **goal) for _ in range(3))
     while first.iteration < 501:
         first.advance()
     first.close()

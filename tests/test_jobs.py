@@ -30,9 +30,9 @@ from svrgs_addon.progress import StopRequest
 
 ROOT = Path(__file__).resolve().parents[1]
 # Masks that start undecided, so that pruning events bite within few steps.
-SETTINGS = replace(prune_settings("svr", 60, 30, prune_every=20, lambda_f=1e-3), mask_init=0.5, seed=5)
+SETTINGS = replace(prune_settings("svr-mask", 60, 30, prune_every=20, lambda_f=1e-3), mask_init=0.5, seed=5)
 DENSIFY = Densify(start=20, until=100, every=20, reset_every=50, gradient=1e-3)
-TRAINING = replace(train_settings("svr", 120, 20, densify=DENSIFY, lambda_f=1e-3), mask_init=1.0)
+TRAINING = replace(train_settings("svr-mask", 120, 20, densify=DENSIFY, lambda_f=1e-3), mask_init=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -331,7 +331,7 @@ def test_kill_and_resume(tiny, whole_command, tmp_path):
 def test_stop_signals_finish_the_step(tiny, tmp_path, number):
     out = tmp_path / "o.ply"
     process = start("-m", "svrgs_addon", *words_for(tiny, out, ENDLESS, 60))
-    assert "prune 1/" in process.stderr.readline()
+    assert "press 1/" in process.stderr.readline()
     process.send_signal(number)
     output, errors = process.communicate(timeout=30)
     assert (process.returncode, output) == (130, "") and not out.exists()

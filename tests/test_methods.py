@@ -28,7 +28,7 @@ from svrgs_addon.native import RenderOptions
 from svrgs_addon.scene import Scene
 
 LEARNED = [name for name, method in METHODS.items() if method.prunes and not method.ranks]
-FAMILIES = ("svr", "svr-worth", "maskgs-alpha", "compact3dgs", "gns", "lightgaussian", "pup", "3dgs")  # one of each file, and pup
+FAMILIES = ("svr", "svr-mask", "svr-worth", "maskgs-alpha", "compact3dgs", "gns", "lightgaussian", "pup", "3dgs")  # one of each file, and pup
 RANKED = [name for name, method in METHODS.items() if method.ranks]
 BACKGROUND = (0.2, 0.5, 0.9)
 
@@ -82,7 +82,7 @@ def test_the_papers_form_of_svr_is_in_one_place():
 
 def test_a_weight_the_method_does_not_have_is_refused():
     with pytest.raises(SceneError, match="no term that lambda-m weighs"):
-        prune_settings("svr", 10, 10, lambda_m=1e-3)
+        prune_settings("svr-mask", 10, 10, lambda_m=1e-3)
     assert prune_settings("compact3dgs", 10, 10, lambda_m=1e-3).lambda_m == 1e-3
 
 

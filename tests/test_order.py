@@ -106,7 +106,7 @@ def run_of(*phases: Phase, **changes) -> Run:
     """Of 150 Gaussians that do not fit their photographs."""
     truth = scenes.random_scene(150, 2, 1, scale=0.2)
     start = replace(truth, sh=truth.sh * np.float32(0.5))
-    return Noting(Model.of(start), photographed(truth), Settings("svr", phases, mask_init=1.0, lambda_f=1e-3, **changes), NativeEngine())
+    return Noting(Model.of(start), photographed(truth), Settings("svr-mask", phases, mask_init=1.0, lambda_f=1e-3, **changes), NativeEngine())
 
 
 def advance(run: Run, until: int) -> Run:

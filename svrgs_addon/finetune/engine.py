@@ -29,7 +29,7 @@ class Step:
     l1_weight: float = 0.8
     ssim_weight: float = 0.2
     masks: np.ndarray | None = None  # (N,) uint8, this step's draw
-    slope: np.ndarray | None = None  # (N,) dM/dlogit
+    slope: np.ndarray | None = None  # (N,) dM/dlogit; None: masks are not learned
     lambda_f: float = 0.0
     lambda_m: float = 0.0
     gates: bool = False  # masks multiply scale too (Compact3DGS), and learn only while open
@@ -105,13 +105,13 @@ class NativeEngine:
         if not step.update:
             result.means2d = r.backward(image_grads, wanted).get("means2d")
             return result
-        if step.masks is not None:
+        if step.slope is not None:
             wanted += ("masks",)
         stored = step.gates or not step.reaching_all <= {MASK}  # gradients that something is added to, or that others follow from
         update = self._update_stored if stored else self._update
         grads, result.nonfinite = update(model, step, image_grads, wanted, result.visible)
         result.means2d = grads.get("means2d")
-        if step.masks is not None:
+        if step.slope is not None:
             result.nonfinite += self._step_rows(model, step, MASK, mask_logit_rows(step, grads, result.visible), result.visible)
         return result
 

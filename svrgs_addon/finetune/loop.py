@@ -151,6 +151,8 @@ class Run:
             update=not self._densifies(phase, number),
             want_means2d=phase.densify is not None and number < phase.densify.until,
         )
+        if phase.leaves_out(number):
+            step.masks = masks.some_absent(self.model.count, phase.absent, s.seed, self.iteration)
         return replace(step, **self.method.terms(self, phase, number)) if phase.active else step
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:

@@ -20,6 +20,11 @@ def draw(model: Model, seed: int, step: int) -> tuple[np.ndarray, np.ndarray]:
     return masks, slope.astype(model.dtype, copy=False)
 
 
+def some_absent(count: int, share: float, seed: int, step: int) -> np.ndarray:
+    """This step's masks (N,) uint8, each 0 with probability `share`; nothing is learned about them."""
+    return (np.random.default_rng([seed, 3, step]).random(count, np.float32) >= share).astype(np.uint8)
+
+
 def ever_drawn(model: Model, seed: int, step: int, draws: int) -> np.ndarray:
     """(N,) bool: existed in at least one of `draws` samples (paper section II-A). False: to be pruned."""
     logits = np.ascontiguousarray(model.values[MASK], np.float32)

@@ -62,8 +62,11 @@ class Model:
 
     def add_masks(self, init: float):
         """Gives every Gaussian an existence logit, all alike."""
-        self.values[MASK] = np.full(self.count, init, self.dtype)
-        self.first[MASK], self.second[MASK] = np.zeros_like(self.values[MASK]), np.zeros_like(self.values[MASK])
+        self.add(MASK, np.full(self.count, init, self.dtype))
+
+    def add(self, name: str, values: np.ndarray):
+        """Gives every Gaussian one more value (N,), or another in its place; its moments start at zero."""
+        self.values[name], self.first[name], self.second[name] = values, np.zeros_like(values), np.zeros_like(values)
 
     def drop_masks(self):
         for arrays in (self.values, self.first, self.second):

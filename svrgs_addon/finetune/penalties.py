@@ -33,28 +33,33 @@ class MeanExistence:
 @dataclass(frozen=True)
 class OpacityPressure:
     """weight * (mean (l + 20))^2 on the opacity logits l, every Gaussian's share divided by max(0.05, 1 - opacity) where
-    `by_faintness`: the two forms of GNS (arXiv 2511.16980)."""
+    `by_faintness`: the two forms of GNS (arXiv 2511.16980). shares (N,): what each Gaussian's counts, 1 on average; None: alike."""
 
     weight: float
     by_faintness: bool
+    shares: np.ndarray | None = None
     parameter: ClassVar[str] = "opacity_logits"
 
     def value(self, logits, xp):
         """A scalar; logits (N,) an array of the module xp, numpy or torch."""
-        shares = logits + LOGIT_SHIFT
+        excess = logits + LOGIT_SHIFT
         if self.by_faintness:
-            shares = shares / xp.clip(1 - sigmoid(logits, xp), MIN_FAINTNESS, None)
-        return self.weight * shares.mean() ** 2
+            excess = excess / xp.clip(1 - sigmoid(logits, xp), MIN_FAINTNESS, None)
+        if self.shares is not None:
+            excess = excess * xp.asarray(self.shares)
+        return self.weight * excess.mean() ** 2
 
     def grad(self, logits: np.ndarray) -> np.ndarray:
         """(N,) in the logits' dtype."""
-        shares, slopes = logits + LOGIT_SHIFT, np.ones_like(logits)
+        excess, slopes = logits + LOGIT_SHIFT, np.ones_like(logits)
         if self.by_faintness:
             o = sigmoid(logits, np)
             faintness = np.maximum(1 - o, logits.dtype.type(MIN_FAINTNESS))
-            slopes = 1 / faintness + np.where(1 - o > MIN_FAINTNESS, shares * o * (1 - o) / faintness**2, 0)
-            shares = shares / faintness
-        return (slopes * (2 * self.weight * float(shares.mean()) / len(logits))).astype(logits.dtype, copy=False)
+            slopes = 1 / faintness + np.where(1 - o > MIN_FAINTNESS, excess * o * (1 - o) / faintness**2, 0)
+            excess = excess / faintness
+        if self.shares is not None:
+            excess, slopes = excess * self.shares, slopes * self.shares
+        return (slopes * (2 * self.weight * float(excess.mean()) / len(logits))).astype(logits.dtype, copy=False)
 
 
 def sigmoid(x, xp):

@@ -98,7 +98,7 @@ class TorchEngine:
         for leaf in leaves.values():
             leaf.requires_grad_()
         means2d = torch.zeros((model.count, 2), dtype=leaves["means"].dtype, requires_grad=step.want_means2d)
-        masks = None if step.masks is None else straight_through(step, leaves[MASK])
+        masks = None if step.masks is None else straight_through(step, leaves[MASK]) if step.slope is not None else torch.from_numpy(step.masks).to(leaves["means"].dtype)
         images = self._render(step, leaves, masks, means2d)
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
         penalty = step.penalty.value(leaves[step.penalty.parameter], torch) if step.penalty else torch.zeros(())

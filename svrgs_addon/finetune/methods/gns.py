@@ -61,7 +61,11 @@ class GNS(Method):
         self._adapt(run, phase, number)
         early = number <= phase.steps * EASE / STEPS
         r = run.settings.lambda_m * self.factor
-        return {"penalty": OpacityPressure(r if early else 3 * r, by_faintness=early)}
+        return {"penalty": OpacityPressure(r if early else 3 * r, early, self.shares(run, phase, number))}
+
+    def shares(self, run: Run, phase: Phase, number: int) -> np.ndarray | None:
+        """What each Gaussian's part in the pressure counts (N,), 1 on average; None: all alike."""
+        return None
 
     def _adapt(self, run: Run, phase: Phase, number: int):
         """Every other push: r falls where the opacity at the budget's rank is ahead of the goal, and rises where it is behind."""

@@ -20,7 +20,7 @@ class SVR(Masked):
 PAPER = SVR(mask_kind="svr", lambda_f=1e-4, first_cut=False)
 
 VARIANTS = {
-    "svr": SVR(),
+    "svr-mask": SVR(),  # the paper, after a first cut where the scene is a trained one
     "svr-self": SVR(mask_kind="self"),  # the paper's prose: dF/dM from the self term alone
     "svr-even": SVR(mask_kind="even"),  # each Gaussian's push scaled to one footprint, so that size does not matter
     "svr-a": SVR(mask_kind="a", lambda_f=1e-2),  # F_A is a share, at most 1: the same push needs a larger weight

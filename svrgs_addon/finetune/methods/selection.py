@@ -1,0 +1,64 @@
+"""SVR-GS as it prunes best here (docs/methods.md): lambda_F says how many Gaussians stay, a pressure on all opacities says which.
+
+How many: as many as are worth more than lambda_F to the objective when pruning starts (worth.py), or the target. Which: those whose
+gradient withstands the pressure of GNS on opacity logits, the rest fading while the others take over; what would be missed least
+(the cost of worth.py) is pressed hardest. In the recovery a tenth of the Gaussians is absent from each step, as masks had it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .. import masks
+from ..settings import Densify, Phase
+from ..worth import cost_and_push, worth
+from .gns import GNS, push_every
+
+if TYPE_CHECKING:
+    from ..loop import Run
+
+LOOK_EVERY = 16  # pushes between two looks at the costs
+POWER, LARGEST = 0.25, 3.0  # a share is (cost at the budget's rank / cost)^POWER, within 1/LARGEST and LARGEST
+ABSENT = 0.1
+SHARES = "pressure_shares"  # of the model's values: moves with the rows, is stored with them, is not learned
+
+
+@dataclass
+class Selection(GNS):
+    lambda_f: float = 1e-4
+    share: float = 0.0
+
+    def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
+        return _with_absence(super().train_phases(iterations, recovery, densify, coarse_until))
+
+    def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
+        return _with_absence(super().prune_phases(iterations, recovery, prune_every))
+
+    def terms(self, run: Run, phase: Phase, number: int) -> dict:
+        if not run.target:
+            stays = worth(run.model, run.training_cameras, run.engine.rasterizer, run.score_options) > run.settings.lambda_f
+            masks.refuse_emptying(stays, run.initial_count)
+            run.target = int(stays.sum())
+        return super().terms(run, phase, number)
+
+    def shares(self, run: Run, phase: Phase, number: int) -> np.ndarray:
+        model = run.model
+        if SHARES not in model.values or (number - 1) % (LOOK_EVERY * push_every(phase)) == 0:
+            cost, _ = cost_and_push(model, run.training_cameras, run.engine.rasterizer, run.score_options)
+            model.add(SHARES, pressure_shares(cost, run.target).astype(model.dtype))
+        return model.values[SHARES]
+
+
+def pressure_shares(cost: np.ndarray, budget: int) -> np.ndarray:
+    """(N,) float64, 1 on average: the less a Gaussian would be missed, the more."""
+    cost = np.maximum(cost, 1e-30)
+    at_budget = np.partition(cost, max(len(cost) - budget, 0))[max(len(cost) - budget, 0)]
+    shares = np.clip((at_budget / cost) ** POWER, 1 / LARGEST, LARGEST)
+    return shares / shares.mean()
+
+
+def _with_absence(phases: list[Phase]) -> list[Phase]:
+    return [replace(phase, absent=ABSENT) if phase.name == "recover" else phase for phase in phases]
