@@ -29,7 +29,7 @@ RAMP = 0.01
 class Differences(Method):
     """State: Gaussians, and the PSNR of a few training views, before the first event."""
 
-    lambda_f: float = 1e-2  # of what is left, each is worth more: the threshold is higher than where all are there
+    lambda_f: float = 1e-3  # more than for svr: what others no longer stand in for is worth more
     holds_drop: bool = True
     count: int = 0
     psnr: float = 0.0
