@@ -66,7 +66,7 @@ def settings_of(request: dict):
     if request["kind"] == "train":
         settings = train_settings("3dgs", iterations, recovery, seed=seed, densify=Densify(until=int(0.6 * iterations)))
     else:
-        settings = prune_settings("svr", iterations, recovery, seed=seed, min_contribution=0.02)
+        settings = prune_settings("svr-mask", iterations, recovery, seed=seed, min_contribution=0.02)
     first, *rest = settings.phases
     return replace(settings, phases=(replace(first, **request["phase"]), *rest), **request["run"])
 

@@ -41,7 +41,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--colmap", type=Path, required=True)
     parser.add_argument("--scene", type=Path, required=True)
-    parser.add_argument("--methods", default="svr,maskgs", type=lambda text: text.split(","))
+    parser.add_argument("--methods", default="svr-mask,maskgs", type=lambda text: text.split(","))
     parser.add_argument("--shares", default="0.5,0.25", type=lambda text: [float(part) for part in text.split(",")])
     parser.add_argument("--iterations", type=int, default=3_000)
     parser.add_argument("--recovery", type=int, default=0)
