@@ -20,9 +20,10 @@ from ..cli import guarded
 LOOK_SECONDS, STEP_SECONDS = 0.8, 0.6  # at most, beside reading
 VIEWS = 8  # looked at, spread over all
 SIDE = 512  # pixels of a reduced view
+WORTH_VIEWS = 24
 STEPS = 3  # after one that is not measured
 # Masks drop what the pixels it covers see least of: alpha T, in the mean over them, below about KNEE (lambda_f / 1e-4)^SLOPE.
-# Fitted to runs of method svr on one scene of photographs with lambda_f from 1e-5 to 1e-3: an expectation, no more.
+# Fitted to runs of method svr-mask on one scene of photographs with lambda_f from 1e-5 to 1e-3: an expectation, no more.
 KNEE, SLOPE = 0.0128, 0.37
 FIXED_SHARE = 0.4  # of a step's time, that fewer Gaussians do not save
 
@@ -45,8 +46,11 @@ def estimate(request: dict) -> dict:
     method = METHODS[request["method"]]
     limit = request.get("min_contribution", 0.0)
     kept = peaks >= limit
+    lambda_f = request.get("lambda_f") or method.lambda_f
     if method.learns_masks and request["iterations"]:
-        kept &= sums > np.maximum(hits, 1) * _limit(request.get("lambda_f") or 1e-4)
+        kept &= sums > np.maximum(hits, 1) * _limit(lambda_f or 1e-4)
+    elif lambda_f and not request.get("target_count"):
+        kept &= _worth(scene, dataset) > lambda_f  # what `svr` goes by; of `svr-worth` a first impression
     share = (request.get("target_count") or method.share * scene.count or int(kept.sum())) / scene.count
     rate = _rate(scene, dataset, request)
     learning = sum(phase.steps for phase in method.prune_phases(request["iterations"], 0, 1))
@@ -86,6 +90,17 @@ def _look(scene, dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
         if time.monotonic() > end:
             break
     return *total, looked
+
+
+def _worth(scene, dataset) -> np.ndarray:
+    """By some views: it is a ratio of two sums over them, so that their number matters little."""
+    from ..evaluate import render_options
+    from ..finetune.worth import worth
+    from ..native import Rasterizer
+
+    train = dataset.train_indices or list(range(len(dataset.cameras)))
+    cameras = [dataset.cameras[index] for index in train[:: max(1, len(train) // WORTH_VIEWS)][:WORTH_VIEWS]]
+    return worth(scene, [camera.reduced(max(1, max(camera.width, camera.height) // SIDE)) for camera in cameras], Rasterizer(), render_options(scene, dataset.background))
 
 
 def _rate(scene, dataset, request: dict) -> float:
