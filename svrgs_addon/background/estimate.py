@@ -107,10 +107,12 @@ def _rate(scene, dataset, request: dict) -> float:
     """Steps a second, of the first few."""
     from ..finetune.engine import NativeEngine
     from ..finetune.loop import Run
+    from ..finetune.methods import METHODS
     from ..finetune.model import Model
     from ..finetune.plan import prune_settings
 
-    settings = prune_settings(request["method"], max(STEPS + 2, request["iterations"]), STEPS + 2)
+    method = request["method"] if METHODS[request["method"]].learns_masks else "3dgs"  # others' steps are plain but for a look now and then
+    settings = prune_settings(method, max(STEPS + 2, request["iterations"]), STEPS + 2)
     run = Run(Model.of(scene), dataset, settings, NativeEngine(), scene.antialiased)
     seconds, end = [], time.monotonic() + STEP_SECONDS
     try:
