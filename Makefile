@@ -15,6 +15,9 @@ SUDO := $(shell test "$$(id -u)" = 0 || echo sudo)
 INSTALL := $(SUDO) apt-get update -qq && $(SUDO) apt-get install -y -qq --no-install-recommends
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check
 
+# What travels in the extension, by its manifest.
+WHEELS := $(shell sed -n 's|.*"./\(wheels/.*[.]whl\)".*|\1|p' blender_manifest.toml)
+
 .PHONY: setup native demo test test-blender zip clean
 
 setup: $(VENV)/.ready native
@@ -42,7 +45,6 @@ test: setup $(WHEELS)
 
 # Blender's builder is a script inside the bpy package; it runs without starting Blender.
 EXTENSION = $(PY) $(shell $(PY) -c "import importlib.util as u, pathlib as p; print(next(p.Path(u.find_spec('bpy').origin).parent.glob('*/scripts/addons_core/bl_pkg/cli/blender_ext.py')))")
-WHEELS := $(shell sed -n 's|.*"./\(wheels/.*[.]whl\)".*|\1|p' blender_manifest.toml)
 
 zip: setup $(WHEELS)
 	mkdir -p dist && rm -f dist/*.zip
