@@ -11,16 +11,16 @@ from pictures import EYES, HEIGHT, WIDTH, photographed
 from svrgs_addon import native
 from svrgs_addon.dataset import Dataset
 from svrgs_addon.errors import Cancelled, SceneError
-from svrgs_addon.finetune import densify, loop, masks
+from svrgs_addon.finetune import loop, masks
 from svrgs_addon.finetune.engine import NativeEngine, StepResult
 from svrgs_addon.finetune.loop import Run, run_to_end
-from svrgs_addon.finetune.model import MASK, PARAMETERS, Model, scene_from_points
+from svrgs_addon.finetune.model import PARAMETERS, Model
 from svrgs_addon.finetune.plan import prune_settings, train_settings
 from svrgs_addon.finetune.settings import Densify, Phase, Rates, Settings, recovery_phase
 from svrgs_addon.finetune.torch_engine import TorchEngine
 from svrgs_addon.metrics import psnr
 from svrgs_addon.native import Rasterizer
-from svrgs_addon.scene import SH_C0, Scene
+from svrgs_addon.scene import Scene
 
 
 def logit(p: float) -> float:
@@ -44,17 +44,6 @@ def to_the_end(run: Run) -> Run:
 def bits(model: Model) -> dict[str, bytes]:
     parts = {"values": model.values, "first": model.first, "second": model.second, "": {"origin": model.origin}}
     return {f"{part} {name}": array.tobytes() for part, found in parts.items() for name, array in found.items()}
-
-
-def numbered(n: int, with_masks: bool = True) -> Model:
-    """Every array, moments too, says in each of its values which row it belongs to: 1, 2, ... n."""
-    model = Model.of(scenes.random_scene(n, sh_degree=1))
-    if with_masks:
-        model.add_masks(0.0)
-    for scale, arrays in ((1, model.values), (100, model.first), (10_000, model.second)):
-        for array in arrays.values():
-            array[:] = (scale * np.arange(1, n + 1)).reshape(-1, *[1] * (array.ndim - 1))
-    return model
 
 
 def small_run(settings: Settings) -> Run:
@@ -113,130 +102,7 @@ def test_the_spatial_mask_is_drawn_only_while_masks_are_learned():
     assert [run.render_options(phase, 1).mask_kind for phase in settings.phases] == ["a", "none"]
 
 
-# --- densification
-
-RULE = Densify()
-EXTENT = 10.0  # so that Gaussians up to 0.1 are small
-
-
-def gaussians(scales, opacity: float = 0.5, quats=None) -> Model:
-    """Isotropic Gaussians at (row, 0, 0) with masks, and moments of 1 everywhere."""
-    n = len(scales)
-    model = Model.of(scenes.random_scene(n, sh_degree=1))
-    model.add_masks(3.0)
-    model.means[:] = np.arange(n)[:, None] * (1, 0, 0)
-    model.log_scales[:] = np.log(np.asarray(scales, float).reshape(n, -1))
-    model.opacity_logits[:] = logit(opacity)
-    if quats is not None:
-        model.quats[:] = quats
-    for moments in (model.first, model.second):
-        for array in moments.values():
-            array[:] = 1
-    return model
-
-
-def pulled(gradients, views=1) -> densify.Statistics:
-    """Statistics with these mean gradients."""
-    statistics = densify.Statistics(len(gradients))
-    statistics.total[:] = np.asarray(gradients) * views
-    statistics.views[:] = views
-    return statistics
-
-
-def grow(model: Model, statistics: densify.Statistics, rule: Densify = RULE, seed: int = 0) -> np.ndarray:
-    return densify.densify(model, statistics, rule, EXTENT, np.random.default_rng(seed))
-
-
-def test_gradients_are_averaged_over_the_views_that_saw_the_gaussian():
-    """Norms in units of half the image; a Gaussian never seen has mean 0, not 0/0."""
-    statistics = densify.Statistics(4)
-    statistics.add(np.array([0, 2], np.uint32), np.array([[3e-4, 0], [3e-5, 4e-5]], np.float32), 20, 20)
-    statistics.add(np.array([0], np.uint32), np.array([[0, 2e-4]], np.float32), 30, 10)
-    np.testing.assert_allclose(statistics.mean(), [(3e-3 + 1e-3) / 2, 0, 5e-4, 0], rtol=1e-6)
-
-
-def test_only_gaussians_at_the_threshold_or_above_multiply():
-    model = gaussians([0.05] * 4)
-    stays = grow(model, pulled([1.9e-4, RULE.gradient * 1.0001, 0, 1e-3]))
-    assert model.count == 6 and stays.all()
-    np.testing.assert_array_equal(model.means[4:, 0], [1, 3])
-
-
-def test_small_gaussians_are_cloned_where_they_are():
-    """Up to 0.01 of the extent: exact copies, masks too; only the moments start at zero."""
-    model = gaussians([0.099, 0.05])
-    before = {name: value.copy() for name, value in model.values.items()}
-    assert grow(model, pulled([1e-3, 0])).all()
-    for name, value in model.values.items():
-        np.testing.assert_array_equal(value[:2], before[name])
-        np.testing.assert_array_equal(value[2], before[name][0])
-        for moments in (model.first, model.second):
-            assert (moments[name][:2] == 1).all() and (moments[name][2:] == 0).all()
-    assert model.origin.tolist() == [0, 1, -1]
-
-
-def test_large_gaussians_are_split_in_two_and_go():
-    """Above 0.01 of the extent: children 1.6 times smaller, otherwise like the parent; the largest axis decides."""
-    model = gaussians([[0.05, 0.05, 0.05], [0.02, 0.101, 0.02], [0.5, 0.5, 0.5]])
-    parent = {name: value[1].copy() for name, value in model.values.items()}
-    stays = grow(model, pulled([0, 1e-3, 0]))
-    assert stays.tolist() == [True, False, True, True, True]
-    children = {name: value[3:] for name, value in model.values.items()}
-    np.testing.assert_allclose(np.exp(children["log_scales"]), np.tile([0.0125, 0.063125, 0.0125], (2, 1)), rtol=1e-5)
-    for name in ("quats", "opacity_logits", "sh", MASK):
-        np.testing.assert_array_equal(children[name], np.stack([parent[name]] * 2))
-    assert all((moments[name][3:] == 0).all() for moments in (model.first, model.second) for name in model.values)
-    assert (children["means"][0] != children["means"][1]).any()
-
-
-def test_children_are_drawn_from_their_parents_own_gaussian():
-    """A needle along its x axis, turned by 60 degrees about z: children lie on its line, spread as it is."""
-    scale, angle = 0.5, math.pi / 3
-    model = gaussians([[0.2] * 3, [scale, 1e-6, 2e-6]], quats=[3 * math.cos(angle / 2), 0, 0, 3 * math.sin(angle / 2)])
-    grow(model, pulled([0, 1]), replace(RULE, split_into=4_000))
-    offsets = model.means[2:] - (1, 0, 0)
-    along = offsets @ (math.cos(angle), math.sin(angle), 0)
-    np.testing.assert_allclose(offsets, along[:, None] * (math.cos(angle), math.sin(angle), 0), atol=1e-4)
-    assert along.std() == pytest.approx(scale, rel=0.04)
-    assert along.mean() == pytest.approx(0, abs=4 * scale / math.sqrt(4_000))
-
-
-def test_growth_depends_on_the_seed_alone():
-    first, second, other = (gaussians([0.5] * 6) for _ in range(3))
-    for model, seed in ((first, 0), (second, 0), (other, 1)):
-        grow(model, pulled([1e-3] * 6), seed=seed)
-    assert bits(first) == bits(second) != bits(other)
-
-
-def test_nothing_grows_where_nothing_pulls():
-    model = gaussians([0.5, 0.05])
-    before = bits(model)
-    assert grow(model, pulled([0, 0], views=0)).tolist() == [True, True]
-    assert bits(model) == before
-
-
-def test_faint_gaussians_are_not_worth_keeping():
-    model = gaussians([0.1] * 4)
-    model.opacity_logits[:] = [logit(p) for p in (0.0049, 0.0051, 0.9, 1e-6)]
-    assert densify.worth_keeping(model, RULE, EXTENT, after_reset=False).tolist() == [False, True, True, False]
-
-
-def test_huge_gaussians_go_once_opacities_were_reset():
-    model = gaussians([[0.99] * 3, [0.1, 0.1, 1.01], [0.01, 50, 0.01]])
-    assert densify.worth_keeping(model, RULE, EXTENT, after_reset=False).all()
-    assert densify.worth_keeping(model, RULE, EXTENT, after_reset=True).tolist() == [True, False, False]
-
-
-def test_opacities_are_reset_to_a_hundredth_at_most():
-    model = gaussians([0.1] * 3)
-    model.opacity_logits[:] = [logit(p) for p in (0.9, 0.01, 0.006)]
-    before = {name: value.copy() for name, value in model.values.items()}
-    densify.reset_opacity(model)
-    np.testing.assert_allclose(1 / (1 + np.exp(-model.opacity_logits)), [0.01, 0.01, 0.006], rtol=1e-5)
-    for name in model.values:
-        moved = name == "opacity_logits"
-        assert moved or (model.values[name] == before[name]).all()
-        assert all((moments[name] == (0 if moved else 1)).all() for moments in (model.first, model.second))
+# --- schedules of growth
 
 
 class Puller:
@@ -427,95 +293,6 @@ def test_densification_is_a_mask_event_too():
         counts.append(run.model.count)
     run.close()
     assert counts[:4] == [1_000] * 4 and counts[4] == pytest.approx(652, abs=75)
-
-
-# --- one index map
-
-
-@pytest.mark.parametrize("kept", [[1, 2, 4, 5, 7, 8, 10, 11], [0, 5, 11], list(range(12))])
-@pytest.mark.parametrize("block", [1, 3, 100])
-def test_rows_move_together(kept, block, monkeypatch):
-    monkeypatch.setattr("svrgs_addon.finetune.model.BLOCK_ROWS", block)
-    model = numbered(12)
-    index = np.isin(np.arange(12), kept)
-    model.keep(index)
-    model.append({name: value[1:3] * 0 - 7 for name, value in model.values.items()})
-    rows = np.arange(12)[index]
-    assert model.count == len(rows) + 2 and model.origin.tolist() == [*rows, -1, -1]
-    for scale, arrays, new in ((1, model.values, -7), (100, model.first, 0), (10_000, model.second, 0)):
-        for name, array in arrays.items():
-            flat = array.reshape(len(array), -1)
-            expected = np.concatenate([scale * (rows + 1.0), [new, new]])
-            assert array.dtype == np.float32 and array.flags.c_contiguous, name
-            assert (flat == expected[:, None]).all(), name
-
-
-def test_rows_change_places_together():
-    model, order = numbered(12), np.random.default_rng(0).permutation(12)
-    model.reorder(order)
-    assert model.origin.tolist() == order.tolist()
-    for scale, arrays in ((1, model.values), (100, model.first), (10_000, model.second)):
-        assert arrays.keys() == {*PARAMETERS, MASK}
-        for name, array in arrays.items():
-            assert array.dtype == np.float32 and array.flags.c_contiguous, name
-            assert (array.reshape(12, -1) == scale * (order[:, None] + 1.0)).all(), name
-
-
-def test_a_model_becomes_a_scene_in_the_order_of_its_source():
-    """Whatever happened to its rows in between; Gaussians that were added come last, as they lie."""
-    source = replace(scenes.random_scene(9), attributes={"label": np.arange(9, dtype=np.float32)})
-    model, rng = Model.of(source), np.random.default_rng(1)
-    model.reorder(rng.permutation(9))
-    model.keep(~np.isin(model.origin, [0, 4]))
-    scene, left = model.scene(), [1, 2, 3, 5, 6, 7, 8]
-    assert scene.attributes["label"].tolist() == left
-    assert all((getattr(scene, name) == getattr(source, name)[left]).all() for name in PARAMETERS)
-    model.append({name: value[:2] * 0 + value.dtype.type([-1, -2]).reshape(2, *[1] * (value.ndim - 1)) for name, value in model.values.items()})
-    model.reorder(np.r_[3:9, 1, 0, 2])
-    scene = model.scene()
-    for name in PARAMETERS:
-        assert (getattr(scene, name)[:7] == getattr(source, name)[left]).all(), name
-        assert [row.flat[0] for row in np.atleast_2d(getattr(scene, name)[7:].reshape(2, -1))] == [-1, -2], name
-
-
-def test_a_model_in_the_order_of_its_source_becomes_a_scene_without_copies():
-    model = Model.of(scenes.random_scene(9))
-    assert all(np.shares_memory(getattr(model.scene(), name), value) for name, value in model.values.items())
-
-
-def test_a_model_becomes_a_scene_with_the_columns_that_still_fit():
-    source = replace(scenes.random_scene(9), attributes={"label": np.arange(9, dtype=np.float32)}, antialiased=True)
-    model = Model.of(source)
-    model.keep(np.isin(np.arange(9), [2, 5, 8]))
-    scene = model.scene()
-    assert scene.attributes["label"].tolist() == [2, 5, 8] and scene.antialiased
-    assert all((getattr(scene, name) == getattr(source, name)[[2, 5, 8]]).all() for name in PARAMETERS)
-    model.append({name: value[:1] for name, value in model.values.items()})
-    assert model.scene().attributes == {} and model.scene().count == 4
-
-
-def test_masks_come_and_go_without_touching_the_rest():
-    model = numbered(4, with_masks=False)
-    before = bits(model)
-    model.add_masks(9.0)
-    assert (model.mask_logits == 9).all() and not model.first[MASK].any() and not model.second[MASK].any()
-    model.drop_masks()
-    assert bits(model) == before and not model.learns_masks
-    with pytest.raises(AttributeError):
-        _ = model.mask_logits
-
-
-def test_points_become_gaussians_as_large_as_their_neighbourhood():
-    pytest.importorskip("scipy")
-    points = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3], [50, 0, 0]], float)
-    colors = np.array([[255, 0, 128]] * 5, np.uint8)
-    scene = scene_from_points(points, colors, sh_degree=2)
-    assert np.exp(scene.log_scales[0]) == pytest.approx([math.sqrt((1 + 4 + 9) / 3)] * 3, rel=1e-5)
-    assert scene.sh.shape == (5, 9, 3) and (scene.sh[:, 1:] == 0).all()
-    np.testing.assert_allclose(0.5 + SH_C0 * scene.sh[:, 0], colors / 255, atol=1e-6)
-    assert 1 / (1 + np.exp(-scene.opacity_logits)) == pytest.approx([0.1] * 5, rel=1e-5)
-    with pytest.raises(SceneError, match="too few"):
-        scene_from_points(points[:3], colors[:3])
 
 
 # --- whole runs
