@@ -10,8 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ..control import fewest_within, psnr_of
 from ..scores import top
 from ..settings import Phase, Rates
