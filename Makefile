@@ -53,7 +53,7 @@ zip: setup $(WHEELS)
 
 # NAME-VERSION-PYTHON-ABI-PLATFORM[.PLATFORM].whl
 wheels/%.whl: | $(VENV)/.ready
-	name=$(basename $(@F)); IFS=-; set -- $$name; unset IFS; $(PIP) download --no-deps --only-binary=:all: --dest wheels --python-version $${3#cp} --platform $${5##*.} $$1==$$2
+	name=$(basename $(@F)); IFS=-; set -- $$name; unset IFS; $(PY) -m pip download --quiet --disable-pip-version-check --no-deps --only-binary=:all: --dest wheels --python-version $${3#cp} --platform $${5##*.} $$1==$$2
 
 # Blender 4.2, 4.5 and 5.2 beside the 5.0 of the development environment: about 1 GB each.
 test-blender: setup $(WHEELS) $(BLENDERS:%=build/bpy-%/.ready)
