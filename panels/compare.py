@@ -4,6 +4,7 @@ import json
 
 import bpy
 
+from .lines import usable
 from .spatial_mask import draw_image
 
 WIPE = "SVR-GS Wipe"
@@ -17,6 +18,8 @@ class ComparePanel:
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
+        if not usable(layout, context):
+            return
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False

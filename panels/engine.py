@@ -2,6 +2,8 @@
 
 import bpy
 
+from .lines import usable
+
 ENGINE = "SVRGS"
 NOT_OURS = {"VIEWLAYER_PT_filter", "VIEWLAYER_PT_layer_passes", "RENDER_PT_simplify"}
 
@@ -19,6 +21,8 @@ class SVRGS_PT_engine(bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
+        if not usable(layout, context):
+            return
         layout.use_property_split = True
         layout.prop(context.scene.svrgs_looking, "background")
         layout.prop(context.scene.render, "film_transparent", text="Transparent")

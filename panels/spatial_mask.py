@@ -4,6 +4,8 @@ import json
 
 import bpy
 
+from .lines import usable
+
 IMAGE = "SVR-GS Spatial Mask"
 TICKS = 5
 
@@ -15,6 +17,8 @@ class SpatialMaskPanel:
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
+        if not usable(layout, context):
+            return
         row = layout.row(align=True)
         row.operator("svrgs.spatial_mask", icon="FILE_REFRESH", text="Refresh")
         row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
@@ -39,8 +43,9 @@ class SVRGS_PT_spatial_mask(SpatialMaskPanel, bpy.types.Panel):
     bl_order = 10
 
     def draw(self, context):
-        super().draw(context)
-        self.layout.operator("svrgs.contribution", icon="MOD_VERTEX_WEIGHT")
+        SpatialMaskPanel.draw(self, context)
+        if not context.window_manager.svrgs_prune_state.trouble:
+            self.layout.operator("svrgs.contribution", icon="MOD_VERTEX_WEIGHT")
 
 
 class SVRGS_PT_spatial_mask_image(SpatialMaskPanel, bpy.types.Panel):
