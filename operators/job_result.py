@@ -42,9 +42,14 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
         if probability is not None:
             bridge.set_values(target, PROBABILITY, "FLOAT", probability[chosen])
         _hide_removed(target)
-    obj[PRUNED], pruned[ORIGINAL], pruned[KEPT] = pruned, obj, int(kept.sum())
+    join(obj, pruned)
     show(pruned, int(kept.sum()))
     return pruned
+
+
+def join(original: bpy.types.Object, pruned: bpy.types.Object):
+    """Makes each know the other."""
+    original[PRUNED], pruned[ORIGINAL], pruned[KEPT] = pruned, original, bridge.count(pruned)
 
 
 def pair_of(obj: bpy.types.Object | None) -> tuple[bpy.types.Object | None, bpy.types.Object | None]:

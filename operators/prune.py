@@ -14,7 +14,7 @@ from ..svrgs_addon.arguments import PRUNE_ITERATIONS, RECOVERY
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.splat_files import read_scene, write_scene
-from . import bridge
+from . import bridge, job_result
 from .preferences import threads
 from .select import select
 
@@ -22,7 +22,7 @@ from .select import select
 class SVRGS_OT_prune(bpy.types.Operator):
     bl_idname = "svrgs.prune"
     bl_label = "Prune Splat"
-    bl_description = "Remove the Gaussians that the photographs do not need, and recover the quality. The original stays"
+    bl_description = "Remove the Gaussians that the photographs do not need, and recover the quality. The original stays, hidden"
     bl_options = {"REGISTER", "UNDO"}
 
     scene: StringProperty(name="Scene", subtype="FILE_PATH", description="Splat file to prune. Empty: the active splat")
@@ -59,6 +59,9 @@ class SVRGS_OT_prune(bpy.types.Operator):
         if root is not None:
             bridge.hang_below(obj, root)
             obj.matrix_basis = source.matrix_basis
+        if source is not None:
+            job_result.join(source, obj)
+            source.hide_viewport = source.hide_render = True
         select(context, [obj])
         before = result["before"]
         self.report({"INFO"}, f"Kept {result['count']:,} of {before['count']:,} Gaussians, {result['psnr'] - before['psnr']:+.2f} dB")

@@ -2,7 +2,7 @@
 
 import bpy
 
-from .lines import usable
+from .lines import lines, usable
 
 
 class SVRGS_PT_overlay(bpy.types.Panel):
@@ -27,7 +27,7 @@ class SVRGS_PT_overlay(bpy.types.Panel):
         column.prop(settings, "overlay_shown")
         column.prop(settings, "overlay_moving")
         if not context.region_data.is_perspective:
-            layout.label(text="Splats are drawn in perspective: press Numpad 5", icon="INFO")
+            lines(layout, "Splats are drawn in perspective: press Numpad 5", "INFO")
 
 
 def register():

@@ -4,7 +4,7 @@ import json
 
 import bpy
 
-from .lines import usable
+from .lines import lines, usable
 
 IMAGE = "SVR-GS Spatial Mask"
 TICKS = 5
@@ -24,7 +24,7 @@ class SpatialMaskPanel:
         row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
         image = bpy.data.images.get(IMAGE)
         if image is None or not settings.mask_result:
-            layout.label(text="Refresh draws how many Gaussians each pixel needs", icon="INFO")
+            lines(layout, "Refresh draws how many Gaussians each pixel takes", "INFO")
             return
         draw_image(layout, image)
         result = json.loads(settings.mask_result)

@@ -45,6 +45,7 @@ def test_pruning_the_active_splat_is_the_job_of_the_command_line(from_a_shell, b
     ply.write_ply(tmp_path / "object.ply", bridge.scene_from_object(pruned))
     assert (tmp_path / "object.ply").read_bytes() == content
     assert pruned.matrix_world == source.matrix_world
+    assert part("operators.job_result").pair_of(pruned) == (source, pruned) and source.hide_render and not pruned.hide_render
 
 
 def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, bridge):
