@@ -27,7 +27,8 @@ def redraw(folder: JobFolder):
         if key in _shown:
             del _pictures[0][_shown[key]]
         _shown[key] = str(newest)
-        _pictures[0].load(str(newest), str(newest), "IMAGE", force_reload=True)
+        preview = _pictures[0].load(str(newest), str(newest), "IMAGE", force_reload=True)
+        _ = preview.image_size[:], preview.icon_size[:]  # read it now: until then there would be a waiting symbol in its place
 
 
 def plot_icon(folder: JobFolder) -> int:

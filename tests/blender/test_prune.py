@@ -76,6 +76,17 @@ def test_what_cannot_be_pruned_is_said_in_a_sentence(options, sentence):
     assert len(bpy.data.objects) == 1
 
 
+def test_a_drop_is_the_option_of_the_command_line(capfd):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    with pytest.raises(RuntimeError, match="method 'opacity' cannot take --max-drop"):
+        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), max_drop=0.5, method="opacity")
+    with pytest.raises(RuntimeError, match="not allowed with"):
+        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), max_drop=0.5, target=0.5)
+    bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), max_drop=0.5, iterations=300, recovery=0)
+    (result,) = json_lines(capfd.readouterr().out)
+    assert result["count"] < 250
+
+
 def test_pruning_without_a_splat_says_so():
     with pytest.raises(RuntimeError, match="there is no object"):
         bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"))
