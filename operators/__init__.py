@@ -11,7 +11,8 @@ from . import (
     import_colmap,
     import_ply,
     job,
-    job_plot,
+    job_pictures,
+    job_result,
     job_watch,
     looking,
     overlay,
@@ -25,7 +26,7 @@ from . import (
 )
 
 MODULES = (
-    import_ply, import_colmap, export_ply, prune, prune_settings, estimate, job_plot, job_watch, job, apply, prune_state, active_camera, command_line,
+    import_ply, import_colmap, export_ply, prune, prune_settings, estimate, job_pictures, job_result, job_watch, job, apply, prune_state, active_camera, command_line,
     scene_cache, looking, viewport, overlay, render_engine, spatial_mask, contribution, compare,
 )  # fmt: skip
 

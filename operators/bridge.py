@@ -109,17 +109,6 @@ def _out_of_edit_mode(obj: bpy.types.Object):
         bpy.data.meshes.remove(now)
 
 
-def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
-    """(N,) or (N, width) numbers of a splat's further attribute; None where it has none of that name."""
-    return _get(obj.data, name)
-
-
-def set_values(obj: bpy.types.Object, name: str, numbers: np.ndarray):
-    """Gives a splat a further attribute of one number (N,) a Gaussian, or replaces its values."""
-    _set(obj.data, name, "FLOAT", numbers.astype(np.float32))
-    obj.data.update_tag()
-
-
 def _to_point_cloud(obj: bpy.types.Object):
     """Turns the mesh object into a point cloud, in a scene of its own: the user's selection and mode stay as they are."""
     mesh, name = obj.data, obj.data.name

@@ -14,7 +14,8 @@ from ..svrgs_addon.formats import file_size
 from ..svrgs_addon.metrics import flip, psnr, ssim
 from ..svrgs_addon.native import Rasterizer
 from ..svrgs_addon.pictures import contact_sheet, difference_image, to_uint8
-from . import bridge, bridge_graph, bridge_images, wipe_image
+from ..svrgs_addon.scene import Scene
+from . import bridge, bridge_graph, bridge_images, job_result, wipe_image
 from .contribution import chosen_cameras
 from .preferences import threads
 from .spatial_mask import show_in_editors
@@ -28,12 +29,13 @@ class Pair:
 
     def __init__(self, context: bpy.types.Context):
         settings = context.scene.svrgs_looking
-        original = settings.original or context.object
+        original = settings.original or job_result.pair_of(context.object)[0] or context.object
         if not bridge.is_splat(original):
             raise SceneError("there is nothing to compare: choose the original splat, or make it the active object")
-        self.objects = original, settings.pruned or pruned_of(original)
-        self.scenes = bridge.scene_from_object(original), bridge_graph.visible_scene(self.objects[1])
-        self.placed = [bridge_graph.placed([(scene, obj.matrix_world.copy())]) for scene, obj in zip(self.scenes, self.objects, strict=True)]
+        pruned = settings.pruned or pruned_of(original)
+        self.scenes = bridge.scene_from_object(original), shown_scene(pruned)
+        places = (obj.matrix_world.copy() for obj in (original, pruned))
+        self.placed = [bridge_graph.placed([part]) for part in zip(self.scenes, places, strict=True)]
         self.rasterizer = Rasterizer()
         native.set_threads(threads(context))
 
@@ -43,8 +45,18 @@ class Pair:
         return [shown(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views]
 
 
+def shown_scene(pruned: bpy.types.Object) -> Scene:
+    """What a job's result would be if it were applied now; of any other splat, what is not marked as removed."""
+    if job_result.KEPT in pruned and job_result.undecided(pruned):
+        return job_result.chosen(pruned)
+    return bridge_graph.visible_scene(pruned)
+
+
 def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
-    """What pruning made of a splat: the object named after it, or itself without what is marked as removed. Raises SceneError."""
+    """What pruning made of a splat: a job's result, the object named after it, or itself without what is marked as removed. Raises SceneError."""
+    result = job_result.pruned_of(original)
+    if result is not None:
+        return result
     named = bpy.data.objects.get(f"{original.name} pruned")
     if bridge.is_splat(named):
         return named

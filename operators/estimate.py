@@ -35,7 +35,7 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     kept, count = found["kept"], found["count"]
     minutes, speed = found["seconds"] / 60, f"({found['steps_per_second']:.0f} steps/s)"
     return [
-        f"About {kept:,} of {count:,} would stay ({kept / count:.0%})",
+        f"{'At most' if found['at_most'] else 'About'} {kept:,} of {count:,} would stay ({kept / count:.0%})",
         f"{file_size(obj, count)} → about {file_size(obj, kept)}",
         f"{found['invisible']:,} too faint to be seen, {found['unseen']:,} in none of {found['views']} views, {found['faint']:,} next to nothing",
         f"About {minutes:.0f} min {speed}" if minutes >= 1 else f"Less than a minute {speed}",
@@ -56,7 +56,7 @@ class SVRGS_OT_estimate(JobOperator):
 
     def work(self, context) -> str:
         obj = context.object
-        options = {"lambda_f": None, "target_count": 0, "min_contribution": 0.0, **options_of(context, obj)}
+        options = {"lambda_f": None, "target_count": 0, "max_drop": 0.0, "min_contribution": 0.0, **options_of(context, obj)}
         aside = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
         write_scene(Path(aside.name) / "scene.ply", bridge.scene_from_object(obj))
         _found[obj.session_uid] = {"busy": True}

@@ -52,7 +52,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
 
     def build(self, context, folder: Path, photos: PosedPhotos) -> bpy.types.Object:
         """The root above the points and the cameras, the first of which becomes the scene's camera."""
-        name = folder.name
+        name, beside = folder.name, bridge.is_splat(context.object)
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
         root, objects = join(context.object, name, collection), []
@@ -68,6 +68,8 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         context.scene.camera = objects[-len(photos.cameras)]
         bridge.apply_camera_size(context.scene)
         context.view_layer.update()
+        for obj in objects[: -len(photos.cameras)]:
+            obj.hide_set(beside)  # the points' dots would lie over the splat
         return root
 
     def invoke(self, context, event):

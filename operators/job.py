@@ -8,17 +8,16 @@ from pathlib import Path
 
 import bpy
 
-from ..svrgs_addon import native
 from ..svrgs_addon.background.folder import JobFolder
 from ..svrgs_addon.background.parent import Job
-from ..svrgs_addon.errors import NativeError, SplatError
+from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from . import bridge
 from .job_watch import BESIDE, BUSY, FOLDER, WAITING, current, finish, follow, job_of, jobs
 from .preferences import PACKAGE, threads
+from .trouble import native_problem
 
 BYTES = {0: 68, 1: 104, 2: 164, 3: 248}  # of a Gaussian in a file, by SH degree
-
 
 
 def dataset_of(context) -> tuple[str, str]:
@@ -45,6 +44,8 @@ def options_of(context, obj: bpy.types.Object) -> dict:
     targets = {"SHARE": s.share / 100 * total, "COUNT": s.count, "SIZE": s.size * 1e6 / bytes_each(obj)}
     if s.goal in targets:
         options["target_count"] = min(total, max(1, round(targets[s.goal])))
+    elif s.goal == "DROP":
+        options["max_drop"] = round(s.drop, 4)
     return options
 
 
@@ -65,6 +66,16 @@ def uses_lambda(method: str) -> bool:
     return METHODS[method].lambda_f > 0
 
 
+def mismatch(settings) -> str:
+    """Why the chosen method cannot reach the chosen goal; empty where it can."""
+    method, learns = METHODS[settings.method], settings.iterations > 0
+    if settings.goal == "LAMBDA" and method.ranks and not method.share:
+        return f"'{settings.method}' only ranks the Gaussians: choose a percentage, a count or a size as goal"
+    if settings.goal == "DROP" and not (method.holds_drop and learns):
+        return f"'{settings.method}' cannot hold a loss: choose another goal or method" if learns else "To hold a loss it takes iterations"
+    return ""
+
+
 def obstacle(context) -> str:
     """Why the active object cannot be pruned now; empty where it can."""
     if not bridge.is_splat(context.object):
@@ -78,16 +89,7 @@ def obstacle(context) -> str:
         return "Resume or discard this splat's job first"
     if not dataset_of(context)[0]:
         return "Choose the dataset of the splat's photographs, or import its cameras"
-    return native_problem()
-
-
-def native_problem() -> str:
-    """Why the native library does not work; empty where it does."""
-    try:
-        native.best_level()
-    except NativeError as error:
-        return f"{error}: install the extension again"
-    return ""
+    return mismatch(context.scene.svrgs_prune) or native_problem()
 
 
 def new_folder(context, name: str) -> Path:

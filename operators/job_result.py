@@ -7,6 +7,7 @@ svrgs.apply, and the original not before svrgs.discard.
 from __future__ import annotations
 
 import bpy
+from bpy.app.handlers import persistent
 
 from ..svrgs_addon.background.folder import JobFolder
 from ..svrgs_addon.background.selection import BOUNDARY, lowest, merged, numbered
@@ -15,7 +16,7 @@ from ..svrgs_addon.scene import Scene
 from ..svrgs_addon.splat_files import read_scene
 from . import bridge
 
-REMOVED, SCORE, ROW = "removed", "svrgs:score", "svrgs:row"  # attributes
+REMOVED, SCORE, ROW, PROBABILITY = "removed", "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes
 ORIGINAL, PRUNED, KEPT = "svrgs_original", "svrgs_pruned", "svrgs_kept"  # properties of objects: the other one; how many the job kept
 PSNR = "svrgs_psnr"  # property of the pruned one: dB before and after, over the test photographs
 HIDER = "SVR-GS Removed"  # the modifier that leaves out what is marked, and its node group
@@ -24,6 +25,7 @@ HIDER = "SVR-GS Removed"  # the modifier that leaves out what is marked, and its
 def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
     """Adds the pruned splat beside `obj`, hides that and marks what the job dropped. Raises SceneError, FormatError."""
     kept, score = folder.arrays()
+    probability = folder.probability()
     recovered = read_scene(folder / "pruned.ply")
     if recovered.count != kept.sum():
         raise SceneError(f"{folder / 'pruned.ply'}: does not belong to this job's other files")
@@ -37,26 +39,42 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
     for target, chosen in ((obj, slice(None)), (pruned, kept)):
         bridge.set_values(target, SCORE, "FLOAT", score[chosen])
         bridge.set_values(target, ROW, "INT", rows[chosen])
+        if probability is not None:
+            bridge.set_values(target, PROBABILITY, "FLOAT", probability[chosen])
         _hide_removed(target)
-    obj[PRUNED], pruned[ORIGINAL], pruned[KEPT] = pruned, obj, int(kept.sum())
+    join(obj, pruned)
     show(pruned, int(kept.sum()))
     return pruned
+
+
+def join(original: bpy.types.Object, pruned: bpy.types.Object):
+    """Makes each know the other."""
+    original[PRUNED], pruned[ORIGINAL], pruned[KEPT] = pruned, original, bridge.count(pruned)
 
 
 def pair_of(obj: bpy.types.Object | None) -> tuple[bpy.types.Object | None, bpy.types.Object | None]:
     """(original, pruned) that the object is one of; None for what there is not."""
     if obj is None:
         return None, None
-    if ORIGINAL in obj and (obj[ORIGINAL] is not None or undecided(obj)):
-        return obj[ORIGINAL], obj
+    if KEPT in obj and (original_of(obj) is not None or undecided(obj)):
+        return original_of(obj), obj
     pruned = pruned_of(obj)
     return (obj, pruned) if pruned is not None else (None, None)
 
 
 def pruned_of(obj: bpy.types.Object) -> bpy.types.Object | None:
     """The splat that a job made of this one, if it is still in the file."""
-    pruned = obj.get(PRUNED)
-    return pruned if pruned is not None and pruned.users_collection else None
+    return _in_file(obj.get(PRUNED))
+
+
+def original_of(pruned: bpy.types.Object) -> bpy.types.Object | None:
+    """The splat that this one was pruned from, if it is still in the file."""
+    return _in_file(pruned.get(ORIGINAL))
+
+
+def _in_file(obj: bpy.types.Object | None) -> bpy.types.Object | None:
+    """None for what was deleted and lives on as a pointer alone."""
+    return obj if obj is not None and obj.users_collection else None
 
 
 def undecided(pruned: bpy.types.Object | None) -> bool:
@@ -66,7 +84,7 @@ def undecided(pruned: bpy.types.Object | None) -> bool:
 
 def show(pruned: bpy.types.Object, count: int):
     """Marks all but the `count` Gaussians that rank highest. What the job had dropped is shown as it was, not recovered."""
-    original = pruned.get(ORIGINAL)
+    original = original_of(pruned)
     score = bridge.values(original or pruned, SCORE)
     limit = lowest(score, count)
     bridge.set_values(pruned, REMOVED, "BOOLEAN", bridge.values(pruned, SCORE) < limit)
@@ -86,13 +104,13 @@ def marked_count(obj: bpy.types.Object) -> int:
 
 def shown_count(pruned: bpy.types.Object) -> int:
     """Gaussians that Apply would leave."""
-    original = pruned.get(ORIGINAL)
+    original = original_of(pruned)
     return int((~bridge.values(original or pruned, REMOVED)).sum())
 
 
 def chosen(pruned: bpy.types.Object) -> Scene:
     """What is not marked, in the source's order: recovered, or as in the original where the job had dropped it."""
-    original, scene = pruned.get(ORIGINAL), bridge.scene_from_object(pruned)
+    original, scene = original_of(pruned), bridge.scene_from_object(pruned)
     left = ~bridge.values(pruned, REMOVED)
     rows, scene = bridge.values(pruned, ROW)[left], scene.select(left)
     if original is None:
@@ -105,7 +123,11 @@ def chosen(pruned: bpy.types.Object) -> Scene:
 
 def unmark(obj: bpy.types.Object):
     """Makes the object an ordinary splat again, seen as a whole."""
-    bridge.forget_values(obj, REMOVED, SCORE, ROW)
+    bridge.forget_values(obj, REMOVED, SCORE, ROW, PROBABILITY)
+    _show_removed(obj)
+
+
+def _show_removed(obj: bpy.types.Object):
     if HIDER in obj.modifiers:
         obj.modifiers.remove(obj.modifiers[HIDER])
 
@@ -151,3 +173,46 @@ def _hider() -> bpy.types.NodeTree:
     group.links.new(attribute, delete.inputs["Selection"])
     group.links.new(delete.outputs[0], out.inputs[0])
     return group
+
+
+# --- what the user deletes, and brings back
+
+
+@persistent
+def _after_update(scene, *_):
+    """A result that was deleted leaves its original visible and free; what undo brings back is joined again."""
+    for obj in scene.objects:
+        if PRUNED in obj and pruned_of(obj) is None:
+            _release(obj)
+        elif PRUNED in obj and original_of(obj[PRUNED]) is None:
+            obj[PRUNED][ORIGINAL] = obj
+        elif ORIGINAL in obj and original_of(obj) is None:
+            del obj[ORIGINAL]
+        elif ORIGINAL in obj and undecided(obj) and pruned_of(original_of(obj)) is None:
+            _take_back(original_of(obj), obj)
+
+
+def _release(original: bpy.types.Object):
+    """The ranking stays with the original, so that undo can take this back."""
+    del original[PRUNED]
+    bridge.forget_values(original, REMOVED)
+    _show_removed(original)
+    original.hide_viewport = original.hide_render = False
+
+
+def _take_back(original: bpy.types.Object, pruned: bpy.types.Object):
+    score = bridge.values(original, SCORE)
+    if score is None or (score > BOUNDARY).sum() != pruned[KEPT]:  # it has been edited meanwhile
+        del pruned[ORIGINAL]
+        return
+    original[PRUNED] = pruned
+    _hide_removed(original)
+    show(pruned, round(pruned.svrgs_share / 100 * bridge.count(original)))
+
+
+def register():
+    bpy.app.handlers.depsgraph_update_post.append(_after_update)
+
+
+def unregister():
+    bpy.app.handlers.depsgraph_update_post.remove(_after_update)

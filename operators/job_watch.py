@@ -14,7 +14,7 @@ from bpy.app.handlers import persistent
 from ..svrgs_addon.background.folder import JobFolder
 from ..svrgs_addon.background.parent import Job
 from ..svrgs_addon.errors import SplatError
-from . import job_plot, job_result
+from . import job_pictures, job_result
 
 FOLDER = "svrgs_job"  # property of a splat
 BESIDE = "//svrgs_jobs"  # folder of jobs beside the file
@@ -68,7 +68,7 @@ def tick() -> float | None:
     """Looks at every running job; None when there is none left."""
     for job in [job for job in jobs.values() if job.running]:
         if job.poll() or not job.running:
-            job_plot.redraw(job.folder)
+            job_pictures.redraw(job.folder)
             redraw_panels()
         if not job.running and job.state == "done":
             _arrived(job)

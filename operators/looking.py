@@ -12,7 +12,8 @@ VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [(VALUES, "Values", "The numbers themselves, for materials")]
 SHOWN = [
     ("COLOR", "Colors", "The Gaussians as they are"), ("contribution", "Contribution", "Share of the pictures: run Show Contribution first"),
-    ("svrgs:score", "Probability", "Of existence, as a pruning job has ranked the Gaussians"),
+    ("svrgs:probability", "Probability", "Of existence, as a pruning job with masks has learned it"),
+    ("svrgs:score", "Rank", "The order in which a pruning job let the Gaussians go"),
 ]  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from ..svrgs_addon.arguments import PRUNE_ITERATIONS, RECOVERY
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.splat_files import read_scene, write_scene
-from . import bridge
+from . import bridge, job_result
 from .preferences import threads
 from .select import select
 
@@ -22,7 +22,7 @@ from .select import select
 class SVRGS_OT_prune(bpy.types.Operator):
     bl_idname = "svrgs.prune"
     bl_label = "Prune Splat"
-    bl_description = "Remove the Gaussians that the photographs do not need, and recover the quality. The original stays"
+    bl_description = "Remove the Gaussians that the photographs do not need, and recover the quality. The original stays, hidden"
     bl_options = {"REGISTER", "UNDO"}
 
     scene: StringProperty(name="Scene", subtype="FILE_PATH", description="Splat file to prune. Empty: the active splat")
@@ -34,6 +34,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
     lambda_f: FloatProperty(name="λ_F", min=0, soft_min=1e-5, soft_max=1e-3, precision=5, description="Weight of the spatial mask. 0: the method's own")
     target: FloatProperty(name="Target", min=0, max=1, subtype="FACTOR", description="Share of the Gaussians to keep. 0: whatever survives")
     target_count: IntProperty(name="Target Count", min=0, description="Number of Gaussians to keep. 0: whatever survives")
+    max_drop: FloatProperty(name="Max Drop", min=0, precision=2, description="Instead of a target: dB that may be lost before the recovery. 0: no such limit")
     iterations: IntProperty(name="Iterations", min=0, default=PRUNE_ITERATIONS, description="Steps of mask learning")
     recovery: IntProperty(name="Recovery", min=0, default=RECOVERY, description="Steps after it")
     seed: IntProperty(name="Seed", min=0)
@@ -59,6 +60,9 @@ class SVRGS_OT_prune(bpy.types.Operator):
         if root is not None:
             bridge.hang_below(obj, root)
             obj.matrix_basis = source.matrix_basis
+        if source is not None:
+            job_result.join(source, obj)
+            source.hide_viewport = source.hide_render = True
         select(context, [obj])
         before = result["before"]
         self.report({"INFO"}, f"Kept {result['count']:,} of {before['count']:,} Gaussians, {result['psnr'] - before['psnr']:+.2f} dB")
@@ -84,6 +88,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
         given = {
             "--colmap": bpy.path.abspath(colmap), "--images": images, "--report": bpy.path.abspath(self.report_folder),
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
+            "--max-drop": self.max_drop,
         }  # fmt: skip
         words = [str(word) for name, value in given.items() if value for word in (name, value)]
         return [*words, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in ("iterations", "recovery", "seed")), "--quiet", "--json"]

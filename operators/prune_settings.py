@@ -9,6 +9,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 
 from ..svrgs_addon.arguments import MIN_CONTRIBUTION, PRUNE_ITERATIONS, RECOVERY
 from ..svrgs_addon.finetune.methods import METHODS
+from ..svrgs_addon.finetune.methods.base import Method
 from . import bridge, job_result
 
 GOALS = [
@@ -16,7 +17,19 @@ GOALS = [
     ("SHARE", "Percentage", "Keep this share of the Gaussians"),
     ("COUNT", "Count", "Keep this many Gaussians"),
     ("SIZE", "Size", "Keep as many Gaussians as fit into a file of this size"),
+    ("DROP", "Loss", "Remove as much as loses no more than so many dB before the recovery, which wins some back"),
 ]
+
+
+def _about(method: Method) -> str:
+    """What a method does, for its tooltip."""
+    share = f"; keeps {method.share:.0%} unless a goal is set" if method.share else ""
+    if method.ranks:
+        return f"Ranks the Gaussians once{share or '; needs a percentage, a count or a size'}"
+    return f"Learns what can go{', by the spatial mask' if method.lambda_f else ''}{share}"
+
+
+PRUNING = [(name, name, _about(method)) for name, method in METHODS.items() if method.prunes]
 
 
 def _get_lambda(settings) -> float:
@@ -29,7 +42,7 @@ def _set_lambda(settings, value: float):
 
 def _share_changed(obj, context):
     if job_result.undecided(obj):
-        job_result.show(obj, round(obj.svrgs_share / 100 * bridge.count(obj.get(job_result.ORIGINAL) or obj)))
+        job_result.show(obj, round(obj.svrgs_share / 100 * bridge.count(job_result.original_of(obj) or obj)))
 
 
 class SVRGS_PG_prune(bpy.types.PropertyGroup):
@@ -47,7 +60,8 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     share: FloatProperty(name="Keep", subtype="PERCENTAGE", min=0.1, max=100, default=25, description="Share of the Gaussians to keep")
     count: IntProperty(name="Keep", min=1, default=100_000, description="Number of Gaussians to keep")
     size: FloatProperty(name="Size in MB", min=0.001, soft_max=500, default=20, precision=1, description="Size of the pruned file, in megabytes")
-    method: EnumProperty(name="Method", items=[(name, name, "") for name in METHODS], description="How it is found out what can go")
+    drop: FloatProperty(name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2, description="PSNR that may be lost, on a few of the photographs")
+    method: EnumProperty(name="Method", items=PRUNING, description="How it is found out what can go")
     iterations: IntProperty(name="Iterations", min=0, soft_max=30_000, default=PRUNE_ITERATIONS, description="Steps in which it is learned what can go")
     recovery: IntProperty(name="Recovery", min=0, soft_max=30_000, default=RECOVERY, description="Steps after it, to win the quality back")
     seed: IntProperty(name="Seed", min=0, description="The same seed gives the same result")

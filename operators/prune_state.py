@@ -8,9 +8,11 @@ from __future__ import annotations
 import bpy
 from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from . import bridge, estimate, job_plot, job_result
-from .job import dataset_of, file_size, native_problem, uses_lambda
+from ..svrgs_addon.finetune.methods import METHODS
+from . import bridge, estimate, job_pictures, job_result
+from .job import dataset_of, file_size, mismatch, uses_lambda
 from .job_watch import BUSY, WAITING, current
+from .trouble import native_problem
 
 SILENT = 60.0  # seconds without a sign of life that are worth telling
 WAITING_TEXT = {"paused": "Paused", "cancelled": "Cancelled", "interrupted": "An interrupted job was found", "failed": "The job failed"}
@@ -32,7 +34,7 @@ def stage(context) -> str:
 def sentences(context) -> list[str]:
     """What is to be said at this stage."""
     return {
-        "BROKEN": lambda context: [native_problem()], "BUSY": _of_running, "WAITING": _of_waiting, "FINISHED": lambda context: ["A finished job was found"],
+        "BROKEN": lambda context: [native_problem()], "BUSY": _of_running, "WAITING": _of_waiting, "FINISHED": lambda context: ["A finished job was found: load its result, or discard it to prune anew"],
         "RESULT": _of_result, "APPLIED": _of_applied, "READY": _of_ready, "NOTHING": lambda context: ["Select a splat, or import one in step 1"],
     }[stage(context)](context)  # fmt: skip
 
@@ -40,6 +42,7 @@ def sentences(context) -> list[str]:
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
     said = ["Looking at some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
+    said += filter(None, [mismatch(context.scene.svrgs_prune)])
     return said if dataset_of(context)[0] else [*said, "Choose the dataset of the splat's photographs, or import its cameras in step 1"]
 
 
@@ -90,6 +93,10 @@ def _time_left(facts: dict) -> str:
     return f"{_share(facts):.0%}, " + (f"{left / 60:.0f} min left" if left >= 90 else f"{left:.0f} s left")
 
 
+def _trouble(_) -> str:
+    return native_problem()
+
+
 def _of_job(value, otherwise):
     """A getter of value(job), for where there is a job."""
 
@@ -102,7 +109,8 @@ def _of_job(value, otherwise):
 
 _progress = _of_job(lambda job: _share(job.facts), 0.0)
 _time = _of_job(lambda job: _time_left(job.facts), "")
-_plot = _of_job(lambda job: job_plot.icon(job.folder), 0)
+_plot = _of_job(lambda job: job_pictures.plot_icon(job.folder), 0)
+_preview = _of_job(lambda job: job_pictures.preview_icon(job.folder), 0)
 
 
 def _stage(_) -> str:
@@ -115,6 +123,11 @@ def _sentences(_) -> str:
 
 def _dataset(_) -> str:
     return dataset_of(bpy.context)[0]
+
+
+def _own_strength(_) -> str:
+    method = METHODS[bpy.context.scene.svrgs_prune.method]
+    return f"Keeps {method.share:.0%} of the Gaussians" if method.share else "" if method.ranks else "The method's own weight decides"
 
 
 def _uses_lambda(_) -> bool:
@@ -138,14 +151,17 @@ def _marked(_) -> int:
 
 
 class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
+    trouble: StringProperty(get=_trouble)
     stage: StringProperty(get=_stage)
     sentences: StringProperty(get=_sentences)
     subject: StringProperty(get=_subject)
     progress: FloatProperty(get=_progress)
     time_left: StringProperty(get=_time)
     plot: IntProperty(get=_plot)
+    preview: IntProperty(get=_preview)
     dataset: StringProperty(get=_dataset)
     uses_lambda: BoolProperty(get=_uses_lambda)
+    own_strength: StringProperty(get=_own_strength)
     size: StringProperty(get=_size)
     marked: IntProperty(get=_marked)
 

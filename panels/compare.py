@@ -4,6 +4,7 @@ import json
 
 import bpy
 
+from .lines import lines, usable
 from .spatial_mask import draw_image
 
 WIPE = "SVR-GS Wipe"
@@ -17,6 +18,8 @@ class ComparePanel:
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
+        if not usable(layout, context):
+            return
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
@@ -27,7 +30,7 @@ class ComparePanel:
         row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
         image = bpy.data.images.get(WIPE)
         if image is None or not settings.compare_result:
-            layout.label(text="Compare draws both from the camera", icon="INFO")
+            lines(layout, "Compare draws both from the camera", "INFO")
             return
         draw_image(layout, image)
         layout.prop(settings, "wipe", slider=True)

@@ -2,6 +2,8 @@
 
 import bpy
 
+from .lines import lines, usable
+
 ENGINE = "SVRGS"
 NOT_OURS = {"VIEWLAYER_PT_filter", "VIEWLAYER_PT_layer_passes", "RENDER_PT_simplify"}
 
@@ -19,11 +21,13 @@ class SVRGS_PT_engine(bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
+        if not usable(layout, context):
+            return
         layout.use_property_split = True
         layout.prop(context.scene.svrgs_looking, "background")
         layout.prop(context.scene.render, "film_transparent", text="Transparent")
         if context.scene.view_settings.view_transform != "Standard":
-            layout.label(text="The view transform Standard shows the training colours", icon="INFO")
+            lines(layout, "The view transform Standard shows the training colours", "INFO")
 
 
 def shared_panels():

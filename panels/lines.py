@@ -18,6 +18,14 @@ def lines(layout, sentence: str, icon: str = "NONE"):
         column.label(text=line, icon=icon)
 
 
+def usable(layout, context) -> bool:
+    """Whether the native library works; where it does not, a line says what to do."""
+    trouble = context.window_manager.svrgs_prune_state.trouble
+    if trouble:
+        lines(layout, trouble, "ERROR")
+    return not trouble
+
+
 def _room() -> float:
     """Characters of a line."""
     region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale

@@ -2,6 +2,8 @@
 
 import bpy
 
+from .lines import lines, usable
+
 
 class SVRGS_PT_overlay(bpy.types.Panel):
     bl_label = "View"
@@ -16,6 +18,8 @@ class SVRGS_PT_overlay(bpy.types.Panel):
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
+        if not usable(layout, context):
+            return
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column()
@@ -23,7 +27,7 @@ class SVRGS_PT_overlay(bpy.types.Panel):
         column.prop(settings, "overlay_shown")
         column.prop(settings, "overlay_moving")
         if not context.region_data.is_perspective:
-            layout.label(text="Splats are drawn in perspective: press Numpad 5", icon="INFO")
+            lines(layout, "Splats are drawn in perspective: press Numpad 5", "INFO")
 
 
 def register():

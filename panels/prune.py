@@ -7,7 +7,7 @@ import bpy
 from .lines import lines
 
 PRESETS = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # of the paper
-GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size"}  # property by goal; LAMBDA has its own row
+GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # property by goal; LAMBDA has its own row
 ADVANCED = ("seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder")
 ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK", "APPLIED": "CHECKMARK"}  # of the first line
 
@@ -32,7 +32,9 @@ class SVRGS_PT_prune(bpy.types.Panel):
             lines(self.layout, sentence, icon)
             icon = "NONE"
         if stage in ("BUSY", "WAITING") and state.plot:
-            self.layout.template_icon(icon_value=state.plot, scale=7)
+            row = self.layout.row()
+            for picture in filter(None, (state.plot, state.preview)):
+                row.template_icon(icon_value=picture, scale=6)
             self.layout.label(text="Blue: Gaussians. Orange: PSNR")
         draw_buttons(self.layout, stage)
 
@@ -63,10 +65,12 @@ def draw_settings(layout, context, state):
     column.prop(settings, "colmap", placeholder=state.dataset)
     column.prop(settings, "method")
     column.prop(settings, "goal")
-    if settings.goal == "LAMBDA":
-        draw_strength(column.column(align=True), settings, state)
-    else:
+    if settings.goal in GOALS:
         column.prop(settings, GOALS[settings.goal])
+    elif state.uses_lambda:
+        draw_strength(column.column(align=True), settings)
+    elif state.own_strength:
+        column.label(text=state.own_strength, icon="INFO")
     column.prop(settings, "iterations")
     column.prop(settings, "recovery")
     row = layout.row(align=True)
@@ -74,8 +78,7 @@ def draw_settings(layout, context, state):
     row.operator("svrgs.job_start", icon="PLAY")
 
 
-def draw_strength(column, settings, state):
-    column.active = state.uses_lambda
+def draw_strength(column, settings):
     column.prop(settings, "strength", slider=True, text=f"λ_F = {settings.lambda_f * 1e4:.3g}e-4")
     row = column.row(align=True)
     for value in PRESETS:

@@ -4,6 +4,8 @@ import json
 
 import bpy
 
+from .lines import lines, usable
+
 IMAGE = "SVR-GS Spatial Mask"
 TICKS = 5
 
@@ -15,12 +17,14 @@ class SpatialMaskPanel:
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
+        if not usable(layout, context):
+            return
         row = layout.row(align=True)
         row.operator("svrgs.spatial_mask", icon="FILE_REFRESH", text="Refresh")
         row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
         image = bpy.data.images.get(IMAGE)
         if image is None or not settings.mask_result:
-            layout.label(text="Refresh draws how many Gaussians each pixel needs", icon="INFO")
+            lines(layout, "Refresh draws how many Gaussians each pixel takes", "INFO")
             return
         draw_image(layout, image)
         result = json.loads(settings.mask_result)
@@ -39,8 +43,9 @@ class SVRGS_PT_spatial_mask(SpatialMaskPanel, bpy.types.Panel):
     bl_order = 10
 
     def draw(self, context):
-        super().draw(context)
-        self.layout.operator("svrgs.contribution", icon="MOD_VERTEX_WEIGHT")
+        SpatialMaskPanel.draw(self, context)
+        if not context.window_manager.svrgs_prune_state.trouble:
+            self.layout.operator("svrgs.contribution", icon="MOD_VERTEX_WEIGHT")
 
 
 class SVRGS_PT_spatial_mask_image(SpatialMaskPanel, bpy.types.Panel):

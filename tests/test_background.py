@@ -263,6 +263,16 @@ def test_words_of_a_request_stay_values(tmp_path):
     assert options.out == tmp_path / "recovered.ply" and not options.overwrite
 
 
+def test_a_zero_is_not_left_to_the_default(tmp_path):
+    from svrgs_addon.arguments import RECOVERY, parser
+
+    asked = {"colmap": "x", "iterations": 0, "recovery": 0, "holdout": 0, "min_contribution": 0.0, "visible_mask": False, "images": ""}
+    (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": asked}))
+    options = parser().parse_args(JobFolder(tmp_path).words())
+    assert RECOVERY and options.iterations == options.recovery == options.holdout == options.min_contribution == 0
+    assert options.visible_mask is False and options.images is None
+
+
 def test_hostile_arrays_are_refused(tiny, tmp_path):
     folder = create(tmp_path / "job", tiny)
     for kept in (b"", b"\x93NUMPY", None):

@@ -1,7 +1,7 @@
 """What pruning would do and cost, within a few seconds: a look at some reduced views, and a few steps to see how fast they are.
 
-Child: `python -m svrgs_addon.background.estimate`, {scene, colmap, images, method, lambda_f, target_count, iterations, recovery,
-min_contribution, holdout, threads} as JSON on stdin; estimate()'s result or {"error": sentence} on stdout.
+Child: `python -m svrgs_addon.background.estimate`, {scene, colmap, images, method, lambda_f, target_count, max_drop, iterations,
+recovery, min_contribution, holdout, threads} as JSON on stdin; estimate()'s result or {"error": sentence} on stdout.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from ..cli import guarded
 
 LOOK_SECONDS, STEP_SECONDS = 0.8, 0.6  # at most, beside reading
 VIEWS = 8  # looked at, spread over all
+DROP_VIEWS = 2  # measured on, to find what a loss in dB allows
 SIDE = 512  # pixels of a reduced view
 WORTH_VIEWS = 24
 STEPS = 3  # after one that is not measured
@@ -30,7 +31,7 @@ FIXED_SHARE = 0.4  # of a step's time, that fewer Gaussians do not save
 
 def estimate(request: dict) -> dict:
     """count; invisible: too faint for any picture; unseen: in none of the views looked at; faint: below the first cut; kept:
-    expected to stay, roughly; seconds: expected; views: looked at; steps_per_second. Raises SplatError.
+    expected to stay, roughly; at_most: no more than that; seconds: expected; views: looked at; steps_per_second. Raises SplatError.
     """
     from .. import native
     from ..dataset import load_dataset
@@ -49,9 +50,11 @@ def estimate(request: dict) -> dict:
     lambda_f = request.get("lambda_f") or method.lambda_f
     if method.learns_masks and request["iterations"]:
         kept &= sums > np.maximum(hits, 1) * _limit(lambda_f or 1e-4)
-    elif lambda_f and not request.get("target_count"):
+    elif lambda_f and not request.get("target_count") and not request.get("max_drop"):
         kept &= _worth(scene, dataset) > lambda_f  # what `svr` goes by; of `svr-worth` a first impression
-    share = (request.get("target_count") or method.share * scene.count or int(kept.sum())) / scene.count
+    if request.get("max_drop"):
+        kept = _within(scene, dataset, peaks, request["max_drop"])
+    share = (request.get("target_count") or (0 if request.get("max_drop") else method.share * scene.count) or int(kept.sum())) / scene.count
     rate = _rate(scene, dataset, request)
     learning = sum(phase.steps for phase in method.prune_phases(request["iterations"], 0, 1))
     cost = lambda left: FIXED_SHARE + (1 - FIXED_SHARE) * left  # noqa: E731
@@ -61,6 +64,7 @@ def estimate(request: dict) -> dict:
         "unseen": int((hits == 0).sum()),
         "faint": int((peaks < limit).sum()),
         "kept": max(1, round(share * scene.count)),
+        "at_most": bool(request.get("max_drop")),
         "views": looked,
         "steps_per_second": rate,
         "seconds": (learning * cost((1 + share) / 2) + request["recovery"] * cost(share)) / rate,
@@ -101,6 +105,23 @@ def _worth(scene, dataset) -> np.ndarray:
     train = dataset.train_indices or list(range(len(dataset.cameras)))
     cameras = [dataset.cameras[index] for index in train[:: max(1, len(train) // WORTH_VIEWS)][:WORTH_VIEWS]]
     return worth(scene, [camera.reduced(max(1, max(camera.width, camera.height) // SIDE)) for camera in cameras], Rasterizer(), render_options(scene, dataset.background))
+
+
+def _within(scene, dataset, peaks: np.ndarray, drop: float) -> np.ndarray:
+    """(N,) bool: how few of the highest peaks lose at most `drop` dB on a view or two, without any learning: more than a job keeps."""
+    from ..evaluate import mean_psnr, render_options
+    from ..finetune.scores import top
+    from ..native import Rasterizer
+
+    rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
+    train = dataset.train_indices or list(range(len(dataset.cameras)))
+    views, end = train[:: max(1, len(train) // DROP_VIEWS)][:DROP_VIEWS], time.monotonic() + LOOK_SECONDS
+    psnr_of = lambda kept: mean_psnr(scene, dataset, views, rasterizer, options, kept)  # noqa: E731
+    floor, few, enough = psnr_of(None) - drop, 0, scene.count
+    while enough - few > max(1, scene.count // 100) and time.monotonic() < end:
+        middle = (few + enough) // 2
+        few, enough = (few, middle) if psnr_of(top(peaks, middle).astype(np.uint8)) >= floor else (middle, enough)
+    return top(peaks, enough)
 
 
 def _rate(scene, dataset, request: dict) -> float:

@@ -5,7 +5,7 @@
     scene.ply      the splat as it was when the job began, each Gaussian with its row
     messages.jsonl what the running process said, one JSON object a line;  log.txt its stderr
     metrics.csv    iteration, count, loss, psnr;  previews/ITERATION.png
-    pruned.ply, kept.npy, score.npy, result.json   the result; result.json is written last
+    pruned.ply, kept.npy, score.npy, result.json   the result; result.json is written last;  probability.npy where masks were learned
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ FACTS = {  # of a job's state, and their types
     "seconds_left": float,
 }  # fmt: skip
 OPTIONS = {  # those of `svrgs prune` that a job may have, and their types
-    "colmap": str, "images": str, "method": str, "lambda_f": float, "target": float, "target_count": int, "iterations": int,
+    "colmap": str, "images": str, "method": str, "lambda_f": float, "target": float, "target_count": int, "max_drop": float, "iterations": int,
     "recovery": int, "seed": int, "threads": int, "holdout": int, "min_contribution": float, "visible_mask": bool, "views_by_loss": bool,
 }  # fmt: skip
 _FILES = (
     "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy",
-    "score.npy", "result.json", CANCEL, PAUSE, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
+    "score.npy", "probability.npy", "result.json", CANCEL, PAUSE, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
 )  # fmt: skip
 
 
@@ -89,7 +89,7 @@ class JobFolder:
     def words(self) -> list[str]:
         """The job as words of the command line."""
         options = self.request()["options"]
-        given = [f"--{name.replace('_', '-')}" + ("" if value is True else f"={value}") for name, value in options.items() if value not in (False, "")]
+        given = [f"--{name.replace('_', '-')}" + ("" if value is True else f"={value}") for name, value in options.items() if value is not False and value != ""]
         return ["prune", str(self / "scene.ply"), f"--out={self / 'recovered.ply'}", "--resume", "--quiet", *given]
 
     def state(self) -> dict:
@@ -117,16 +117,11 @@ class JobFolder:
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """Of a job that is done, per source Gaussian: kept (N,) bool, score (N,) float32. Raises FormatError."""
-        count, arrays = self.request()["count"], []
-        for name, dtype in (("kept", bool), ("score", np.float32)):
-            try:
-                array = np.load(self / f"{name}.npy", allow_pickle=False)
-            except (OSError, ValueError, EOFError) as error:
-                raise FormatError(f"{self / name}.npy: cannot be read ({error})") from None
-            if array.shape != (count,) or array.dtype != dtype:
-                raise FormatError(f"{self / name}.npy: holds {array.dtype}{array.shape}; expected {np.dtype(dtype)}({count},)")
-            arrays.append(array)
-        return arrays[0], arrays[1]
+        return self._array("kept", bool), self._array("score", np.float32)
+
+    def probability(self) -> np.ndarray | None:
+        """Of a job that is done, (N,) float32: each source Gaussian's probability of existence; None where no masks were learned. Raises FormatError."""
+        return self._array("probability", np.float32) if (self / "probability.npy").exists() else None
 
     def metrics(self) -> dict[str, np.ndarray]:
         """Columns of metrics.csv, float64; NaN where there is no value; of whole lines only."""
@@ -135,6 +130,10 @@ class JobFolder:
             rows = [row for row in map(_numbers, lines) if len(row) == len(METRICS) and math.isfinite(row[0])]
             return dict(zip(METRICS, np.array(rows, np.float64).reshape(-1, len(METRICS)).T, strict=True))
         return {name: np.empty(0) for name in METRICS}
+
+    def newest_preview(self) -> Path | None:
+        """The picture drawn last; None: there is none yet."""
+        return max((self / "previews").glob("[0-9]*.png"), default=None)
 
     def log_tail(self, lines: int = 5) -> list[str]:
         """The last lines of log.txt that say something."""
@@ -170,6 +169,17 @@ class JobFolder:
 
     def _checkpoints(self) -> Iterator[Path]:
         return (path for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7) if path.is_dir() and not path.is_symlink())
+
+    def _array(self, name: str, dtype: type) -> np.ndarray:
+        """(N,) numbers, one a source Gaussian. Raises FormatError."""
+        file, count = self / f"{name}.npy", self.request()["count"]
+        try:
+            array = np.load(file, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise FormatError(f"{file}: cannot be read ({error})") from None
+        if array.shape != (count,) or array.dtype != dtype:
+            raise FormatError(f"{file}: holds {array.dtype}{array.shape}; expected {np.dtype(dtype)}({count},)")
+        return array
 
     def _json(self, name: str) -> dict | None:
         """The object in a file; None where there is none."""

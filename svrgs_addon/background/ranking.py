@@ -73,13 +73,22 @@ class Ranking:
 
         kept (N,) bool; importance (N,) decides between those of one probability, and where none was learned.
         """
-        if self._logits is not None:  # the run ended with its masks
-            self.probability[self._rows[self._origin]] = sigmoid(self._logits)
+        self._judge_last()
         order = np.lexsort((importance, np.nan_to_num(self.probability, nan=-1.0), np.where(kept, ALIVE, self.dropped)))
         score, gone = np.empty(len(kept), np.float32), len(kept) - int(kept.sum())
         score[order[:gone]] = 0.5 * np.arange(gone) / max(1, gone)
         score[order[gone:]] = 0.5 + 0.5 * np.arange(1, len(kept) - gone + 1) / max(1, len(kept) - gone)
         return score
+
+    def probabilities(self) -> np.ndarray | None:
+        """(N,) float32 in 0..1, of existence when last known; 0 for what went before masks were learned. None where none were."""
+        self._judge_last()
+        return np.nan_to_num(self.probability, nan=0.0) if np.isfinite(self.probability).any() else None
+
+    def _judge_last(self):
+        """Of a run that ended with its masks."""
+        if self._logits is not None:
+            self.probability[self._rows[self._origin]] = sigmoid(self._logits)
 
 
 def importance(scene: Scene, dataset, rasterizer, options) -> np.ndarray:

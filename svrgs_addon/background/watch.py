@@ -70,6 +70,9 @@ class Watch:
         rank[source.attributes[ROW]] = importance(source, self.run.dataset, Rasterizer(), render_options(source, self.run.settings.background))
         _save(self.folder / "kept.npy", kept)
         _save(self.folder / "score.npy", self.ranking.scores(kept, rank))
+        probability = self.ranking.probabilities()
+        if probability is not None:
+            _save(self.folder / "probability.npy", probability)
         write_scene(self.folder / "pruned.ply", without_rows(recovered))
         result |= {"out": str(self.folder / "pruned.ply"), "bytes": (self.folder / "pruned.ply").stat().st_size}
         result["after"] = result["after"] | {"bytes": result["bytes"]}

@@ -143,6 +143,81 @@ def test_a_result_that_does_not_please_is_discarded(pruned, bridge):
     assert bpy.ops.svrgs.job_start.poll()
 
 
+def delete(obj):
+    """As with the key X."""
+    bpy.ops.object.select_all(action="DESELECT")
+    obj.select_set(True)
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.object.delete()
+    bpy.context.view_layer.update()
+
+
+def test_a_result_deleted_with_x_leaves_the_original_free(pruned, bridge, results, watch):
+    original, result = pruned
+    source = bridge.scene_from_object(original).means.tobytes()
+    delete(result)
+    assert not original.hide_viewport and not original.hide_render and not original.modifiers and results.PRUNED not in original
+    assert "removed" not in original.data.attributes and bridge.scene_from_object(original).means.tobytes() == source
+    bpy.context.view_layer.objects.active = original
+    assert results.pair_of(original) == (None, None) and "load its result, or discard it" in drawn("prune")
+    bpy.ops.svrgs.job_discard()
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: results.pruned_of(original))
+    assert bridge.count(results.pruned_of(original)) == 125 and original.hide_viewport
+
+
+def test_undo_of_x_brings_the_pair_back(pruned, bridge, results):
+    names, shown = [obj.name for obj in pruned], results.shown_count(pruned[1])
+    bpy.ops.ed.undo_push(message="before")
+    delete(pruned[1])
+    bpy.ops.ed.undo_push(message="after")
+    bpy.ops.ed.undo()
+    bpy.context.view_layer.update()
+    original, result = (bpy.data.objects[name] for name in names)
+    assert results.pair_of(result) == results.pair_of(original) == (original, result)
+    assert original.hide_viewport and not result.hide_viewport and results.shown_count(result) == shown == 125
+    result.svrgs_share = 20
+    bpy.ops.svrgs.apply()
+    assert bridge.count(result) == 50
+
+
+def test_an_original_deleted_with_x_leaves_a_result_that_can_be_applied(pruned, bridge, results):
+    original, result = pruned
+    original.hide_viewport = False
+    delete(original)
+    bpy.context.view_layer.objects.active = result
+    assert results.pair_of(result) == (None, result) and results.ORIGINAL not in result and "Gaussians" in drawn("prune")
+    result.svrgs_share = 40
+    bpy.ops.svrgs.apply()
+    assert bridge.count(result) == 50 and bpy.ops.svrgs.job_start.poll()
+
+
+def test_probability_of_existence_is_an_attribute_where_masks_were_learned(pruned, bridge, watch):
+    original, result = pruned
+    (job,) = watch.jobs.values()
+    learned, kept = bridge.values(original, "svrgs:probability"), job.folder.arrays()[0]
+    assert learned.shape == (COUNT,) and (learned >= 0).all() and (learned <= 1).all() and learned[kept].min() > 0
+    np.testing.assert_array_equal(bridge.values(result, "svrgs:probability"), learned[kept])
+    bpy.ops.svrgs.discard(what="RESULT")
+    assert "svrgs:probability" not in original.data.attributes
+    set_up({"method": "opacity", "recovery": 5})
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: len(bpy.data.objects) == 2)
+    assert "svrgs:probability" not in original.data.attributes and "svrgs:score" in original.data.attributes
+
+
+def test_compare_takes_what_apply_would_keep(pruned, bridge, results):
+    import json
+
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.view_layer.objects.active = pruned[1]
+    for share, count in ((50, 125), (20, 50), (80, 200)):
+        pruned[1].svrgs_share = share
+        bpy.ops.svrgs.compare()
+        rows = json.loads(bpy.context.scene.svrgs_looking.compare_result)
+        assert (rows["original"]["count"], rows["pruned"]["count"]) == (COUNT, count)
+
+
 def test_cancelled_and_resumed(splat, watch):
     set_up(LONG)
     bpy.ops.svrgs.job_start()
@@ -235,6 +310,42 @@ def test_targets_become_counts(splat, goal, target):
     assert options["target_count"] == target and options["lambda_f"] == pytest.approx(1e-4)
 
 
+def test_a_loss_in_db_is_held(splat, watch, results, bridge):
+    set_up({"goal": "DROP", "drop": 0.5, "iterations": 1000, "recovery": 0})
+    assert part("operators.job").options_of(bpy.context, splat)["max_drop"] == 0.5
+    bpy.ops.svrgs.estimate()
+    found = part("operators.estimate").of(splat)
+    assert found["at_most"] and 0 < found["kept"] < COUNT
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: results.pruned_of(splat))
+    result = results.pruned_of(splat)
+    before, after = result[results.PSNR]
+    assert bridge.count(result) < COUNT and before - after < 2  # measured on other photographs than the loss
+
+
+@pytest.mark.parametrize(
+    "options, sentence",
+    [
+        ({"goal": "DROP", "method": "opacity"}, "'opacity' cannot hold a loss"), ({"goal": "DROP", "iterations": 0}, "it takes iterations"),
+        ({"goal": "LAMBDA", "method": "pup"}, "'pup' only ranks the Gaussians"),
+    ],
+)  # fmt: skip
+def test_a_goal_that_the_method_cannot_reach_is_said(splat, options, sentence):
+    set_up(options)
+    assert sentence in drawn("prune")
+    with pytest.raises(RuntimeError, match=sentence):
+        bpy.ops.svrgs.job_start()
+
+
+@pytest.mark.parametrize(
+    "method, said", [("svr", "svrgs.set_lambda"), ("lightgaussian", "Keeps 34%"), ("gns", "Keeps 25%"), ("maskgs", "The method's own weight decides")]
+)
+def test_without_a_target_the_panel_says_what_decides(splat, method, said):
+    set_up({"goal": "LAMBDA", "method": method})
+    assert said in drawn("prune") and (method == "svr" or "svrgs.set_lambda" not in drawn("prune"))
+    assert bpy.ops.svrgs.job_start.poll()
+
+
 def test_lambda_is_a_number_with_a_logarithmic_slider(splat):
     settings = bpy.context.scene.svrgs_prune
     bpy.ops.svrgs.set_lambda(value=1.25e-4)
@@ -310,7 +421,10 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     follow(watch, lambda: job.facts.get("psnr"))
     said = drawn("prune")
     assert "Gaussians, PSNR" in said and "left" in said and "svrgs.job_pause" in said
-    picture = part("operators.job_plot")._pictures[0][str(job.folder.path)]
+    pictures = part("operators.job_pictures")
+    follow(watch, lambda: str(job.folder.path) in pictures._shown)  # there are no icons without a window
+    assert tuple(pictures._pictures[0][pictures._shown[str(job.folder.path)]].image_size) == (64, 48)
+    picture = pictures._pictures[0][str(job.folder.path)]
     assert len({tuple(pixel) for pixel in np.reshape(picture.image_pixels_float, (-1, 4)).round(2)}) == 4, "ground, grid and two lines"
     job._process.kill()
     follow(watch, lambda: not job.running)
@@ -324,5 +438,17 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     assert "25 more than were recovered" in drawn("prune")
     bpy.ops.svrgs.apply()
     assert "Discard Original" in drawn("prune") and splat.name in drawn("prune")
-    monkeypatch.setattr(part("operators.prune_state"), "native_problem", lambda: "the native library is missing")
-    assert "the native library is missing" in drawn("prune")
+
+
+@pytest.mark.parametrize("panel", ["prune", "compare", "spatial_mask", "overlay", "engine"])
+def test_without_the_native_library_a_line_says_what_to_do(panel, splat, monkeypatch, tmp_path):
+    native = part("svrgs_addon.native")
+    (tmp_path / "other.so").write_bytes(b"of another computer")
+    for library in ("nowhere.so", "other.so"):
+        monkeypatch.setenv(native.LIBRARY_VARIABLE, str(tmp_path / library))
+        native._library.cache_clear()
+        try:
+            assert "install the extension's zip again" in drawn(panel).replace("  ", " ")
+        finally:
+            monkeypatch.undo()
+            native._library.cache_clear()

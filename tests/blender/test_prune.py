@@ -45,6 +45,7 @@ def test_pruning_the_active_splat_is_the_job_of_the_command_line(from_a_shell, b
     ply.write_ply(tmp_path / "object.ply", bridge.scene_from_object(pruned))
     assert (tmp_path / "object.ply").read_bytes() == content
     assert pruned.matrix_world == source.matrix_world
+    assert part("operators.job_result").pair_of(pruned) == (source, pruned) and source.hide_render and not pruned.hide_render
 
 
 def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, bridge):
@@ -73,6 +74,17 @@ def test_what_cannot_be_pruned_is_said_in_a_sentence(options, sentence):
     with pytest.raises(RuntimeError, match=sentence):
         bpy.ops.svrgs.prune(**SHORT, **options)
     assert len(bpy.data.objects) == 1
+
+
+def test_a_drop_is_the_option_of_the_command_line(capfd):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    with pytest.raises(RuntimeError, match="method 'opacity' cannot take --max-drop"):
+        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), max_drop=0.5, method="opacity")
+    with pytest.raises(RuntimeError, match="not allowed with"):
+        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), max_drop=0.5, target=0.5)
+    bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), max_drop=0.5, iterations=300, recovery=0)
+    (result,) = json_lines(capfd.readouterr().out)
+    assert result["count"] < 250
 
 
 def test_pruning_without_a_splat_says_so():

@@ -25,13 +25,13 @@ def window() -> bpy.types.Window:
     return bpy.context.window_manager.windows[0]
 
 
-def click(x: int, y: int) -> Iterator[float]:
+def click(x: int, y: int, **modifiers: bool) -> Iterator[float]:
     """Left click."""
     for dx in (-9, -3, 0):
         window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x + dx, y=SIZE[1] - y)
         yield 0.1
     for value in ("PRESS", "RELEASE"):
-        window().event_simulate(type="LEFTMOUSE", value=value, x=x, y=SIZE[1] - y)
+        window().event_simulate(type="LEFTMOUSE", value=value, x=x, y=SIZE[1] - y, **modifiers)
         yield 0.1
     yield 0.2
 

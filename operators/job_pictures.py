@@ -1,0 +1,55 @@
+"""What the panel shows of a job: the plot of its metrics, and the newest picture it drew. They are no part of the file."""
+
+from __future__ import annotations
+
+import bpy
+import bpy.utils.previews
+
+from ..svrgs_addon.background import plot
+from ..svrgs_addon.background.folder import JobFolder
+
+_pictures: list = []  # the collection, while the extension is enabled
+_drawn: dict[str, tuple] = {}  # by folder: what was plotted last
+_shown: dict[str, str] = {}  # by folder: the file of the newest picture, which is its key in the collection
+
+
+def redraw(folder: JobFolder):
+    """Draws the metrics anew where they have grown, and takes up a new picture."""
+    metrics, total = folder.metrics(), folder.state().get("total", 0)
+    key, what = str(folder.path), (len(metrics["iteration"]), total)
+    if what[0] and _drawn.get(key) != what:
+        preview = _pictures[0][key] if key in _pictures[0] else _pictures[0].new(key)
+        preview.image_size = (plot.SIDE, plot.SIDE)
+        preview.image_pixels_float.foreach_set(plot.draw(metrics, total).reshape(-1))
+        _drawn[key] = what
+    newest = folder.newest_preview()
+    if newest is not None and _shown.get(key) != str(newest):
+        if key in _shown:
+            del _pictures[0][_shown[key]]
+        _shown[key] = str(newest)
+        preview = _pictures[0].load(str(newest), str(newest), "IMAGE", force_reload=True)
+        _ = preview.image_size[:], preview.icon_size[:]  # read it now: until then there would be a waiting symbol in its place
+
+
+def plot_icon(folder: JobFolder) -> int:
+    """Icon id of the plot; 0: there is none yet."""
+    return _icon(str(folder.path))
+
+
+def preview_icon(folder: JobFolder) -> int:
+    """Icon id of the newest picture; 0: there is none yet."""
+    return _icon(_shown.get(str(folder.path), ""))
+
+
+def _icon(key: str) -> int:
+    return _pictures[0][key].icon_id if _pictures and key in _pictures[0] else 0
+
+
+def register():
+    _pictures.append(bpy.utils.previews.new())
+
+
+def unregister():
+    bpy.utils.previews.remove(_pictures.pop())
+    _drawn.clear()
+    _shown.clear()

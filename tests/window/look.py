@@ -1,0 +1,92 @@
+"""Look at a splat in every way there is: overlay, Rendered viewport, spatial mask, comparison, F12. Writes what it saw to OUT/seen.json."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import bpy
+import driver
+from driver import DATA, OUT, click, key, shot, until
+
+PACKAGE = "bl_ext.user_default.svrgs"
+VIEW = (400, 600)  # somewhere in the 3D view
+MASK_HEADER, MASK_REFRESH = (825, 774), (880, 268)  # the header below all other panels; the button where they are closed
+COMPARE_HEADER, COMPARE = (820, 153), (842, 258)
+
+
+def part(name: str):
+    return importlib.import_module(f"{PACKAGE}.{name}")
+
+
+def area(kind: str) -> bpy.types.Area:
+    return next(area for area in driver.window().screen.areas if area.type == kind)
+
+
+def rest(views, seconds: float = 60):
+    """Until what viewports show is exact. views() -> [LiveView]"""
+    yield 0.5
+    yield from until(lambda: views() and all(view.picture() is not None and not view.busy for view in views()), "an exact picture", seconds)
+    yield 0.8
+
+
+def steps():
+    overlay, viewport = part("operators.overlay"), part("operators.viewport")
+    seen, scene, looking = {}, bpy.context.scene, bpy.context.scene.svrgs_looking
+    bpy.ops.object.select_all(action="SELECT")
+    bpy.ops.object.delete()
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "scene.ply"))
+    splat = bpy.context.object
+    bpy.ops.svrgs.import_colmap(directory=str(DATA))
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.context.view_layer.objects.active = splat
+    for obj in bpy.data.objects:
+        if obj.type == "CAMERA":
+            obj.data.show_background_images = False
+    space = area("VIEW_3D").spaces.active
+    space.region_3d.view_perspective = "CAMERA"
+    space.overlay.show_extras = space.overlay.show_relationship_lines = False
+    yield from driver.sidebar("SVR-GS")
+    yield from rest(lambda: [view.live for view in overlay._overlay[0].views.values()])
+    seen["region"] = next([region.height, region.width] for region in area("VIEW_3D").regions if region.type == "WINDOW")
+    seen["overlay"] = [list(view.live.picture().result[0].shape[:2]) for view in overlay._overlay[0].views.values()]
+    shot("overlay")
+
+    scene.render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
+    space.shading.type = "RENDERED"
+    yield from rest(lambda: [view.live for view in viewport._open])
+    seen["rendered"] = [list(view.live.picture().result.shape[:2]) for view in viewport._open]
+    shot("rendered")
+
+    bpy.context.preferences.view.render_display_type = "NONE"
+    rendered = []
+    bpy.app.handlers.render_complete.append(lambda *_: rendered.append(True))
+    yield from key("F12", *VIEW)
+    yield from until(lambda: rendered, "F12", 60)
+    yield 0.3
+    seen["camera"], seen["f12"] = scene.camera.name, str(OUT / "f12.png")
+    bpy.data.images["Render Result"].save_render(seen["f12"])
+
+    yield from click(*MASK_HEADER, ctrl=True)  # the other panels close
+    yield from click(*MASK_REFRESH)
+    yield from until(lambda: looking.mask_result, "the spatial mask")
+    yield 0.8
+    seen["mask"] = json.loads(looking.mask_result)
+    shot("mask")
+
+    bpy.ops.svrgs.prune(method="contribution", target=0.4, iterations=0, recovery=0)
+    yield 0.8
+    yield from click(*COMPARE_HEADER, ctrl=True)
+    yield from click(*COMPARE)
+    yield from until(lambda: looking.compare_result, "the comparison")
+    yield 0.8
+    seen["compare"] = json.loads(looking.compare_result)
+    shot("compare")
+    (OUT / "seen.json").write_text(json.dumps(seen))
+
+
+driver.run(steps())
