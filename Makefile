@@ -2,6 +2,7 @@
 # make demo    generates a scene, trains it, prunes it, leaves a report
 # make test    all tests
 # make test-blender  the extension's tests in other Blenders too, BLENDERS="4.2.23 ..."
+# make sanitize  native tests under ASan and UBSan, pool and kernels under TSan;  make fuzz  libFuzzer on the C interface (clang++)
 # make zip     the Blender extension, dist/svrgs-VERSION.zip, built and checked by Blender's own builder
 PYTHON ?= python3.11
 PYTHON313 ?= python3.13
@@ -18,7 +19,7 @@ PIP := $(PY) -m pip install --quiet --disable-pip-version-check
 # What travels in the extension, by its manifest.
 WHEELS := $(shell sed -n 's|.*"./\(wheels/.*[.]whl\)".*|\1|p' blender_manifest.toml)
 
-.PHONY: setup native demo test test-blender zip clean
+.PHONY: setup native demo test test-blender sanitize fuzz zip clean
 
 setup: $(VENV)/.ready native
 	$(PY) -m compileall -q svrgs_addon
@@ -42,6 +43,29 @@ demo: setup
 
 test: setup $(WHEELS)
 	$(PY) -m pytest
+
+# The address sanitizer's runtime comes first in Python's process; leaks are not looked for, since Python keeps memory to its end.
+SAFE := build/sanitize
+SANITIZED := tests/test_native_stress.py tests/test_native_invariants.py tests/test_native_update.py tests/test_native_removal.py
+ASAN_RUNTIME = $(shell $(CXX) -print-file-name=libasan.so) $(shell $(CXX) -print-file-name=libstdc++.so)
+CLANG ?= clang++-16
+FUZZ_SECONDS ?= 300
+SAFE_NATIVE = $(MAKE) --no-print-directory -C native
+
+sanitize: setup
+	mkdir -p $(SAFE)
+	$(SAFE_NATIVE) BUILD=build/asan OUT=../$(SAFE)/libsvrgs-asan.so EXTRA="-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all"
+	SVRGS_LIBRARY=$(CURDIR)/$(SAFE)/libsvrgs-asan.so LD_PRELOAD="$(ASAN_RUNTIME)" ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONMALLOC=malloc $(PY) -m pytest $(SANITIZED)
+	$(SAFE_NATIVE) BUILD=build/tsan OUT=../$(SAFE)/libsvrgs-tsan.so EXTRA="-O1 -g -fsanitize=thread"
+	$(CXX) -std=c++20 -O1 -g -fsanitize=thread -pthread -Inative/include tests/sanitizers/threads.cc $(SAFE)/libsvrgs-tsan.so -Wl,-rpath,$(CURDIR)/$(SAFE) -o $(SAFE)/threads
+	TSAN_OPTIONS=halt_on_error=1 $(SAFE)/threads
+
+FUZZ_FLAGS := -O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all
+fuzz:
+	mkdir -p $(SAFE)/corpus
+	$(SAFE_NATIVE) CXX=$(CLANG) BUILD=build/fuzz OUT=../$(SAFE)/libsvrgs-fuzz.so LINK="-shared -pthread" EXTRA="$(FUZZ_FLAGS) -fsanitize=fuzzer-no-link"
+	$(CLANG) -std=c++20 $(FUZZ_FLAGS) -fsanitize=fuzzer -pthread -Inative/include tests/sanitizers/fuzz.cc $(SAFE)/libsvrgs-fuzz.so -Wl,-rpath,$(CURDIR)/$(SAFE) -o $(SAFE)/fuzz
+	$(SAFE)/fuzz -max_total_time=$(FUZZ_SECONDS) -max_len=8192 -len_control=0 -print_final_stats=1 -artifact_prefix=$(SAFE)/ $(SAFE)/corpus
 
 # Blender's builder is a script inside the bpy package; it runs without starting Blender.
 EXTENSION = $(PY) $(shell $(PY) -c "import importlib.util as u, pathlib as p; print(next(p.Path(u.find_spec('bpy').origin).parent.glob('*/scripts/addons_core/bl_pkg/cli/blender_ext.py')))")

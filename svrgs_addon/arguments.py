@@ -145,7 +145,8 @@ def _bench(commands):
     command.add_argument("--skips", action="store_true", help="also what each kind of work left undone saves")
     command.add_argument("--scaling", action="store_true", help="also forward time against pixels and Gaussians, up to 4K and 5 million")
     command.add_argument("--interactive", action="store_true", help="also pictures a second of a million Gaussians under an orbiting camera")
-    command.add_argument("--plots", type=Path, metavar="DIR", help="measure knobs and skips, and draw the charts there")
+    command.add_argument("--stress", action="store_true", help="instead: errors of hostile scenes, and the drift of 1,000 steps, against float64")
+    command.add_argument("--plots", type=Path, metavar="DIR", help="measure knobs and skips (unless --stress), and draw the charts there")
 
 
 def _count(text: str) -> int:

@@ -58,7 +58,7 @@ def _camera(entry: dict) -> Camera:
     rotation = np.array(entry["rotation"], np.float64).reshape(3, 3)  # camera to world
     if not (np.isfinite([fx, fy, *position]).all() and fx > 0 and fy > 0):
         raise FormatError("its focal length or position is not usable")
-    if not np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_SKEW or np.linalg.det(rotation) < 0:
+    if not np.abs(rotation).max() < 2 or not np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_SKEW or np.linalg.det(rotation) < 0:
         raise FormatError("its rotation is not a rotation")
     viewmat = np.eye(4)
     viewmat[:3, :3] = rotation.T

@@ -92,6 +92,8 @@ def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolma
     the model cannot be undistorted.
     """
     _check_aspect(view, width, height)
+    if not (np.isfinite(view.camera.params).all() and np.isfinite(view.viewmat).all()):
+        raise SceneError(f"{view.name}: its camera has a focal length or pose that is not usable")
     kinds = import_pycolmap().CameraModelId
     if view.camera.model in (kinds.PINHOLE, kinds.SIMPLE_PINHOLE):
         full = Camera(view.viewmat, view.camera.calibration_matrix(), view.camera.width, view.camera.height, view.name)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from . import __version__, report
+from . import __version__, memory, report
 from .atomic import check_writable
 from .dataset import Dataset
 from .errors import SceneError
@@ -60,6 +60,7 @@ def train(dataset: Dataset, settings: Settings, options: JobOptions, sh_degree: 
     check_outputs(options)
     check_request(dataset, settings)
     clock = Clock()
+    refuse_excess("training", len(dataset.points), (sh_degree + 1) ** 2, dataset)
     with clock.phase("initialise"):
         model = Model.of(scene_from_points(dataset.points, dataset.point_colors, sh_degree), copy=False)
     run, scene = fine_tune(model, dataset, settings, options, clock)
@@ -78,6 +79,7 @@ def prune(scene_path: Path, dataset: Dataset, settings: Settings, options: JobOp
     with clock.phase("read"):
         source = load_scene(scene_path).scene
         refuse_unseen(source, dataset.cameras, str(scene_path))
+        refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset)
     with clock.phase("evaluate before"):
         before = measured(source, dataset, options, scene_path)
         pictures = report_pictures(source, dataset) if options.report else []
@@ -134,6 +136,11 @@ def check_request(dataset: Dataset, settings: Settings):
         raise SceneError(f"method '{settings.method}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
     if asked and not ranks and not any(phase.active for phase in settings.phases):
         raise SceneError(f"method '{settings.method}' without iterations in which it prunes cannot reach a target")
+
+
+def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
+    """Raises SceneError where memory would not hold the fine-tuning of so many Gaussians."""
+    memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget))
 
 
 def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:

@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from . import memory
 from .atomic import atomic_write, check_writable
 from .camera import Camera
 from .dataset import HOLDOUT, load_cameras_json, load_dataset
@@ -27,6 +28,8 @@ def render_views(options: argparse.Namespace) -> list[Path]:
     scene = load_scene(options.scene).scene
     chosen = choose(_cameras(options), options.views)
     refuse_same_names(chosen)
+    largest = max(chosen, key=lambda camera: camera.width * camera.height)
+    memory.refuse_excess(f"{options.scene}: rendering it", memory.rendering(scene.count, largest.width, largest.height))
     rasterizer = Rasterizer()
     settings = render_options(scene, options.background, "svr" if "mask" in outputs else "none")
     saved = []

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from . import memory
 from .errors import FormatError, SceneError
 from .formats import clamp_extremes, drop_nonfinite, read_ply, read_ply_parts, unusable, write_ply
 from .scene import Scene
@@ -25,8 +26,10 @@ class Loaded:
 
 
 def read_scene(path: str | Path) -> Scene:
-    """The scene as it lies in the file. Raises FormatError, SceneError."""
-    return read_ply(_splat_file(path))
+    """The scene as it lies in the file. Raises FormatError; SceneError too where memory would not hold it."""
+    path = _splat_file(path)
+    memory.refuse_excess(f"{path}: reading it", memory.reading(path.stat().st_size))
+    return read_ply(path)
 
 
 def _splat_file(path: str | Path) -> Path:

@@ -4,6 +4,10 @@
 #include <cmath>
 #include <new>
 
+#if defined(__x86_64__)
+#include <cpuid.h>
+#endif
+
 #include "context.h"
 #include "machine_speed.h"
 #include "pool.h"
@@ -42,13 +46,20 @@ int32_t guarded(F&& f) {
   }
 }
 
+#if defined(__x86_64__)
+bool has_f16c() {  // clang knows no such name before 19
+  unsigned a, b, c = 0, d;
+  return __get_cpuid(1, &a, &b, &c, &d) && (c & bit_F16C);
+}
+#endif
+
 bool supported(int32_t level) {
   switch (level) {
     case SVRGS_SCALAR:
     case SVRGS_BASELINE:
     case SVRGS_DOUBLE: return true;
 #if defined(__x86_64__)
-    case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("f16c");
+    case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && has_f16c();
     case SVRGS_AVX512: return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && supported(SVRGS_AVX2);
 #endif
     default: return false;

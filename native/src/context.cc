@@ -129,9 +129,8 @@ void Context::sort_and_bin() {
 template <class F>
 void Context::for_each_tile(F&& run) const {
   std::atomic<bool> stopped{false};
-  const volatile int32_t* cancel = cancel_;
   parallel_for(static_cast<int64_t>(frame_.tiles_x) * frame_.tiles_y, [&](int64_t tile) {
-    if (cancel && *cancel) stopped.store(true, std::memory_order_relaxed);
+    if (cancel_ && __atomic_load_n(cancel_, __ATOMIC_RELAXED)) stopped.store(true, std::memory_order_relaxed);
     if (!stopped.load(std::memory_order_relaxed)) run(tile);
   });
   if (stopped) throw Failure{SVRGS_CANCELLED, "cancelled"};

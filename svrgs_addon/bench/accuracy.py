@@ -16,12 +16,12 @@ from .trial import LAMBDA_F, WANTED, drawn_masks, target_of
 class _Rendered:
     """The case at one level: images, and gradients a row per Gaussian of the scene."""
 
-    def __init__(self, case: Case, level: str | None):
+    def __init__(self, case: Case, level: str | None, masks: np.ndarray, full: bool):
         self.rasterizer = Rasterizer(level)
         self.dtype, self.count = self.rasterizer.dtype, case.scene.count
         self.scene = SimpleNamespace(**{name: getattr(case.scene, name).astype(self.dtype, copy=False) for name in PARAMETERS})
-        options = RenderOptions(antialiased=case.scene.antialiased, full=False, mask_kind="svr")
-        self.images = self.rasterizer.forward(self.scene, case.camera, options, drawn_masks(self.count)[0], ("rgb", "mask", "hits"))
+        options = RenderOptions(antialiased=case.scene.antialiased, full=full, mask_kind="svr")
+        self.images = self.rasterizer.forward(self.scene, case.camera, options, masks, ("rgb", "mask", "hits"))
 
     def backward(self, image_grads: dict[str, np.ndarray]):
         self.grads = self.rasterizer.backward({name: grad.astype(self.dtype) for name, grad in image_grads.items()}, WANTED)
@@ -35,15 +35,16 @@ class _Rendered:
         return full.ravel()
 
 
-def error(case: Case, level: str | None = None) -> dict:
+def error(case: Case, level: str | None = None, masks: np.ndarray | None = None, lambda_f: float = LAMBDA_F, full: bool = False) -> dict:
     """image_max, image_mean, mask_max, grad_rel_l2, grad_cosine (the worst parameter's), nonfinite, crossed.
 
     Where the levels disagree on which Gaussians pass a threshold, one of them is a whole Gaussian off: such pixels take no
-    part and `crossed` is their share.
+    part and `crossed` is their share. masks (N,) uint8: by default nine of ten exist; full: F walks each ray to its end.
     """
-    ours, exact = _Rendered(case, level), _Rendered(case, "float64")
+    masks = drawn_masks(case.scene.count)[0] if masks is None else masks
+    ours, exact = _Rendered(case, level, masks, full), _Rendered(case, "float64", masks, full)
     same = ours.images["hits"] == exact.images["hits"]
-    grads = _image_grads(ours, same)
+    grads = _image_grads(ours, same, lambda_f)
     ours.backward(grads)
     exact.backward(grads)
     rgb, mask = (np.abs(ours.images[name] - exact.images[name])[same] for name in ("rgb", "mask"))
@@ -59,11 +60,11 @@ def error(case: Case, level: str | None = None) -> dict:
     }
 
 
-def _image_grads(rendered: _Rendered, weight: np.ndarray) -> dict[str, np.ndarray]:
+def _image_grads(rendered: _Rendered, weight: np.ndarray, lambda_f: float) -> dict[str, np.ndarray]:
     """dL/drgb and dL/dF of a fine-tuning step, zero where weight (H, W) is."""
     rgb = rendered.images["rgb"]
     d_rgb = rendered.rasterizer.loss(rgb, target_of(rgb))[2]
-    return {"rgb": d_rgb * weight[..., None], "mask": mask_loss_grad(rendered.images["mask"], LAMBDA_F)[1] * weight}
+    return {"rgb": d_rgb * weight[..., None], "mask": mask_loss_grad(rendered.images["mask"], lambda_f)[1] * weight}
 
 
 def _distance(ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:

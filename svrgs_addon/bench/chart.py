@@ -59,9 +59,9 @@ class Axis:
         return [(power + log10(step), _short(step, power)) for power, step in values if low <= power + log10(step) <= high]
 
 
-def chart(title: str, points: list[Point], x: Axis, y: Axis, line: Sequence[Point] = ()) -> str:
-    """An SVG document: the points with their labels, and a dashed line through those of `line`."""
-    x_range, y_range = x.range([p.x for p in points]), y.range([p.y for p in points])
+def chart(title: str, points: list[Point], x: Axis, y: Axis, line: Sequence[Point] = (), rings: Sequence[Point] = ()) -> str:
+    """An SVG document: the points with their labels, a dashed line through those of `line`, and a second series as rings."""
+    x_range, y_range = x.range([p.x for p in points]), y.range([p.y for p in (*points, *rings)])
 
     def place(p: Point) -> tuple[float, float]:
         return _across(x.position(p.x), x_range), _down(y.position(p.y), y_range)
@@ -74,6 +74,7 @@ def chart(title: str, points: list[Point], x: Axis, y: Axis, line: Sequence[Poin
         parts.append(f'<circle class="dot" cx="{a:.1f}" cy="{b:.1f}" r="4"/>')
         if point.marked:
             parts.append(f'<circle class="ring" cx="{a:.1f}" cy="{b:.1f}" r="8"/>')
+    parts += [f'<circle class="ring" cx="{a:.1f}" cy="{b:.1f}" r="4"/>' for a, b in map(place, rings)]
     return "\n".join((*parts, *_labels([(p, *place(p)) for p in points]), "</svg>\n"))
 
 

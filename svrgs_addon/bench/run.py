@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
 from .. import native
 from ..atomic import atomic_write, check_writable
@@ -15,15 +16,18 @@ from .measure import measure, peaks_of
 from .plots import drawings
 from .scaling import measure_scaling
 from .skips import measure_skips
+from .stress import measure_stress, stress_charts
 
 REPEAT, QUICK_REPEAT = 9, 3
 
 
 def bench(options: argparse.Namespace) -> dict:
     """The result: machine, cases, and knobs, skips, scaling, interactive where asked for; plots go to options.plots."""
-    cases = chosen_cases(options)
     if options.plots:
         check_writable(options.plots / "plot.svg")
+    if options.stress:
+        return _stress(options)
+    cases = chosen_cases(options)
     repeat = options.repeat or (QUICK_REPEAT if options.quick else REPEAT)
     native.set_threads(options.threads)
     most, level = native.threads(), native.best_level()
@@ -43,7 +47,16 @@ def bench(options: argparse.Namespace) -> dict:
     if options.interactive:
         result["interactive"] = measure_interactive(tell)
     if options.plots:
-        result["plots"] = _write(options.plots, result)
+        result["plots"] = _write(options.plots, drawings(result))
+    return result
+
+
+def _stress(options: argparse.Namespace) -> dict:
+    """The result's one part where no time is measured."""
+    native.set_threads(options.threads)
+    result: dict = {"stress": measure_stress(tell)}
+    if options.plots:
+        result["plots"] = _write(options.plots, stress_charts(result["stress"]))
     return result
 
 
@@ -57,9 +70,9 @@ def _machine(cores: int, level: str, peaks: dict[int, dict]) -> dict:
     return {"cores": cores, "simd": level, "simd_levels": levels, "peaks": {str(threads): peak for threads, peak in peaks.items()}}
 
 
-def _write(folder, result: dict) -> list[str]:
+def _write(folder: Path, charts: dict[str, str]) -> list[str]:
     paths = []
-    for name, drawing in drawings(result).items():
+    for name, drawing in charts.items():
         paths.append(folder / f"{name}.svg")
         with atomic_write(paths[-1]) as file:
             file.write(drawing.encode())

@@ -6,6 +6,8 @@ MEGA, KILO = 1e6, 1e3
 
 
 def as_text(result: dict) -> str:
+    if "stress" in result:
+        return _stress(result["stress"])
     parts = [_machine(result["machine"]), *(_case(case) for case in result["cases"])]
     for name, show in (("knobs", _knobs), ("skips", _skips), ("scaling", _scaling), ("interactive", _interactive)):
         if result.get(name):
@@ -25,6 +27,13 @@ def _count(value: float) -> str:
         if value >= unit:
             return f"{value / unit:.3g}{suffix}"
     return f"{value:g}"
+
+
+def _stress(entries: list[dict]) -> str:
+    rows = [("stress", "image", "gradient", "crossed", "not finite")]
+    for entry in entries:
+        rows.append((entry["title"], f"{entry['image_max']:.1e}", f"{entry['grad_rel_l2']:.1e}", f"{entry['crossed']:.2%}", str(entry["nonfinite"])))
+    return f"worst errors against float64:\n{table(rows)}"
 
 
 def _machine(machine: dict) -> str:

@@ -1,4 +1,4 @@
-"""Checkpoints: arrays.npz first, manifest.json last. A folder without a manifest that fits its arrays is not a checkpoint."""
+"""Checkpoints: arrays.npz first, manifest.json last. A folder without a manifest that fits its arrays, and itself, is not a checkpoint."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .control import Control
 from .densify import Statistics
 from .loop import Curves, Run
 
-SCHEMA = 4
+SCHEMA = 5
 KEPT = 2  # newest checkpoints kept
 _PARTS = ("values", "first", "second")
 
@@ -47,6 +47,7 @@ def save(run: Run, folder: Path, identity: str) -> Path:
         "seconds": run.seconds,
         "curves": asdict(run.curves),
     }
+    manifest["digest"] = text_digest(manifest)
     with atomic_write(target / "manifest.json") as file:
         file.write(json.dumps(manifest).encode())
     for old in _folders(folder)[:-KEPT]:
@@ -57,7 +58,7 @@ def save(run: Run, folder: Path, identity: str) -> Path:
 def restore(run: Run, folder: Path, identity: str) -> bool:
     """Puts the newest whole checkpoint's state into the run. False: there is none. FormatError: it is of another run."""
     for candidate in reversed(_folders(folder)):
-        manifest = _manifest(candidate)
+        manifest = read_manifest(candidate)
         if manifest is None:
             logging.warning("%s is not a whole checkpoint: trying the one before", candidate)
             shutil.rmtree(candidate, ignore_errors=True)  # it must not outlive, as the newest, those written from here on
@@ -99,14 +100,21 @@ def _folders(folder: Path) -> list[Path]:
     return sorted(path for path in folder.glob("[0-9]" * 7) if path.is_dir())
 
 
-def _manifest(folder: Path) -> dict | None:
+def read_manifest(folder: Path) -> dict | None:
+    """What save() wrote of the checkpoint in `folder`; None where it is not whole, or was changed since."""
     try:
         manifest = json.loads((folder / "manifest.json").read_bytes())
-        if manifest["schema"] == SCHEMA and manifest["sha256"] == _digest(folder / "arrays.npz"):
+        own = manifest.pop("digest")
+        if manifest["schema"] == SCHEMA and own == text_digest(manifest) and manifest["sha256"] == _digest(folder / "arrays.npz"):
             return manifest
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         pass
     return None
+
+
+def text_digest(manifest: dict) -> str:
+    """Of the manifest as JSON, without its own digest."""
+    return hashlib.sha256(json.dumps(manifest).encode()).hexdigest()
 
 
 def _digest(path: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -138,7 +139,8 @@ class Body:
 
     def _convert_text(self, scene: Scene):
         columns, wanted = _columns(scene), self.count * len(self._types)
-        values = _parse_numbers(self.file.read(MAX_ASCII_BYTES))[:wanted]
+        left = os.fstat(self.file.fileno()).st_size - self.file.tell()
+        values = _parse_numbers(self.file.read(min(left, MAX_ASCII_BYTES)))[:wanted]  # read(n) takes n bytes of memory, however short the file
         if len(values) != wanted:
             raise FormatError(f"does not hold {self.count} lines of {len(columns)} numbers after its header")
         for name, column in zip(self._types, values.reshape(-1, len(columns)).T, strict=True):

@@ -1,0 +1,33 @@
+"""Changes that break formats: cuts, flips, insertions, numbers at the limits; the same for the same seed."""
+
+from __future__ import annotations
+
+import random
+
+BINARY = [b"\xff" * 8, bytes(8), b"\xff\xff\xff\x7f", b"\0\0\0\x80", b"\0\0\0\0\0\0\xf0\x7f", b"\0\0\0\0\0\0\xf8\x7f", b"\0\0\x80\x7f", b"\0\0\xc0\x7f", b"\x01"]
+TEXT = [b"nan", b"inf", b"-1", b"1e400", b"4294967296", b"18446744073709551615", b"99999999999", b" ", b"\n", b"\0", b"\xff", b"null", b"[]", b"{}", b'"', b"../", b"\n\n"]
+
+
+def mutated(seed: bytes, chance: random.Random) -> bytes:
+    """The seed with one to four changes; half of them near its beginning, where headers and counts are."""
+    data = bytearray(seed)
+    for _ in range(chance.choice((1, 1, 1, 2, 4))):
+        if not data:
+            break
+        at = chance.randrange(min(len(data), chance.choice((80, 500, len(data)))))
+        kind = chance.randrange(6)
+        if kind == 0:
+            data[at] = chance.randrange(256)
+        elif kind == 1:
+            del data[at:]
+        elif kind == 2:
+            value = chance.choice(BINARY + TEXT)
+            data[at : at + len(value)] = value
+        elif kind == 3:
+            data[at:at] = chance.choice(BINARY + TEXT)
+        elif kind == 4:
+            del data[at : at + chance.randrange(1, 40)]
+        else:
+            other = chance.randrange(len(data))
+            data[at:at] = data[other : other + chance.randrange(1, 80)]
+    return bytes(data)

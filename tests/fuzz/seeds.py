@@ -1,0 +1,79 @@
+"""Small valid inputs of every target, for engines to change."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+
+from svrgs_addon.bench.scenes import room
+from svrgs_addon.formats import write_ply
+
+from .targets import Checkpoint, Colmap, cameras_json, ply
+
+
+def target(name: str, folder: Path):
+    """(target, its seeds) by a name from fuzz.NAMES; folder: for what a target needs beside its bytes."""
+    if name == "ply":
+        return ply, ply_seeds(folder)
+    if name == "cameras-json":
+        return cameras_json, [json.dumps(camera_entries()).encode()]
+    if name == "checkpoint":
+        found = Checkpoint(checkpoint_folder(folder))
+    else:
+        found = Colmap(colmap_folder(folder, text=name == "colmap-text"))
+    return found, found.seeds()
+
+
+def ply_seeds(folder: Path) -> list[bytes]:
+    """SH degrees 0 and 1; a file of doubles, an ASCII one, one with more elements."""
+    found = []
+    for degree in (0, 1):
+        write_ply(folder / "seed.ply", room(5, degree))
+        found.append((folder / "seed.ply").read_bytes())
+    header, body = found[0].split(b"end_header\n")
+    values = np.frombuffer(body, "<f4").reshape(5, -1)
+    found.append(header.replace(b"float", b"double") + b"end_header\n" + values.astype("<f8").tobytes())
+    found.append(header.replace(b"binary_little_endian", b"binary_big_endian") + b"end_header\n" + values.astype(">f4").tobytes())
+    text = io.BytesIO()
+    np.savetxt(text, values, fmt="%.6g")
+    found.append(header.replace(b"binary_little_endian", b"ascii") + b"end_header\n" + text.getvalue())
+    more = b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    return [*found, header + more + body + b"\3" + bytes(12)]
+
+
+def camera_entries(count: int = 2) -> list[dict]:
+    """What 3DGS training writes for each view."""
+    turn = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    return [{"id": i, "img_name": f"{i:02}", "width": 64, "height": 48, "position": [0.1 * i, 0.0, -3.0], "rotation": turn, "fx": 60.0, "fy": 60.0} for i in range(count)]
+
+
+def colmap_folder(folder: Path, text: bool) -> Path:
+    import pycolmap
+
+    import tiny_dataset
+
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL  # it tells of every refusal
+    tiny_dataset.write_colmap(folder / "model", tiny_dataset.views(3), np.zeros((4, 3)))
+    if text:
+        (folder / "text").mkdir()
+        pycolmap.Reconstruction(folder / "model").write_text(folder / "text")
+    return folder / ("text" if text else "model")
+
+
+def checkpoint_folder(folder: Path) -> Path:
+    """A checkpoint's two files, as save() makes them."""
+    import hashlib
+
+    from svrgs_addon.finetune import checkpoint
+
+    target = folder / "checkpoint"
+    target.mkdir()
+    np.savez(target / "arrays.npz", values=np.arange(7.0))
+    digest = hashlib.sha256((target / "arrays.npz").read_bytes()).hexdigest()
+    manifest = {"schema": checkpoint.SCHEMA, "identity": "x", "sha256": digest, "iteration": 3, "loss": 0.5, "curves": {"count": [1, 2]}}
+    manifest["digest"] = checkpoint.text_digest(manifest)
+    (target / "manifest.json").write_text(json.dumps(manifest))
+    return target

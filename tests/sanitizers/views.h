@@ -1,0 +1,141 @@
+// Scenes, cameras and calls made from any bytes, for the fuzzer and the thread sanitizer: everything the C interface takes.
+#pragma once
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <vector>
+
+#include "svrgs.h"
+
+namespace views {
+
+[[noreturn]] inline void broken(const char* promise) {
+  std::fprintf(stderr, "broken: %s (%s)\n", promise, svrgs_last_error());
+  std::abort();
+}
+
+inline void require(bool good, const char* promise) {
+  if (!good) broken(promise);
+}
+
+// Bytes taken one value after the other; zeros once they are used up.
+struct Bytes {
+  const uint8_t* data;
+  size_t left;
+
+  template <class T>
+  T take() {
+    T value{};
+    const size_t n = left < sizeof(T) ? left : sizeof(T);
+    std::memcpy(&value, data, n);
+    data += n, left -= n;
+    return value;
+  }
+  int below(int limit) { return take<uint8_t>() % limit; }
+
+  // A float of any bits one time in four, else one that scenes have: -8 .. 8 in steps of 1/4096.
+  float value(float scale = 1) {
+    const uint8_t kind = take<uint8_t>();
+    return kind < 64 ? take<float>() : scale * (take<uint16_t>() / 4096.0f - 8);
+  }
+};
+
+struct Case {
+  int64_t count;
+  int32_t k, width, height;
+  std::vector<float> means, log_scales, quats, logits, sh;
+  std::vector<uint8_t> masks;
+  svrgs_camera camera = {};
+  svrgs_options options = {};
+
+  explicit Case(Bytes& b) {
+    static constexpr int kCoefficients[] = {1, 4, 9, 16};
+    count = b.below(40), k = kCoefficients[b.below(4)], width = 1 + b.below(70), height = 1 + b.below(50);
+    options.sh_degree = b.below(4), options.antialiased = b.below(2), options.full = b.below(2), options.mask_kind = b.below(6);
+    options.mask_to_shape = b.below(2), options.without = b.below(16), options.eps_a = 1e-3;
+    if ((options.sh_degree + 1) * (options.sh_degree + 1) > k) options.sh_degree = 0;
+    const double angle = b.below(256) / 40.0, c = std::cos(angle), s = std::sin(angle);
+    const double view[16] = {c, 0, s, b.value(), 0, 1, 0, b.value(), -s, 0, c, b.value(), 0, 0, 0, 1};
+    std::memcpy(camera.viewmat, view, sizeof view);
+    camera.fx = b.value(20), camera.fy = b.value(20), camera.cx = width / 2.0 + b.value(4), camera.cy = height / 2.0 + b.value(4);
+    camera.width = width, camera.height = height;
+    fill(b, means, 3, 1), fill(b, log_scales, 3, 1), fill(b, quats, 4, 1), fill(b, logits, 1, 2), fill(b, sh, 3 * k, 0.3f);
+    masks.resize(count);
+    for (auto& m : masks) m = b.below(4) > 0;
+  }
+
+  svrgs_scene scene() const {
+    svrgs_scene s = {};
+    s.count = count, s.sh_coefficients = k, s.means = means.data(), s.log_scales = log_scales.data(), s.quats = quats.data();
+    s.opacity_logits = logits.data(), s.sh = sh.data(), s.masks = masks.data();
+    return s;
+  }
+
+ private:
+  void fill(Bytes& b, std::vector<float>& values, int columns, float scale) {
+    values.resize(count * columns);
+    for (auto& v : values) v = b.value(scale);
+  }
+};
+
+// Everything one view gives, in one list.
+struct Results {
+  bool drawn = false;
+  std::vector<float> values;
+};
+
+inline void append(Results& r, const std::vector<float>& more) { r.values.insert(r.values.end(), more.begin(), more.end()); }
+
+// Forward, loss, backward, statistics and an Adam step of a case, at one level.
+inline Results run(const Case& c, svrgs_context* context, int32_t level) {
+  const size_t pixels = size_t(c.width) * c.height;
+  std::vector<float> rgb(3 * pixels), depth(pixels), alpha(pixels), mask(pixels), left(pixels);
+  std::vector<int32_t> hits(pixels), kept(pixels);
+  const svrgs_images images = {rgb.data(), depth.data(), alpha.data(), mask.data(), hits.data(), kept.data(), left.data()};
+  const svrgs_scene scene = c.scene();
+  Results r;
+  if (svrgs_forward(context, &scene, &c.camera, &c.options, &images) != SVRGS_OK) return r;
+  r.drawn = true;
+  for (size_t i = 0; i < pixels; ++i) require(0 <= kept[i] && kept[i] <= hits[i] && hits[i] <= c.count, "0 <= K <= N <= count");
+  for (const float a : alpha) require(a >= 0 && a <= 1, "alpha within 0..1");
+
+  double losses[2];
+  std::vector<float> target(3 * pixels, 0.5f), d_rgb(3 * pixels), ones(pixels, 1e-2f);
+  require(svrgs_loss(context, rgb.data(), target.data(), c.height, c.width, 0.8, 0.2, d_rgb.data(), losses) == SVRGS_OK, "a loss");
+  const uint32_t* ids;
+  int64_t v, bad = 0;
+  require(svrgs_visible(context, &ids, &v) == SVRGS_OK && v <= c.count, "visible ids");
+  for (int64_t i = 0; i < v; ++i) require(ids[i] < c.count && (i == 0 || ids[i - 1] < ids[i]), "ids ascend");
+  std::vector<float> means(3 * v), scales(3 * v), quats(4 * v), logits(v), sh(3 * c.k * v), d_masks(v), means2d(2 * v);
+  const svrgs_image_grads in = {d_rgb.data(), ones.data(), ones.data(), ones.data()};
+  const svrgs_grads out = {means.data(), scales.data(), quats.data(), logits.data(), sh.data(), d_masks.data(), means2d.data()};
+  require(svrgs_backward(context, &in, &out) == SVRGS_OK, "gradients");
+
+  std::vector<double> sum(c.count), through(c.count), moments(SVRGS_MOMENTS * v + 1), cost(c.count + 1);
+  std::vector<float> most(c.count);
+  std::vector<int64_t> blended(c.count);
+  require(svrgs_scores(context, sum.data(), most.data(), blended.data(), through.data()) == SVRGS_OK, "scores");
+  require(svrgs_moments(context, moments.data()) == SVRGS_OK, "moments");
+  require(svrgs_removal(context, d_rgb.data(), cost.data()) == SVRGS_OK, "costs of removal");
+  svrgs_work work;
+  require(svrgs_count_work(context, 1, &work) == SVRGS_OK && work.contributing <= work.hits, "work");
+  for (const auto& part : {rgb, depth, alpha, mask, left, d_rgb, means, scales, quats, logits, sh, d_masks, means2d}) append(r, part);
+
+  const std::vector<double> rates(3 * c.k, 1e-3);
+  const svrgs_adam_settings adam = {rates.data(), 0.9, 0.999, 1e-15, 0.1, 0.001};
+  std::vector<float> param(c.sh), m(c.sh.size()), second(c.sh.size());
+  if (v) require(svrgs_adam(level, &adam, param.data(), m.data(), second.data(), sh.data(), ids, v, 3 * c.k, &bad) == SVRGS_OK, "an Adam step");
+  append(r, m);
+  append(r, second);
+  return r;
+}
+
+inline bool finite(const Results& r) {
+  for (const float v : r.values)
+    if (!std::isfinite(v)) return false;
+  return true;
+}
+
+}  // namespace views
