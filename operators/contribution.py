@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bpy
-import numpy as np
 from bpy.props import EnumProperty
 
 from ..svrgs_addon import native
@@ -54,7 +53,7 @@ class SVRGS_OT_contribution(bpy.types.Operator):
         except (SplatError, NativeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        bridge.set_values(obj, NAME, "FLOAT", sums.astype(np.float32))
+        bridge.set_values(obj, NAME, "FLOAT", sums.astype("float32"))
         self.report({"INFO"}, f"{int((hits == 0).sum()):,} of {scene.count:,} Gaussians add nothing to {len(views):,} pictures")
         return {"FINISHED"}
 

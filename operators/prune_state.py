@@ -34,7 +34,8 @@ def stage(context) -> str:
 def sentences(context) -> list[str]:
     """What is to be said at this stage."""
     return {
-        "BROKEN": lambda context: [native_problem()], "BUSY": _of_running, "WAITING": _of_waiting, "FINISHED": lambda context: ["A finished job was found: load its result, or discard it to prune anew"],
+        "BROKEN": lambda context: [native_problem()], "BUSY": _of_running, "WAITING": _of_waiting,
+        "FINISHED": lambda context: ["A finished job was found: load its result, or discard it to prune anew"],
         "RESULT": _of_result, "APPLIED": _of_applied, "READY": _of_ready, "NOTHING": lambda context: ["Select a splat, or import one in step 1"],
     }[stage(context)](context)  # fmt: skip
 

@@ -10,6 +10,6 @@ def native_problem() -> str:
     """What to do where the native library does not work; empty where it does."""
     try:
         native.best_level()
-    except (NativeError, OSError, AttributeError):  # not there, not for this computer, of another version
+    except NativeError:  # not there, not for this computer, of another version
         return "The native library does not load: install the extension's zip again"
     return ""

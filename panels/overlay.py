@@ -26,7 +26,7 @@ class SVRGS_PT_overlay(bpy.types.Panel):
         column.active = settings.overlay
         column.prop(settings, "overlay_shown")
         column.prop(settings, "overlay_moving")
-        if not context.region_data.is_perspective:
+        if context.region_data is not None and not context.region_data.is_perspective:
             lines(layout, "Splats are drawn in perspective: press Numpad 5", "INFO")
 
 

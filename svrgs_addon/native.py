@@ -59,8 +59,11 @@ def _library() -> c.CDLL:
     path = Path(os.environ.get(LIBRARY_VARIABLE) or Path(__file__).with_name(_LIBRARY))
     if not path.exists():
         raise NativeError(f"the native library {path} is missing: build it with 'make setup', or install the extension's wheel")
-    library = c.CDLL(str(path))
-    library.svrgs_last_error.restype = c.c_char_p
+    try:
+        library = c.CDLL(str(path))
+        library.svrgs_last_error.restype = c.c_char_p
+    except (OSError, AttributeError) as error:
+        raise NativeError(f"the native library {path} does not load ({error}): build it for this computer with 'make setup'") from None
     if library.svrgs_interface_version() != INTERFACE_VERSION:
         found = library.svrgs_interface_version()
         raise NativeError(f"{path} has interface version {found}, this code needs {INTERFACE_VERSION}: rebuild it with 'make setup'")

@@ -75,6 +75,8 @@ def test_pruning_with_the_mouse(drive, tiny):
     assert seen["result"] == ["scene pruned", 100, 100]
     assert seen["fewer"] == seen["applied"] == 50
     assert seen["undone"] == [100, 50]
+    assert seen["deleted"] == [False, False, False], "the original is free"
+    assert seen["back"] == [True, True, 50]
 
 
 def test_looking_with_the_mouse(drive, tiny, tmp_path):

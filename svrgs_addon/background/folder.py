@@ -89,8 +89,9 @@ class JobFolder:
     def words(self) -> list[str]:
         """The job as words of the command line."""
         options = self.request()["options"]
-        given = [f"--{name.replace('_', '-')}" + ("" if value is True else f"={value}") for name, value in options.items() if value is not False and value != ""]
-        return ["prune", str(self / "scene.ply"), f"--out={self / 'recovered.ply'}", "--resume", "--quiet", *given]
+        given = {name.replace("_", "-"): value for name, value in options.items() if value is not False and value != ""}
+        words = [f"--{name}" if value is True else f"--{name}={value}" for name, value in given.items()]
+        return ["prune", str(self / "scene.ply"), f"--out={self / 'recovered.ply'}", "--resume", "--quiet", *words]
 
     def state(self) -> dict:
         """state.json. Of a job that says it runs but shows no sign of life, "state" is "interrupted"; of no job, "missing"."""

@@ -440,6 +440,14 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     assert "Discard Original" in drawn("prune") and splat.name in drawn("prune")
 
 
+@pytest.mark.parametrize("panel, said", [("scene", "Select a splat"), ("compare", "Compare draws"), ("spatial_mask", "Refresh draws"), ("overlay", ""), ("engine", "")])
+def test_every_panel_draws_without_anything_in_the_scene(panel, said):
+    bpy.context.scene.svrgs_looking.compare_result = bpy.context.scene.svrgs_looking.mask_result = ""
+    assert said in drawn(panel)
+    bpy.ops.object.camera_add()
+    assert said in drawn(panel)
+
+
 @pytest.mark.parametrize("panel", ["prune", "compare", "spatial_mask", "overlay", "engine"])
 def test_without_the_native_library_a_line_says_what_to_do(panel, splat, monkeypatch, tmp_path):
     native = part("svrgs_addon.native")

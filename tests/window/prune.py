@@ -75,6 +75,16 @@ def steps():
     yield from key("Z", *VIEW, ctrl=True)
     yield from until(lambda: results.undecided(bpy.data.objects[pruned]), "the undoing of Apply")
     seen["undone"] = [len(bpy.data.objects[pruned].data.attributes["scale"].data), results.shown_count(bpy.data.objects[pruned])]
+    yield from key("DEL", *VIEW)
+    yield from until(lambda: pruned not in bpy.context.scene.objects, "the key Delete")
+    yield 0.5
+    original = bpy.data.objects[splat]
+    seen["deleted"] = [original.hide_viewport, results.PRUNED in original, "removed" in original.data.attributes]
+    yield from key("Z", *VIEW, ctrl=True)
+    yield from until(lambda: pruned in bpy.context.scene.objects, "the undoing of Delete")
+    yield 0.5
+    pair = bpy.data.objects[splat], bpy.data.objects[pruned]
+    seen["back"] = [results.pair_of(pair[0]) == results.pair_of(pair[1]) == pair, pair[0].hide_viewport, results.shown_count(pair[1])]
     (OUT / "seen.json").write_text(json.dumps(seen))
 
 
