@@ -29,18 +29,21 @@ def write_report(rows: list[dict], folder: Path):
     rows = [row for row in rows if "error" not in row]
     charts = folder / "results"
     charts.mkdir(parents=True, exist_ok=True)
-    parts = [INTRO.format(commands=commands(rows)), table_part(rows), scenario_part(rows), lambda_part(rows, charts), pareto_part(rows, charts)]
+    findings = charts / "findings.md"  # written by people
+    parts = [INTRO.format(commands=commands(rows)), findings.read_text() if findings.exists() else "", table_part(rows), scenario_part(rows)]
+    parts += [lambda_part(rows, charts), pareto_part(rows, charts)]
     (folder / "results.md").write_text("\n".join(part for part in parts if part))
 
 
 def commands(rows: list[dict]) -> str:
     kinds: dict[tuple, set] = defaultdict(set)
     for row in rows:
-        kinds[row["study"], row["schedule"], row["shrink"]].add(row["scene"])
+        kinds[row["study"], row["schedule"], row["trained"], row["shrink"]].add(row["scene"])
     lines = []
-    for (study, schedule, shrink), scenes in sorted(kinds.items()):
+    for (study, schedule, trained, shrink), scenes in sorted(kinds.items()):
         named = " ".join(f"--scene {scene}" if scene == "demo" else f"--scene {scene}=DIR" for scene in sorted(scenes))
-        lines.append(f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g} --shrink {shrink} {named}")
+        pruned = f" --trained {trained:g}" if study == "pareto" and trained != schedule else ""
+        lines.append(f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g}{pruned} --shrink {shrink} {named}")
     return "\n".join(lines)
 
 
