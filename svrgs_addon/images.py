@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 MAX_SIDE = 16_384
 LINEAR_FORMATS = ("openexr", "hdr")  # their numbers are scene-linear; every other format holds display values
 PICTURE_SUFFIXES = (".png", ".exr")
+PNG_BEGIN, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 
 # EXIF orientation: (transpose first, flip rows, flip columns) that turn the stored pixels upright
 ORIENTATIONS = {
@@ -182,6 +183,18 @@ def _write(temporary: os.PathLike, path: str | os.PathLike, pixels: np.ndarray) 
     if not (good and output.close()):
         reason = (output.geterror() if output is not None else "") or oiio.geterror()
         raise SceneError(f"{path}: cannot be written ({_first_line(reason)})")
+    if not _holds(temporary, pixels):
+        raise SceneError(f"{path}: cannot be written (the disk took only part of it)")
+
+
+def _holds(path: str | os.PathLike, pixels: np.ndarray) -> bool:
+    """Whether the file holds these pixels and ends as it should: OpenImageIO's writers do not tell of a full disk."""
+    with open(path, "rb") as file:
+        if file.read(len(PNG_BEGIN)) == PNG_BEGIN and not file.read().endswith(PNG_END):
+            return False
+    source = _library().ImageInput.open(os.fspath(path))
+    stored = source.read_image("uint8" if pixels.dtype == np.uint8 else "float") if source else None
+    return stored is not None and stored.reshape(-1).tobytes() == pixels.tobytes()
 
 
 def _first_line(message: str) -> str:

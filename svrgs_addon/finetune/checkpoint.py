@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..atomic import atomic_write
+from ..atomic import atomic_write, check_writable
 from ..errors import FormatError
 from .control import Control
 from .densify import Statistics
@@ -29,6 +29,7 @@ def save(run: Run, folder: Path, identity: str) -> Path:
     arrays = {f"{part}.{name}": array for part in _PARTS for name, array in getattr(run.model, part).items()}
     arrays |= {"origin": run.model.origin, "statistics.total": run.statistics.total, "statistics.views": run.statistics.views}
     arrays |= {"views.losses": run.views.losses, "views.left_out": run.views.left_out}
+    check_writable(target / "arrays.npz", sum(array.nbytes for array in arrays.values()))
     with atomic_write(target / "arrays.npz") as file:
         np.savez(file, **arrays)
     manifest = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -12,7 +13,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..dataset import Dataset
-from ..errors import Cancelled, SceneError
+from ..errors import Cancelled, SceneError, SplatError
 from ..native import RenderOptions
 from . import densify, masks
 from .control import control_for
@@ -69,6 +70,7 @@ class Run:
         self.loss = math.nan
         self.nonfinite = 0  # Gaussian rows whose gradient was not finite and was left out
         self.seconds: dict[str, float] = {}  # by phase
+        self.whole = True  # no step is half done
         self._photographs: Iterator | None = None  # of this epoch
 
     @cached_property
@@ -87,16 +89,18 @@ class Run:
         """One iteration: loss and gradients, then densification or the optimiser step, then pruning events."""
         started = time.perf_counter()
         phase, number = self.phase()
+        (view, reduction), target = self._next_photograph()  # which may fail: nothing has changed yet
+        self.whole = False
         if not self.iteration:
             self._into_order()
         self._enter(phase, number)
-        (view, reduction), target = self._next_photograph()
         step = self._step(phase, number, self.dataset.cameras[view].reduced(reduction), target)
         result = self.engine.step(self.model, step)
         self._record(result, step, view)
         self.iteration += 1
         self._density_control(phase, number, step, result)
         self._prune(phase, number)
+        self.whole = True
         self.seconds[phase.name] = self.seconds.get(phase.name, 0.0) + time.perf_counter() - started
 
     def close(self):
@@ -248,7 +252,8 @@ def run_to_end(
     checkpoint: Callable[[], None],
     measure: Callable[[], float | None],  # a PSNR for the curves
 ):
-    """Advances until finished; the curves gain CURVE_POINTS points on the way. On stop(): checkpoint, then Cancelled."""
+    """Advances until finished; the curves gain CURVE_POINTS points on the way. On stop(): checkpoint, then Cancelled. A checkpoint
+    too where a photograph cannot be read any more."""
     total, begun, first = run.settings.total, time.perf_counter(), run.iteration
     every = max(1, total // CURVE_POINTS)
     try:
@@ -262,6 +267,11 @@ def run_to_end(
             if stop() and not run.finished:
                 checkpoint()
                 raise Cancelled
+    except SplatError:
+        if run.whole and run.iteration > first:
+            with contextlib.suppress(SplatError):
+                checkpoint()
+        raise
     finally:
         run.close()
 

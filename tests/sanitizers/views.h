@@ -35,6 +35,8 @@ struct Bytes {
   }
   int below(int limit) { return take<uint8_t>() % limit; }
 
+  double focal() { return below(16) ? 5 + below(200) : value(20); }
+
   // A float of any bits one time in four, else one that scenes have: -8 .. 8 in steps of 1/4096.
   float value(float scale = 1) {
     const uint8_t kind = take<uint8_t>();
@@ -59,9 +61,9 @@ struct Case {
     const double angle = b.below(256) / 40.0, c = std::cos(angle), s = std::sin(angle);
     const double view[16] = {c, 0, s, b.value(), 0, 1, 0, b.value(), -s, 0, c, b.value(), 0, 0, 0, 1};
     std::memcpy(camera.viewmat, view, sizeof view);
-    camera.fx = b.value(20), camera.fy = b.value(20), camera.cx = width / 2.0 + b.value(4), camera.cy = height / 2.0 + b.value(4);
+    camera.fx = b.focal(), camera.fy = b.focal(), camera.cx = width / 2.0 + b.value(4), camera.cy = height / 2.0 + b.value(4);
     camera.width = width, camera.height = height;
-    fill(b, means, 3, 1), fill(b, log_scales, 3, 1), fill(b, quats, 4, 1), fill(b, logits, 1, 2), fill(b, sh, 3 * k, 0.3f);
+    fill(b, means, 3, 0.5f), fill(b, log_scales, 3, 0.5f), fill(b, quats, 4, 1), fill(b, logits, 1, 2), fill(b, sh, 3 * k, 0.3f);
     masks.resize(count);
     for (auto& m : masks) m = b.below(4) > 0;
   }

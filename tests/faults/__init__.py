@@ -1,0 +1,150 @@
+"""kill -9 at random moments: of a fine-tuning run that is taken up again, and of every writer.
+
+Children are forked from a process that has everything imported, so that each costs no start; it must never have used the native
+library itself, whose threads a fork does not take along.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import re
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from svrgs_addon import jobs
+from svrgs_addon.background.folder import JobFolder
+from svrgs_addon.dataset import Dataset
+from svrgs_addon.finetune.plan import prune_settings
+from svrgs_addon.formats import write_ply
+from svrgs_addon.images import write_image
+from svrgs_addon.scene import Scene
+
+
+@dataclass
+class Survived:
+    """How it went."""
+
+    kills: int = 0
+    finished: int = 0  # runs that came to their end, or writers that had replaced the file when they were killed
+    resumed: int = 0  # starts that went on from a checkpoint
+
+
+def forked(work: Callable[[], object]) -> int:
+    """A child that does the work and nothing else; its process id."""
+    child = os.fork()
+    if child:
+        return child
+    status = 1
+    try:
+        work()
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def done(work: Callable[[], object]):
+    """The work in a child, to its end."""
+    assert os.waitpid(forked(work), 0)[1] == 0
+
+
+def killed(work: Callable[[], object], seconds: float) -> int | None:
+    """The work in a child that is killed after so many seconds; its exit status if it ended before, else None."""
+    child, end = forked(work), time.monotonic() + seconds
+    while time.monotonic() < end:
+        if (found := os.waitpid(child, os.WNOHANG))[0]:
+            return os.waitstatus_to_exitcode(found[1])
+        time.sleep(0.0005)
+    os.kill(child, signal.SIGKILL)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return None if code == -signal.SIGKILL else code
+
+
+def digest(path: Path) -> str:
+    """Of the bytes, without the time that an EXR says it was made."""
+    return hashlib.sha256(re.sub(rb"capDate\0string\0.{4}[0-9: ]{19}", b"", path.read_bytes(), flags=re.DOTALL)).hexdigest()
+
+
+# --- writers
+
+
+def scene_of(count: int, value: float) -> Scene:
+    full = lambda *shape: np.full((count, *shape), value, np.float32)  # noqa: E731
+    return Scene(full(3), full(3), full(4), full(), full(4, 3))
+
+
+def write_npy(path: Path, version: int):
+    from svrgs_addon.atomic import atomic_write
+
+    with atomic_write(path) as file:
+        np.save(file, np.full(200_000, version))
+
+
+WRITERS: dict[str, Callable[[Path, int], object]] = {
+    "scene.ply": lambda path, version: write_ply(path, scene_of(20_000, version)),
+    "view.png": lambda path, version: write_image(path, np.full((300, 400, 3), 0.25 + version / 2, np.float32)),
+    "view.exr": lambda path, version: write_image(path, np.full((300, 400, 3), 0.25 + version / 2, np.float32)),
+    "array.npy": write_npy,
+    "state.json": lambda path, version: JobFolder(path.parent).write_json(path.name, {"version": version, "text": "x" * 50_000}),
+}
+
+
+def kill_writer(name: str, folder: Path, kills: int, seed: int = 0) -> Survived:
+    """A file that is written over and over, its two contents in turn: whenever the writer dies, one of them is there, whole."""
+    chance, survived, path, write = random.Random(seed), Survived(), folder / name, WRITERS[name]
+    contents = []
+    for version in (1, 0):
+        began = time.monotonic()
+        done(lambda: write(path, version))  # noqa: B023
+        contents.append(digest(path))
+    duration = time.monotonic() - began
+
+    def forever():
+        version = 1
+        while True:
+            write(path, version)
+            version = 1 - version
+
+    for _ in range(kills):
+        assert killed(forever, chance.uniform(0, 3 * duration)) is None
+        assert digest(path) in contents, f"{name} is neither the old nor the new file"
+        survived.kills += 1
+        survived.finished += digest(path) == contents[0]
+    return survived
+
+
+# --- a run
+
+
+def kill_run(splat: Path, dataset: Dataset, folder: Path, kills: int, longest: float = 0.7, seed: int = 0) -> Survived:
+    """A pruning job that saves a checkpoint each step, killed again and again, taken up each time: the same bytes in the end."""
+    jobs.CHECKPOINT_SECONDS = 0
+    settings = replace(prune_settings("svr", 40, 20, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
+    chance, survived, out = random.Random(seed), Survived(), folder / "o.ply"
+    job = folder / "o.ply.job"
+
+    def prune():
+        jobs.prune(splat, dataset, settings, jobs.JobOptions(out, resume=True))
+
+    done(prune)
+    expected = digest(out)
+    out.unlink()
+    while survived.kills < kills:
+        survived.resumed += any(job.glob("*/manifest.json"))
+        code = killed(prune, chance.uniform(0, longest))
+        assert code in (None, 0), "a run that was taken up has failed"
+        if code is None:
+            survived.kills += 1
+        if out.exists():  # written, whether or not its process lived on
+            assert digest(out) == expected, "the result differs from that of an undisturbed run"
+            survived.finished += 1
+            out.unlink()
+    done(prune)
+    assert digest(out) == expected
+    return survived

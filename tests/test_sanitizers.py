@@ -1,0 +1,34 @@
+"""Pool and kernels run without a data race. The address and undefined-behaviour sanitizers: `make sanitize`."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+CXX = os.environ.get("CXX", "g++")
+
+
+def runtime() -> str:
+    """The thread sanitizer's library; empty where the compiler or the library is missing."""
+    if not shutil.which(CXX) or not shutil.which("make") or platform.system() != "Linux":
+        return ""
+    found = subprocess.run([CXX, "-print-file-name=libtsan.so"], capture_output=True, text=True).stdout.strip()
+    return found if os.path.isabs(found) else ""
+
+
+@pytest.mark.skipif(not runtime(), reason="the compiler has no thread sanitizer")
+def test_no_data_races(tmp_path):
+    library = ROOT / "build" / "sanitize" / "libsvrgs-tsan.so"  # kept: built anew only after a change
+    library.parent.mkdir(parents=True, exist_ok=True)
+    make = ["make", "-C", ROOT / "native", "BUILD=build/tsan", f"OUT={library}", "EXTRA=-O1 -g -fsanitize=thread", f"CXX={CXX}"]
+    subprocess.run(make, check=True, capture_output=True)
+    command = [CXX, "-std=c++20", "-O1", "-g", "-fsanitize=thread", "-pthread", f"-I{ROOT / 'native/include'}", ROOT / "tests/sanitizers/threads.cc", library]
+    subprocess.run([*command, f"-Wl,-rpath,{library.parent}", "-o", tmp_path / "threads"], check=True)
+    done = subprocess.run([tmp_path / "threads"], env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"}, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "clean\n"), done.stderr[-3000:]
