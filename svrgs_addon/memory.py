@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -56,13 +54,11 @@ def _gigabytes(value: int) -> str:
 
 
 def _system() -> int | None:
-    if sys.platform == "win32":
-        return _windows()
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
-    except (OSError, StopIteration, ValueError):  # macOS tells its whole memory only
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (OSError, StopIteration, ValueError):  # macOS tells its whole memory only, Windows nothing without ctypes
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else None
 
 
 def _cgroup() -> int | None:
@@ -74,16 +70,3 @@ def _cgroup() -> int | None:
         return None if limit == "max" else max(0, int(limit) - used + int(facts.get("inactive_file", 0)))
     except (OSError, ValueError):
         return None
-
-
-class _Status(ctypes.Structure):
-    """MEMORYSTATUSEX"""
-
-    _fields_ = [("length", ctypes.c_uint32), ("load", ctypes.c_uint32), *((f"value{i}", ctypes.c_uint64) for i in range(7))]
-
-
-def _windows() -> int | None:
-    status = _Status(length=ctypes.sizeof(_Status))
-    if not ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status)):  # type: ignore[attr-defined]
-        return None
-    return status.value1  # physical memory available
