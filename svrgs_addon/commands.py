@@ -120,8 +120,6 @@ def _method(options: Options) -> str:
     method_named(options.method)
     if options.paper and options.method != "svr":
         raise SceneError(f"--paper is the paper's form of method 'svr', not of '{options.method}'")
-    if options.method == "svr" and getattr(options, "max_drop", 0):
-        return "svr-worth"  # which can stop where so much is lost
     return PAPER if options.paper else options.method
 
 

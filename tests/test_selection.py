@@ -95,3 +95,8 @@ def test_who_is_absent_does_not_change_in_that_step():
     for name, value in run.model.values.items():
         changed = (value != before[name]).reshape(COUNT, -1).any(axis=1)
         assert not changed[here == 0].any() and (name != "opacity_logits" or changed[here == 1].any())
+
+
+def test_a_loss_in_db_is_held_by_worth():
+    assert prune_settings("svr", 10, 5, max_drop=0.5).method == "svr-worth"
+    assert prune_settings("maskgs", 10, 5, max_drop=0.5).method == "maskgs"

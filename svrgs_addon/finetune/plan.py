@@ -28,6 +28,8 @@ def prune_settings(
     prune_every: int = 500, schedule: float = 1.0, **rest,
 ) -> Settings:  # fmt: skip
     """`svrgs prune`: on an already trained scene, then recovery. Methods that rank skip the first phase."""
+    if rest.get("max_drop"):
+        method = method_named(method).drop_held_by or method
     m = method_named(method)
     phases = scaled(m.prune_phases(iterations, recovery, prune_every), schedule)
     return Settings(method, tuple(phases), mask_init=m.mask_init, **weights(m, method, True, lambda_f, lambda_m), **rest)

@@ -35,6 +35,7 @@ class Method:
     learns_masks: bool = False
     ranks: bool = False  # decides by score() alone
     holds_drop: bool = False  # can stop where settings.max_drop dB are lost
+    drop_held_by: str = ""  # the method that takes over in pruning where max_drop is asked for; empty: itself
     first_cut: bool = False  # pruning a trained scene starts with what contributes next to nothing to any view
 
     # --- the schedule

@@ -30,6 +30,8 @@ SHARES = "pressure_shares"  # of the model's values: moves with the rows, is sto
 class Selection(GNS):
     lambda_f: float = 1e-4
     share: float = 0.0
+    holds_drop: bool = True
+    drop_held_by: str = "svr-worth"  # a budget must be known when pressure begins
 
     def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
         return _with_absence(super().train_phases(iterations, recovery, densify, coarse_until))
