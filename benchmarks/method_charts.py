@@ -18,7 +18,8 @@ def pareto_chart(curves: dict[str, list[tuple[int, float]]], before: tuple[int, 
     figure, axes = plt.subplots(figsize=(7.5, 5))
     for k, (method, points) in enumerate(curves.items()):
         ours = method.startswith("svr")
-        axes.plot(*zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", label=method, linewidth=2 if ours else 1, markersize=4, color=plt.cm.tab20(k % 20))
+        style = {"linewidth": 2 if ours else 1, "markersize": 4, "color": plt.cm.tab20(k % 20)}
+        axes.plot(*zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", label=method, **style)
     axes.plot(*before, "k+", markersize=10, label="before")
     axes.set_xscale("log")
     axes.set_xlabel("Gaussians left")

@@ -126,14 +126,15 @@ def lambda_part(rows: list[dict], charts: Path) -> str:
 
 def pareto_part(rows: list[dict], charts: Path) -> str:
     """Count against PSNR, one line a method."""
-    lines = ["## Pruning a trained scene: count against PSNR, every method with its own strength swept", ""]
+    lines = ["## Pruning a trained scene: PSNR of every method at several counts", ""]
     for (scene, schedule, shrink), those in groups((r for r in rows if r["study"] == "pareto"), "scene", "schedule", "shrink").items():
         name = f"pareto-{scene}-{schedule:g}"
         before = those[0]["before"]
         curves = {method: sorted((row["count"], row["psnr"]) for row in group) for (method,), group in groups(named(those), "method").items()}
         pareto_chart(curves, (before["count"], before["psnr"]), f"{scene}, schedule {schedule:g}, photographs 1/{shrink}", charts / f"{name}.svg")
         lines += [f"![{scene}](results/{name}.svg)", "", "| method and strength | Gaussians | PSNR | seconds |", "|---|---|---|---|"]
-        lines += [f"| {row['run']} | {row['count']:,} | {row['psnr']:.2f} | {row['seconds']:.0f} |" for row in sorted(those, key=lambda r: (r["run"].split()[0], -r["count"]))]
+        ordered = sorted(those, key=lambda row: (row["run"].split()[0], -row["count"]))
+        lines += [f"| {row['run']} | {row['count']:,} | {row['psnr']:.2f} | {row['seconds']:.0f} |" for row in ordered]
         lines += [f"| before | {before['count']:,} | {before['psnr']:.2f} | |", ""]
     return "\n".join(lines) if len(lines) > 2 else ""
 

@@ -87,6 +87,13 @@ def straight_through(step: Step, logits: Tensor) -> Tensor:
     return hard + slope * (logits - logits.detach())
 
 
+def _masks(step: Step, leaves: dict[str, Tensor]) -> Tensor | None:
+    """This step's masks (N,), learned or given."""
+    if step.masks is None:
+        return None
+    return torch.from_numpy(step.masks).to(leaves["means"].dtype) if step.slope is None else straight_through(step, leaves[MASK])
+
+
 class TorchEngine:
     """Forward, loss, backward and Adam by torch; then Gaussians this view did not see are put back as they were."""
 
@@ -98,7 +105,7 @@ class TorchEngine:
         for leaf in leaves.values():
             leaf.requires_grad_()
         means2d = torch.zeros((model.count, 2), dtype=leaves["means"].dtype, requires_grad=step.want_means2d)
-        masks = None if step.masks is None else straight_through(step, leaves[MASK]) if step.slope is not None else torch.from_numpy(step.masks).to(leaves["means"].dtype)
+        masks = _masks(step, leaves)
         images = self._render(step, leaves, masks, means2d)
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
         penalty = step.penalty.value(leaves[step.penalty.parameter], torch) if step.penalty else torch.zeros(())

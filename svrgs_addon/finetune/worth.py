@@ -1,9 +1,9 @@
-"""What a Gaussian's existence is worth to the objective of SVR-GS, by exact differences instead of sampled masks.
+"""What a Gaussian's existence is worth to the objective of SVR-GS, by closed differences instead of sampled masks.
 
 A colour and the spatial mask F are linear in the existence M of one Gaussian, so its absence changes them by their derivatives:
 
     cost = sum over views of the mean over all pixels of |dC/dM|^2 / 3,  dC/dM = alpha T (c - b)     the squared error without it
-    push = SHARE * sum over views of the mean over its own pixels of 2 F dF/dM                       what it adds to F^2
+    push = SHARE * sum over views of the mean over its own pixels of 2 F dF/dM                       what it adds to F^2, to first order
 
 worth = cost / push. The objective gains from pruning what is worth less than lambda_F. Each Gaussian is charged for the same SHARE
 of a picture, however much of it it covers: it costs memory and time as one.
