@@ -25,23 +25,35 @@ SHARE = 4e-7
 REDUCTION = 2  # views are looked at at half their size: nearly the same ranking in a fraction of the time
 
 
-def cost_and_push(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) float64 each; 0 for what no view sees."""
-    n, options = scene.count, replace(options, mask_kind="svr")
-    cost, push = np.zeros(n), np.zeros(n)
-    for camera in cameras:
-        view = camera.reduced(fitting_reduction(REDUCTION, camera.width, camera.height))
-        F = rasterizer.forward(scene, view, options, outputs=("mask",))["mask"]
-        seen, pixels = np.zeros(n), np.zeros(n, np.int64)
-        rasterizer.add_removal(seen, np.zeros((*F.shape, 3), F.dtype))
-        cost += seen / (3 * F.size)
-        rasterizer.add_scores(np.zeros(n), np.zeros(n, np.float32), pixels)
-        ids = rasterizer.visible()
-        push[ids] += SHARE * rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"] / np.maximum(pixels[ids], 1)
-    return cost, push
+def costs(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+    """(N,) float64; 0 for what no view sees."""
+    cost = np.zeros(scene.count)
+    for view in _reduced(cameras):
+        rasterizer.forward(scene, view, options, outputs=())
+        cost += _cost_of(rasterizer, view, scene.count)
+    return cost
 
 
 def worth(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
     """(N,) float64, in units of lambda_F; 0 for what no view sees."""
-    cost, push = cost_and_push(scene, cameras, rasterizer, options)
-    return np.divide(cost, push, out=np.zeros(scene.count), where=push > 0)
+    n, options = scene.count, replace(options, mask_kind="svr")
+    cost, push = np.zeros(n), np.zeros(n)
+    for view in _reduced(cameras):
+        F = rasterizer.forward(scene, view, options, outputs=("mask",))["mask"]
+        cost += _cost_of(rasterizer, view, n)
+        pixels = np.zeros(n, np.int64)
+        rasterizer.add_scores(np.zeros(n), np.zeros(n, np.float32), pixels)
+        ids = rasterizer.visible()
+        push[ids] += SHARE * rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"] / np.maximum(pixels[ids], 1)
+    return np.divide(cost, push, out=np.zeros(n), where=push > 0)
+
+
+def _reduced(cameras: list[Camera]) -> list[Camera]:
+    return [camera.reduced(fitting_reduction(REDUCTION, camera.width, camera.height)) for camera in cameras]
+
+
+def _cost_of(rasterizer: Rasterizer, view: Camera, count: int) -> np.ndarray:
+    """The share (N,) of the view that was just drawn in the cost."""
+    sums = np.zeros(count)
+    rasterizer.add_removal(sums, np.zeros((view.height, view.width, 3), rasterizer.dtype))
+    return sums / (3 * view.height * view.width)

@@ -14,7 +14,7 @@ import numpy as np
 
 from .. import masks
 from ..settings import Densify, Phase
-from ..worth import cost_and_push, worth
+from ..worth import costs, worth
 from .gns import GNS, push_every
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Selection(GNS):
     def shares(self, run: Run, phase: Phase, number: int) -> np.ndarray:
         model = run.model
         if SHARES not in model.values or (number - 1) % (LOOK_EVERY * push_every(phase)) == 0:
-            cost, _ = cost_and_push(model, run.training_cameras, run.engine.rasterizer, run.score_options)
+            cost = costs(model, run.training_cameras, run.engine.rasterizer, run.score_options)
             model.add(SHARES, pressure_shares(cost, run.target).astype(model.dtype))
         return model.values[SHARES]
 
