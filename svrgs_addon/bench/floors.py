@@ -1,5 +1,8 @@
-"""The least time each stage could take on this machine: operations over the measured FMA peak, or bytes over the measured
-memory peaks, whichever is more.
+"""The least time each stage could take on this machine: operations over the measured FMA peak, or the memory it must move over
+the measured memory peaks, whichever is more.
+
+Memory moves in lines of 64 bytes. Visible Gaussians leave gaps, so rows are counted with the lines they lie in (row_lines);
+what is stored without having been read is fetched first and written back later: twice its bytes.
 
 An operation is one vector instruction of W lanes that multiplies (and adds): 2 W flop at the peak. Additions, comparisons and
 moves are left out, as if they all ran beside: on some processors they do. What a block needs is counted for all its 16 pixels,
@@ -7,6 +10,8 @@ so 16 / W instructions a slot; what a pair needs is done once whatever the lanes
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from ..scene import SH_COEFFICIENTS
 
@@ -26,18 +31,37 @@ PROJECT_SLOTS, PARAMETER_SLOTS = 450, 900
 OVERLAP_SLOTS = 15  # of one lane per pair: where an ellipse enters and leaves a row of tiles
 
 # Bytes per Gaussian.
-GEOMETRY = 44  # means 12, log_scales 12, quats 16, opacity 4
-SH_BYTES = 12  # per coefficient
+LINE = 64  # of memory
+CULL = 28  # read of each one, visible or not: means 12, log_scales 12, opacity 4
+MEANS = SCALES = 12
+QUATS, OPACITY, SH = 16, 4, 12  # SH per coefficient
 RECORD = 64  # what blending reads of a projected Gaussian
+LISTED = 20 + 8 + 16  # its tiles; its id and depth before and after they are packed
 SUMS = 40  # ten float sums from the pixels: centre 2, conic 3, opacity 1, colour 3, mask 1
-MASK_GRAD = 4
+MASK = 4  # of the mask's logit, or dL/dM
 SORT = 3 * 2 * 8  # three radix passes read and write key and id, 4 B each
 PAIR = 8 + 8 + 2  # a tile entry is written and read once, its hit flags are written
 EXTENT = 2 * 16  # first tile, rows and tiles of a Gaussian, read and written
-ADAM = 28  # per parameter: value and two moments read and written, gradient read
+ADAM_STREAMS = 6  # value and two moments, read and written
 
 LOSS_FLOP = 0.25e9 / (640 * 360 * 3)  # per pixel and channel: four blurs of 11 + 11 taps, three more for the gradient
 LOSS_BYTES = 12  # image and target read, gradient written
+
+
+def row_lines(ids: np.ndarray, sh_degree: int) -> dict[str, int]:
+    """Lines of memory that rows `ids` (ascending) of each parameter lie in, by the bytes of a row, for arrays that begin with a line."""
+    return {str(row): _lines(ids, row) for row in sorted({*_rows(sh_degree)})}
+
+
+def _rows(sh_degree: int) -> tuple[int, ...]:
+    """Bytes of a row of each parameter, mask logits included."""
+    return MEANS, SCALES, QUATS, OPACITY, SH * SH_COEFFICIENTS[sh_degree], MASK
+
+
+def _lines(ids: np.ndarray, row: int) -> int:
+    first = ids.astype(np.int64) * row // LINE
+    last = (ids.astype(np.int64) * row + row - 1) // LINE
+    return int((last - first + 1).sum() - (first[1:] == last[:-1]).sum())
 
 
 def stage_floors(work: dict, facts: dict, level: str, peak: dict) -> dict[str, float]:
@@ -45,29 +69,30 @@ def stage_floors(work: dict, facts: dict, level: str, peak: dict) -> dict[str, f
     slot = 2 * LANES[level] / peak["fma"]
     block, lane = 2 * BLOCK_PIXELS / peak["fma"], 2 / peak["fma"]
     read, update = 1 / peak["read"], 1 / peak["update"]
-    visible, coefficients = work["visible"], SH_COEFFICIENTS[facts["sh_degree"]]
+    visible, rows = work["visible"], _rows(facts["sh_degree"])
     values = 3 * facts["width"] * facts["height"]
-    stored = GEOMETRY + SH_BYTES * coefficients
+    in_lines = {row: LINE * work["row_lines"][str(row)] for row in rows}
+    stored, touched = sum(rows), sum(in_lines[row] for row in rows)  # bytes of a Gaussian; of all visible ones in whole lines
     behind = max(0, work["hit_blocks_full"] - work["hit_blocks"])
     counters = COUNT_BLOCK * work["hit_blocks"] * block
     grads = (GRADS_BLOCK + GRADS_MASK_BLOCK) * work["hit_blocks"] + GRADS_BEHIND_BLOCK * behind
+    projected = (CULL * facts["count"] + in_lines[QUATS] + in_lines[rows[4]]) * read + 2 * (RECORD + LISTED) * visible * update
     floors = {
-        "project": max(
-            PROJECT_SLOTS * visible * lane,
-            (GEOMETRY * facts["count"] + (SH_BYTES * coefficients + RECORD) * visible) * read,
-        ),
+        "project": max(PROJECT_SLOTS * visible * lane, projected),
         "tiles": max(OVERLAP_SLOTS * work["pairs"] * lane, EXTENT * visible * update),
         "sort": (SORT * visible + PAIR * work["pairs"]) * update,
         "blend": max(BLEND_BLOCK * work["hit_blocks"] * block + BLEND_PAIR * work["used_pairs"] * slot, RECORD * visible * read),
         "mask": BEHIND_BLOCK * behind * block + counters,
         "mask_visible": counters,
         "raster_grads": max(grads * block + GRADS_PAIR * work["used_pairs_full"] * slot, (RECORD + SUMS) * visible * update),
-        "parameter_grads": max(PARAMETER_SLOTS * visible * lane, (2 * stored + RECORD + SUMS + MASK_GRAD) * visible * update),
+        "parameter_grads": max(
+            PARAMETER_SLOTS * visible * lane, (touched + (RECORD + SUMS) * visible) * read + 2 * stored * visible * update
+        ),
         "loss": max(LOSS_FLOP * values / peak["fma"], LOSS_BYTES * values * update),
-        "adam": ADAM * (stored / 4 + 1) * visible * update,
+        "adam": (ADAM_STREAMS * touched + stored * visible) * update,
     }
     floors["forward"] = sum(floors[name] for name in ("project", "tiles", "sort", "blend", "mask"))
     floors["backward"] = floors["raster_grads"] + floors["parameter_grads"]
-    passed_on = 2 * stored * visible * update  # gradients written and read again: not in a step, which uses them at once
+    passed_on = 3 * stored * visible * update  # gradients written and read again: not in a step, which uses them at once
     floors["step"] = sum(floors[name] for name in ("forward", "loss", "backward", "adam")) - passed_on
     return floors

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .. import native
 from .cases import Case
-from .floors import stage_floors
+from .floors import row_lines, stage_floors
 from .timing import rounds, seconds, summary
 from .trial import Trial
 
@@ -36,13 +36,14 @@ def peaks_of(level: str, thread_counts: list[int]) -> dict[int, dict]:
     return peaks
 
 
-def work_counts(trial: Trial, without=()) -> dict[str, int]:
-    """Counts of the colour pass, and as NAME_full those with F to each ray's end."""
+def work_counts(trial: Trial, without=()) -> dict:
+    """Counts of the colour pass, as NAME_full those with F to each ray's end, and the memory its Gaussians lie in (floors.row_lines)."""
     trial.forward("none", without=without)
     counts = trial.rasterizer.work(count_pixels=True)
     trial.forward(without=without)
     full = trial.rasterizer.work(count_pixels=True)
-    return counts | {f"{name}_full": full[name] for name in FULL_WALK}
+    lines = row_lines(trial.rasterizer.visible(), trial.case.facts["sh_degree"])
+    return counts | {f"{name}_full": full[name] for name in FULL_WALK} | {"row_lines": lines}
 
 
 def _round(trial: Trial) -> dict[str, float]:
