@@ -31,7 +31,7 @@ def write_report(rows: list[dict], folder: Path):
     charts.mkdir(parents=True, exist_ok=True)
     findings = charts / "findings.md"  # written by people
     parts = [INTRO.format(commands=commands(rows)), findings.read_text() if findings.exists() else "", table_part(rows), scenario_part(rows)]
-    parts += [lambda_part(rows, charts), pareto_part(rows, charts)]
+    parts += [lambda_part(rows, charts), pareto_part(rows, charts), ablation_part(rows)]
     (folder / "results.md").write_text("\n".join(part for part in parts if part))
 
 
@@ -42,7 +42,7 @@ def commands(rows: list[dict]) -> str:
     lines = []
     for (study, schedule, trained, shrink), scenes in sorted(kinds.items()):
         named = " ".join(f"--scene {scene}" if scene == "demo" else f"--scene {scene}=DIR" for scene in sorted(scenes))
-        pruned = f" --trained {trained:g}" if study == "pareto" and trained != schedule else ""
+        pruned = f" --trained {trained:g}" if study in ("pareto", "ablation") and trained != schedule else ""
         lines.append(f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g}{pruned} --shrink {shrink} {named}")
     return "\n".join(lines)
 
@@ -79,12 +79,12 @@ def table(rows: list[dict], title: str, labels: Iterable[str] | None = None) -> 
 def table_part(rows: list[dict]) -> str:
     """Table 1 for every schedule: each scene, and the mean of the scenes that have every run."""
     lines = ["## From the sparse points", ""]
-    for (schedule, shrink), those in groups((r for r in rows if r["study"] == "table"), "schedule", "shrink").items():
-        lines += [f"Schedule {schedule:g}, photographs 1/{shrink} a side.", ""]
+    for (schedule,), those in groups((r for r in rows if r["study"] == "table"), "schedule").items():
+        lines += [f"Schedule {schedule:g}.", ""]
         by_scene = groups(those, "scene")
         runs = max((list(groups(scene_rows, "run")) for scene_rows in by_scene.values()), key=len)
         for (scene,), scene_rows in by_scene.items():
-            lines += [*table(scene_rows, scene, [run for (run,) in runs]), ""]
+            lines += [*table(scene_rows, f"{scene}, photographs 1/{scene_rows[0]['shrink']}", [run for (run,) in runs]), ""]
         whole = [row for (scene,), scene_rows in by_scene.items() if len(groups(scene_rows, "run")) == len(runs) for row in scene_rows]
         if len(groups(whole, "scene")) > 1:
             lines += [*table(whole, f"mean of {len(groups(whole, 'scene'))} scenes", [run for (run,) in runs]), "", ratios(whole), ""]
@@ -108,9 +108,9 @@ def scenario_part(rows: list[dict]) -> str:
     """Table 2: the paper's scenarios."""
     found = [r for r in rows if r["study"] == "table" and r["run"] in SCENARIOS]
     lines = ["## Scenarios A and B", ""]
-    for (schedule, shrink), those in groups(found, "schedule", "shrink").items():
+    for (schedule,), those in groups(found, "schedule").items():
         scenes = len(groups(those, "scene"))
-        lines += [*table(those, f"mean of {scenes} scenes, schedule {schedule:g}, 1/{shrink}", SCENARIOS), ""]
+        lines += [*table(those, f"mean of {scenes} scenes, schedule {schedule:g}", SCENARIOS), ""]
     return "\n".join(lines) if found else ""
 
 
@@ -136,6 +136,19 @@ def pareto_part(rows: list[dict], charts: Path) -> str:
         ordered = sorted(those, key=lambda row: (row["run"].split()[0], -row["count"]))
         lines += [f"| {row['run']} | {row['count']:,} | {row['psnr']:.2f} | {row['seconds']:.0f} |" for row in ordered]
         lines += [f"| before | {before['count']:,} | {before['psnr']:.2f} | |", ""]
+    return "\n".join(lines) if len(lines) > 2 else ""
+
+
+def ablation_part(rows: list[dict]) -> str:
+    """What each part of `svr` is good for: PSNR at equal count."""
+    lines = ["## What `svr` is made of", ""]
+    for (scene, schedule), those in groups((r for r in rows if r["study"] == "ablation"), "scene", "schedule").items():
+        counts = sorted(groups(those, "count"), reverse=True)
+        lines += [f"| {scene}, schedule {schedule:g} | " + " | ".join(f"{count:,} Gaussians" for (count,) in counts) + " |", "|---" * (1 + len(counts)) + "|"]
+        for (part,), group in groups(({**row, "part": row["run"].rpartition(" ")[0]} for row in those), "part").items():
+            found = groups(group, "count")
+            lines.append(f"| {part} | " + " | ".join(f"{mean(found[count], 'psnr'):.2f}" if count in found else "" for count in counts) + " |")
+        lines.append("")
     return "\n".join(lines) if len(lines) > 2 else ""
 
 

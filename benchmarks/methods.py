@@ -1,6 +1,6 @@
 """Every method in the same trainer: scenes x methods x seeds, one row of figures a run.
 
-    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study table|lambda|pareto] [--schedule 0.1] [--shrink 2] [--seeds 1]
+    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study table|lambda|pareto|ablation] [--schedule 0.1] [--shrink 2] [--seeds 1]
     .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # the generated scene, made if it is not there
     .venv/bin/python benchmarks/methods.py --show docs                              # rows -> docs/results.md and its charts
 
@@ -10,6 +10,7 @@ experiment that was stopped goes on where it was. Scenes between runs lie in --w
     table   `svrgs train` with each method from the sparse points, all with the published schedule times --schedule
     lambda  the paper's sweep of lambda_F, from the sparse points
     pareto  `svrgs prune` of the table's 3DGS scene (of --trained, share of the schedule), every method at several counts
+    ablation  the same with `svr`, one part of it left out at a time
 """
 
 from __future__ import annotations
@@ -56,10 +57,20 @@ def pareto() -> dict[str, list[str]]:
     return runs | {f"{method} {target}": ["--method", method, "--target", target] for target in TARGETS for method in RIVALS + OURS}
 
 
+SELECTION = "from svrgs_addon.finetune.methods import gns, selection; "
+ABLATION = {  # what is changed in the program before it runs
+    "svr": "",
+    "pressure alike for all": SELECTION + "selection.POWER = 0",
+    "nobody absent in recovery": SELECTION + "selection.ABSENT = 0",
+    "neither (gns)": SELECTION + "selection.POWER = selection.ABSENT = 0",
+    "pressed harder, share up to 10": SELECTION + "selection.POWER, selection.LARGEST = 0.5, 10.0",
+    "a fifth absent": SELECTION + "selection.ABSENT = 0.2",
+}
 STUDIES = {
     "table": TABLE,
     "lambda": {f"lambda_F {value}": ["--method", "svr", "--paper", "--lambda-f", value] for value in LAMBDAS},
     "pareto": pareto(),
+    "ablation": {f"{label} {target}": ["--method", "svr", "--target", target] for target in ("0.17", "0.08") for label in ABLATION},
 }
 
 
@@ -83,8 +94,9 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
     out = work / f"{request['study']}.ply"
     trained = work / f"trained-{request['seed']}-{request['trained']}.ply"
     common = [*request["flags"], *data, "--seed", str(request["seed"]), "--schedule", str(request["schedule"]), "--json", "--quiet"]
-    start = [sys.executable, "-m", "svrgs_addon"]
-    if request["study"] == "pareto":
+    change = ABLATION[request["run"].rpartition(" ")[0]] if request["study"] == "ablation" else ""
+    start = [sys.executable, "-c", f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli import main\nsys.exit(main())"]
+    if request["study"] in ("pareto", "ablation"):
         return [*start, "prune", str(trained), "--out", str(out), *common]
     return [*start, "train", "--out", str(trained if request["run"] == "3DGS" else out), *common]
 

@@ -3,7 +3,8 @@
     r (mean((l + 20) / max(0.05, 1 - o)))^2  in the first eighth of the phase, then  3 r (mean(l) + 20)^2
 
 r is adapted so that the opacity at the rank of the budget falls linearly to 0. Published: 8000 steps, a push every 50, r looked at
-every 100, pruning of o < 0.001 after 1000, the goal at 0 after 7000; all scale with the length of the phase.
+every 100, pruning of o < 0.001 after 1000, the goal at 0 after 7000; all scale with the length of the phase, but pushes never come
+closer than LEAST_BETWEEN, or the photographs would have no say in who withstands them.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from ..loop import Run
 
 STEPS, PUSH_EVERY, EASE, GOAL_ZERO = 8_000, 50, 1_000, 7_000  # published; EASE: of the first form, and of the opacity rate after the trim
+LEAST_BETWEEN = 8  # steps from one push to the next
 SHARE_OF_TRAINING = 8 / 23  # published: pressure from 15 000 to 23 000
 OPACITY_RATE = 4 * 0.025
 CALM_OPACITY_RATE = 0.025
@@ -95,7 +97,7 @@ class GNS(Method):
 
 def push_every(phase: Phase) -> int:
     """Steps between two pushes."""
-    return max(1, round(phase.steps * PUSH_EVERY / STEPS))
+    return max(LEAST_BETWEEN, round(phase.steps * PUSH_EVERY / STEPS))
 
 
 def opacity_at(logits: np.ndarray, rank: int) -> float:
