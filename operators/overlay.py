@@ -18,7 +18,7 @@ from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.film import lay
 from ..svrgs_addon.lens import depth_of_projection
 from ..svrgs_addon.live_view import LiveView, Picture
-from ..svrgs_addon.quads import Quads, back_to_front, colors, painted, quads
+from ..svrgs_addon.quads import Quads, colors, painted, quads
 from ..svrgs_addon.scene import Scene
 from . import bridge, bridge_gpu, bridge_graph, scene_cache
 from .preferences import threads
@@ -167,7 +167,7 @@ class Overlay:
         if cloud.colors is None:
             cloud.paint(colors(cloud.scene, cloud.quads.rows, cloud.shown.seen_by(camera).position))
         count, reduction = max(1, len(cloud.quads.rows) >> view.level), min(1 << view.level, 4)
-        order = back_to_front(cloud.quads.means[:count], -modelview.row[2].xyz)
+        order = native.depth_order(cloud.quads.means[:count], -modelview.row[2].xyz)
         width, height = (max(1, side // reduction) for side in (camera.width, camera.height))
         if view.target is None or (view.target.width, view.target.height) != (width, height):
             view.target = bridge_gpu.Target(width, height)

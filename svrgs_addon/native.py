@@ -17,7 +17,7 @@ import numpy as np
 from .camera import Camera
 from .errors import Cancelled, NativeError
 
-INTERFACE_VERSION = 4
+INTERFACE_VERSION = 5
 LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
 MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
@@ -351,3 +351,11 @@ def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, 
     _call("svrgs_sample_masks", c.c_void_p(_check(logits, "logits", (*n,), np.float32)), c.c_int64(len(logits)), c.c_uint64(seed),
           c.c_uint64(step), c.c_void_p(masks.ctypes.data), c.c_void_p(slope.ctypes.data))
     return masks, slope
+
+
+def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """(N,) uint32: rows of means (N, 3) float32 from the farthest along `axis` (3,) to the nearest; ties in their order."""
+    order = np.empty(len(means), np.uint32)
+    _call("svrgs_depth_order", c.c_void_p(_check(means, "means", (len(means), 3), np.float32)), c.c_int64(len(means)),
+          (c.c_double * 3)(*map(float, axis)), c.c_void_p(order.ctypes.data))
+    return order

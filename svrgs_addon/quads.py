@@ -40,15 +40,6 @@ def quads(scene: Scene, count: int) -> Quads:
     return Quads(rows, np.ascontiguousarray(scene.means[rows]), geometry)
 
 
-def back_to_front(means: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """(N,) int64: rows of means (N, 3) from the farthest along `direction` to the nearest; ties in their order."""
-    depth = -(means @ np.asarray(direction, np.float32))
-    bits = depth.view(np.uint32)
-    keys = np.where(bits >> 31 == 1, ~bits, bits | np.uint32(1 << 31))  # unsigned integers in the order of the floats
-    order = np.argsort((keys & 0xFFFF).astype(np.uint16), kind="stable")  # 16 bits at a time: NumPy sorts them by radix
-    return order[np.argsort((keys >> 16).astype(np.uint16)[order], kind="stable")]
-
-
 def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
     """The scene in colours of numbers, given part by part (N_i,); as it is where a part has none."""
     if any(part is None for part in values):

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 4
+#define SVRGS_INTERFACE_VERSION 5
 
 typedef void real; /* float or double, by the context's level */
 
@@ -207,6 +207,9 @@ SVRGS_API int32_t svrgs_backward_update(svrgs_context *, const svrgs_image_grads
    derivative sigma(d + l)(1 - sigma(d + l)). */
 SVRGS_API int32_t svrgs_sample_masks(const float *logits, int64_t count, uint64_t seed, uint64_t step, uint8_t *masks,
                                      float *slope);
+
+/* order (count,): rows of means (count, 3) from the farthest along `axis` to the nearest, ties in their order; NaN anywhere. */
+SVRGS_API int32_t svrgs_depth_order(const float *means, int64_t count, const double axis[3], uint32_t *order);
 
 #ifdef __cplusplus
 }

@@ -1,7 +1,9 @@
 // The C interface: checks every argument, then hands over. No exception leaves this file.
 #include <algorithm>
 #include <atomic>
+#include <bit>
 #include <cmath>
+#include <memory>
 #include <new>
 
 #if defined(__x86_64__)
@@ -252,6 +254,25 @@ int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_t seed, ui
         masks[i] = odds < 1;
         slope[i] = static_cast<float>(odds / ((1 + odds) * (1 + odds)));
       }
+    });
+  });
+}
+
+int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3], uint32_t* order) {
+  return guarded([&] {
+    require(axis && (count == 0 || (means && order)), "an argument is missing");
+    require(count >= 0 && count < kMaxCount, "there are too many rows");
+    const auto items = std::make_unique_for_overwrite<svrgs::Keyed[]>(2 * count);
+    svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) {
+        const double along = axis[0] * means[3 * i] + axis[1] * means[3 * i + 1] + axis[2] * means[3 * i + 2];
+        const uint32_t bits = std::bit_cast<uint32_t>(static_cast<float>(0 - along));
+        items[i] = {bits >> 31 ? ~bits : bits | 1u << 31, static_cast<uint32_t>(i)};  // unsigned integers in the order of the floats
+      }
+    });
+    svrgs::sort_by_depth(items.get(), items.get() + count, count);
+    svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) order[i] = items[i].place;
     });
   });
 }

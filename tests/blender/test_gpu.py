@@ -24,10 +24,10 @@ def shaders():
 
 def quads_picture(shaders, scene, camera, hidden: float = 1.0, reduction: int = 1) -> np.ndarray:
     """(H, W, 4) of all Gaussians, from the top; hidden: depth in [0, 1] of what is in front."""
-    bridge_gpu, quads = part("operators.bridge_gpu"), part("svrgs_addon.quads")
+    bridge_gpu, native, quads = part("operators.bridge_gpu"), part("svrgs_addon.native"), part("svrgs_addon.quads")
     cloud = quads.quads(scene, scene.count)
     lists = {
-        "order": bridge_gpu.texture(quads.back_to_front(cloud.means, camera.viewmat[2, :3]), "R32F"),
+        "order": bridge_gpu.texture(native.depth_order(cloud.means, camera.viewmat[2, :3]), "R32F"),
         "geometry": bridge_gpu.texture(cloud.geometry.reshape(-1, 4), "RGBA32F"),
         "colors": bridge_gpu.texture(quads.colors(scene, cloud.rows, camera.position), "RGBA16F"),
     }
