@@ -32,3 +32,9 @@ def test_no_data_races(tmp_path):
     subprocess.run([*command, f"-Wl,-rpath,{library.parent}", "-o", tmp_path / "threads"], check=True)
     done = subprocess.run([tmp_path / "threads"], env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"}, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "clean\n"), done.stderr[-3000:]
+
+
+@pytest.mark.skipif(not shutil.which(CXX) or not shutil.which("make"), reason="there is no compiler")
+def test_no_warnings():
+    done = subprocess.run(["make", "-C", ROOT / "native", "check", f"CXX={CXX}"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-3000:]

@@ -265,7 +265,7 @@ int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3
     const auto items = std::make_unique_for_overwrite<svrgs::Keyed[]>(2 * count);
     svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
       for (int64_t i = begin; i < end; ++i) {
-        const double along = axis[0] * means[3 * i] + axis[1] * means[3 * i + 1] + axis[2] * means[3 * i + 2];
+        const double x = means[3 * i], y = means[3 * i + 1], z = means[3 * i + 2], along = axis[0] * x + axis[1] * y + axis[2] * z;
         const uint32_t bits = std::bit_cast<uint32_t>(static_cast<float>(0 - along));
         items[i] = {bits >> 31 ? ~bits : bits | 1u << 31, static_cast<uint32_t>(i)};  // unsigned integers in the order of the floats
       }

@@ -220,7 +220,7 @@ uint32_t fill_spans(const Frame& f, uint32_t place, Span* spans) {
     const R low = static_cast<R>(y0 + 0.5 - s.y) - kBorderMargin, high = static_cast<R>(y1 + 0.5 - s.y) + kBorderMargin;
     const Extent<R> e = ellipse_extent<R>(bound, s.l22, s.inv_l11, s.slope, s.y_extreme, low, high);
     int x0, x1;
-    const double middle = s.x + 0.5 * (static_cast<double>(e.left) + e.right), half = 0.5 * (static_cast<double>(e.right) - e.left) + kBorderMargin;
+    const double left = e.left, right = e.right, middle = s.x + 0.5 * (left + right), half = 0.5 * (right - left) + double(kBorderMargin);
     spans[r] = {0, 0};
     if (e.depth < 0) continue;
     reach(middle, half, f.width, x0, x1);
