@@ -26,6 +26,7 @@ from .views import Views, as_real, fitting_reduction
 
 SMOOTHING = 0.05  # of the loss shown
 CURVE_POINTS = 40
+RESETS_NEED = 3  # a third of the steps from one reset of opacities to the next must be left, or they do not return
 UNORDERED = 0.1  # of the Gaussians: so many were added since rows were last put in order that it is worth doing again
 
 
@@ -199,7 +200,7 @@ class Run:
         self.statistics.add(result.visible, result.means2d, step.camera.width, step.camera.height)
         if self._densifies(phase, number):
             self._densify(phase, number, rule)
-        if number % rule.reset_every == 0:
+        if number % rule.reset_every == 0 and number + rule.reset_every // RESETS_NEED <= phase.steps:
             densify.reset_opacity(self.model)
 
     def _densify(self, phase: Phase, number: int, rule: Densify):

@@ -9,8 +9,6 @@ from .methods import method_named
 from .methods.base import Method
 from .settings import Densify, Phase, Settings
 
-SHORTEST_DENSIFY = 25  # steps between two densifications: fewer views say too little of where the image pulls
-
 
 def train_settings(
     method: str, iterations: int, recovery: int, *, lambda_f: float | None = None, lambda_m: float | None = None,
@@ -36,7 +34,7 @@ def prune_settings(
 
 
 def scaled(phases: list[Phase], share: float) -> list[Phase]:
-    """The phases with every milestone at `share` of its step, and masks that learn 1/share times as fast, so that their logits
+    """The phases with their milestones at `share` of their steps, and masks that learn 1/share times as fast, so that their logits
     come as far. Weights of the loss stay: they say what a Gaussian is worth, not when.
     """
     if share == 1:
@@ -53,9 +51,10 @@ def scaled(phases: list[Phase], share: float) -> list[Phase]:
 
 
 def _scaled_densify(d: Densify, steps) -> Densify:
-    every = max(SHORTEST_DENSIFY, steps(d.every))
-    reset_every = max(1, round(steps(d.reset_every) / every)) * every
-    return replace(d, start=steps(d.start), until=steps(d.until), every=every, reset_every=reset_every)
+    """Densification begins and ends sooner, but takes as many views as ever to see where the image pulls, and opacities as long to return."""
+    every, until = max(d.every, steps(d.every)), steps(d.until)
+    reset_every = max(1, round(max(d.reset_every, steps(d.reset_every)) / every)) * every
+    return replace(d, start=min(max(d.start, steps(d.start)), until // 3), until=until, every=every, reset_every=reset_every)
 
 
 def weights(m: Method, name: str, trained: bool, lambda_f: float | None, lambda_m: float | None) -> dict[str, float]:
