@@ -19,8 +19,8 @@ Made by `benchmarks/methods.py --show docs` from the rows in [results/rows.jsonl
 {commands}
 
 Each row is one run of `svrgs train` or `svrgs prune` from the command line, on the processor alone. Test views are every 8th photograph.
-What is scaled with `--schedule`: every milestone and step count; masks learn faster by as much as they have fewer steps, weights
-of the loss stay. Photographs were made smaller by `--shrink`. What each method is, and where it departs from its source: [methods.md](methods.md).
+What is scaled with `--schedule`: every milestone and step count, but not the spacing of densifications (100) and opacity resets (3 000), which
+are about how many views have been seen; masks learn faster by as much as they have fewer steps, weights of the loss stay. Photographs were made smaller by `--shrink`. What each method is, and where it departs from its source: [methods.md](methods.md).
 """
 
 

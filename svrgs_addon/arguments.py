@@ -70,7 +70,7 @@ def _run(command):
     command.add_argument("--paper", action="store_true", help="with --method svr: the paper's own form, whatever the default is")
     command.add_argument("--visible-mask", action="store_true", help="F stops with the colours instead of walking each ray to its end")
     command.add_argument("--views-by-loss", action="store_true", help="look at the half of the views with the lower loss every other time")
-    command.add_argument("--schedule", type=_schedule, default=1.0, metavar="X", help="every step count times X, pruning decisions included; a quick try is 0.1 (default: 1)")
+    command.add_argument("--schedule", type=_schedule, default=1.0, metavar="X", help="every step count times X, pruning decisions included, but not the spacing of densifications; a quick try is 0.1 (default: 1)")
     command.add_argument("--resume", action="store_true", help="go on from the last checkpoint of the same job; without it, a job starts anew and forgets them")
     command.add_argument("--quiet", action="store_true", help="no progress on stderr")
 

@@ -143,12 +143,14 @@ def test_densification_keeps_its_times():
 
 
 def test_opacity_resets_keep_their_times():
-    """At multiples of reset_every before `until`; what is huge goes only at densifications after the first."""
+    """At multiples of reset_every before `until`, with steps left to return; what is huge goes only at densifications after the first."""
     rule = Densify(start=1, until=30, every=4, reset_every=10, max_scale=1e-6)
     run, _ = scheduled(replace(rule, until=10), 12)
     assert run.model.opacity_logits.max() > logit(0.01) + 0.1
-    run, _ = scheduled(replace(rule, max_scale=1.0), 12)
+    run, _ = scheduled(replace(rule, max_scale=1.0), 13)
     assert run.model.opacity_logits.max() == pytest.approx(logit(0.01), rel=1e-6)
+    run, _ = scheduled(replace(rule, max_scale=1.0), 12)
+    assert run.model.opacity_logits.max() > logit(0.01) + 0.1
     with pytest.raises(SceneError, match="would leave 0"):
         scheduled(rule, 12)  # everything is "huge" at iteration 12, not yet at 4 and 8
     scheduled(rule, 11)

@@ -89,6 +89,15 @@ def test_a_weight_the_method_does_not_have_is_refused():
 # --- schedules
 
 
+def test_a_shorter_schedule_keeps_the_spacing_of_what_needs_views():
+    for share, (start, until, every, resets) in {1: (500, 15_000, 100, 3_000), 0.1: (500, 1_500, 100, 3_000), 0.02: (100, 300, 100, 3_000)}.items():
+        train, recover = train_settings("svr-mask", 30_000, 5_000, schedule=share).phases
+        rule = train.densify
+        assert (train.steps, recover.steps) == (30_000 * share, 5_000 * share)
+        assert (rule.start, rule.until, rule.every, rule.reset_every) == (start, until, every, resets)
+        assert train.rates.mask == pytest.approx(train_settings("svr-mask", 30_000, 5_000).phases[0].rates.mask / share)
+
+
 def test_maskgs_counts_in_its_window():
     """Alpha: 19 000 to 20 000 of 30 000, both included, and the same share of shorter runs; masks are drawn all the time."""
     for steps, inside, outside in ((30_000, (19_000, 19_500, 20_000), (1, 18_999, 20_001)), (300, (190, 200), (189, 201))):
