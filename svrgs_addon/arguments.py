@@ -90,7 +90,7 @@ def _train(commands):
     command.add_argument("--iterations", type=_count, default=TRAIN_ITERATIONS, help=f"default: {TRAIN_ITERATIONS}")
     command.add_argument("--recovery", type=_count, metavar="N", help=f"steps after pruning (default: {RECOVERY} for methods that prune, else 0)")
     command.add_argument("--coarse-until", type=_count, default=0, metavar="N", help="look at photographs of half the size until this iteration (default: 0)")
-    command.add_argument("--densify-until", type=_count, default=15_000, metavar="N", help="last iteration of densification (default: 15000)")
+    command.add_argument("--densify-until", type=_count, metavar="N", help="last iteration of densification (default: half of the iterations, at most 15000)")
     _size(command, "the Gaussians there are when densification ends")
     command.add_argument("--sh-degree", type=int, choices=range(4), default=3)
     command.add_argument("--out", type=Path, required=True, metavar="FILE")

@@ -46,7 +46,7 @@ def train(options: Options) -> int:
     recovery = options.recovery if options.recovery is not None else RECOVERY * method_named(method).prunes
     settings = train_settings(
         method, options.iterations, recovery, lambda_f=options.lambda_f, lambda_m=options.lambda_m, seed=options.seed,
-        full=not options.visible_mask, background=options.background, densify=Densify(until=options.densify_until),
+        full=not options.visible_mask, background=options.background, densify=Densify.within(options.iterations, options.densify_until),
         coarse_until=options.coarse_until, views_by_loss=options.views_by_loss, target=options.target_count or 0, share=options.target or 0.0,
         schedule=options.schedule,
     )  # fmt: skip

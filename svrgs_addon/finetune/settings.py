@@ -52,6 +52,11 @@ class Densify:
     min_opacity: float = 0.005
     max_scale: float = 0.1  # of the extent, after the first opacity reset
 
+    @classmethod
+    def within(cls, iterations: int, until: int | None = None) -> Densify:
+        """Of a run of so many iterations: until half of them, as published for 30 000, so that what was added is learned too."""
+        return cls(until=min(cls.until, iterations // 2) if until is None else until)
+
 
 @dataclass(frozen=True)
 class Phase:
