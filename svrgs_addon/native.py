@@ -17,7 +17,7 @@ import numpy as np
 from .camera import Camera
 from .errors import Cancelled, NativeError
 
-INTERFACE_VERSION = 4
+INTERFACE_VERSION = 5
 LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
 MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
@@ -41,7 +41,7 @@ def _struct(name: str, **fields):
 _Scene = _struct("_Scene", count=c.c_int64, sh_coefficients=c.c_int32, sh_half=c.c_int32, means=_real, log_scales=_real, quats=_real,
                  opacity_logits=_real, sh=_real, masks=c.c_void_p)
 _Camera = _struct("_Camera", viewmat=c.c_double * 16, fx=c.c_double, fy=c.c_double, cx=c.c_double, cy=c.c_double,
-                  width=c.c_int32, height=c.c_int32, background=c.c_double * 3)
+                  width=c.c_int32, height=c.c_int32, orthographic=c.c_int32, background=c.c_double * 3)
 _Options = _struct("_Options", sh_degree=c.c_int32, antialiased=c.c_int32, full=c.c_int32, mask_kind=c.c_int32,
                    mask_to_shape=c.c_int32, eps_a=c.c_double, without=c.c_int32, max_pairs=c.c_int64, cancel=c.c_void_p)
 _Images = _struct("_Images", rgb=_real, depth=_real, alpha=_real, mask=_real, hits=_real, kept=_real, transmittance=_real)
@@ -338,7 +338,7 @@ def _image_shape(name: str, height: int, width: int) -> tuple:
 def _camera(camera: Camera, background) -> _Camera:
     K = camera.K
     return _Camera((c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()), K[0, 0], K[1, 1], K[0, 2], K[1, 2],
-                   camera.width, camera.height, (c.c_double * 3)(*background))
+                   camera.width, camera.height, camera.orthographic, (c.c_double * 3)(*background))
 
 
 def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, np.ndarray]:

@@ -3,6 +3,7 @@
 import functools
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -223,6 +224,22 @@ def test_gradients_are_linear_in_the_image_gradients(level):
         np.testing.assert_allclose(gradient, total, atol=(1e-5 if level != "float64" else 1e-13) * scale, err_msg=name)
 
 
+@pytest.mark.parametrize("level", LEVELS)
+def test_parallel_rays_show_the_same_from_any_distance(level):
+    """A step of 8 along the camera's axis: other depths, and not a colour else; no gradient pulls along the axis."""
+    scene, camera = scenes.random_scene(80, 3, 2, scale=0.3), scenes.ORTHOGRAPHIC["parallel_plain"]
+    back = replace(camera, viewmat=camera.viewmat + np.outer((0, 0, 1, 0), (0, 0, 0, 8)))
+    near, far = render(level, scene, camera, full=False), render(level, scene, back, full=False)
+    close = {"rtol": 0, "atol": 2e-6 if level != "float64" else 1e-13}
+    np.testing.assert_allclose(far["rgb"], near["rgb"], **close)
+    np.testing.assert_allclose(far["depth"], near["depth"] + 8 * near["alpha"], rtol=1e-5)
+    grads = backward(level, {name: image_weights(camera)[name] for name in ("rgb", "alpha")}, 80)
+    assert not grads["means"][:, 2].any() and grads["means"][:, :2].any()
+    fx, fy = camera.K.diagonal()[:2]
+    pulled = grads["means2d"] * (fx, fy)
+    np.testing.assert_allclose(grads["means"][:, :2], pulled, rtol=1e-5, atol=1e-6 * np.abs(pulled).max())
+
+
 # --- order
 
 
@@ -331,7 +348,7 @@ def reference_weights(scene, masks, camera) -> np.ndarray:
     p = scenes.leaves(scene, requires_grad=False)
     splats = ref.project(
         *p.values(), torch.tensor(camera.viewmat), torch.tensor(camera.K), camera.width, camera.height,
-        scene.sh_degree, scene.antialiased,
+        scene.sh_degree, scene.antialiased, camera.orthographic,
     )  # fmt: skip
     alpha, _ = ref.alphas(splats, ref.pixel_centres(camera.width, camera.height))
     M = torch.as_tensor(masks, dtype=torch.float64)[splats.index]
@@ -388,9 +405,10 @@ def test_scores_and_gradients_do_not_disturb_each_other(level):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_visible_are_ascending_and_hold_every_hit(level):
+@pytest.mark.parametrize("model", [lambda camera: camera, scenes.parallel], ids=["perspective", "orthographic"])
+def test_visible_are_ascending_and_hold_every_hit(level, model):
     scene, masks = scenes.random_scene(300, 4, 0, scale=0.05), scenes.random_masks(300, 4)
-    camera = scenes.camera(40, 27, fov=25)
+    camera = model(scenes.camera(40, 27, fov=25))
     render(level, scene, camera, np.ones(300))
     visible = rasterizer(level).visible()
     hit = reference_weights(scene, np.ones(300), camera).any(0)

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 4
+#define SVRGS_INTERFACE_VERSION 5
 
 typedef void real; /* float or double, by the context's level */
 
@@ -72,8 +72,9 @@ typedef struct {
 
 typedef struct {
   double viewmat[16]; /* world to camera, row-major: a rotation and a translation */
-  double fx, fy, cx, cy;
+  double fx, fy, cx, cy; /* pixels; orthographic: fx, fy are pixels per unit of length */
   int32_t width, height;
+  int32_t orthographic; /* 1: centres are seen at (fx x + cx, fy y + cy), colours along the camera's axis; 0: perspective */
   double background[3];
 } svrgs_camera;
 

@@ -54,6 +54,7 @@ struct Frame {
   // camera
   double viewmat[16], position[3];
   double fx, fy, cx, cy;
+  bool orthographic;
   int width, height, tiles_x, tiles_y;
   double background[3];
   // options

@@ -62,7 +62,7 @@ struct Case {
     const double view[16] = {c, 0, s, b.value(), 0, 1, 0, b.value(), -s, 0, c, b.value(), 0, 0, 0, 1};
     std::memcpy(camera.viewmat, view, sizeof view);
     camera.fx = b.focal(), camera.fy = b.focal(), camera.cx = width / 2.0 + b.value(4), camera.cy = height / 2.0 + b.value(4);
-    camera.width = width, camera.height = height;
+    camera.width = width, camera.height = height, camera.orthographic = b.below(2);
     fill(b, means, 3, 0.5f), fill(b, log_scales, 3, 0.5f), fill(b, quats, 4, 1), fill(b, logits, 1, 2), fill(b, sh, 3 * k, 0.3f);
     masks.resize(count);
     for (auto& m : masks) m = b.below(4) > 0;
