@@ -53,15 +53,18 @@ def test_a_flat_surface_hides_what_lies_behind_it(scene):
     assert (drawing.covered == 1).all()
 
 
-def test_a_surface_far_behind_hides_nothing_though_drawn_in_layers(scene):
-    """Layers are blended as the whole is, but for the Gaussian at which colours stop: it weighs up to 0.01, and a layer keeps it."""
+def test_a_slope_hides_at_every_pixel_what_lies_behind_it_there(scene):
     slope = plane(0)
     slope.depth[:] = np.linspace(depths(scene).min() - 1, depths(scene).max() + 1, CAMERA.width)
-    slope.depth[:, 32:] = np.inf
+    slope.depth[:, 48:] = np.inf
     drawing, whole = draw(Rasterizer(), scene, CAMERA, surface=slope), draw(Rasterizer(), scene, CAMERA)
-    for name, tolerance in (("rgb", 0.01), ("alpha", 0.01), ("mask", 1e-5), ("hits", 0)):
-        np.testing.assert_allclose(getattr(drawing, name)[:, 32:], getattr(whole, name)[:, 32:], atol=tolerance)
-    assert (drawing.hits[:, 0] == 0).all()
+    for name in ("rgb", "alpha", "mask", "hits", "depth"):
+        np.testing.assert_array_equal(getattr(drawing, name)[:, 48:], getattr(whole, name)[:, 48:])
+    assert (drawing.hits[:, 0] == 0).all() and (drawing.covered[:, :48] == 1).all()
+    for column in (12, 25, 40):
+        flat = draw(Rasterizer(), scene, CAMERA, surface=plane(slope.depth[0, column]))
+        for name in ("rgb", "alpha", "mask", "hits", "depth"):
+            np.testing.assert_array_equal(getattr(drawing, name)[:, column], getattr(flat, name)[:, column])
 
 
 def test_nothing_at_all_is_far_away():

@@ -177,6 +177,41 @@ def test_active_sh_degree_is_that_of_the_reference():
         assert not grads["sh"][:, (degree + 1) ** 2 :].any() and grads["sh"][:, : (degree + 1) ** 2].any()
 
 
+# --- depth limits
+
+
+def depth_limit(name: str) -> np.ndarray:
+    """(H, W) float32 around the depths of a case, with pixels that end at once, never, or at no number."""
+    (scene, _), camera = prepared(name), CAMERAS[name]
+    z = scene.means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+    rng, shape = np.random.default_rng(1), (camera.height, camera.width)
+    limit = rng.uniform(z.min(), z.max(), shape)
+    return np.where(rng.random(shape) < 0.2, rng.choice([0.0, -1.0, np.inf, np.nan], shape), limit).astype(np.float32)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("name", CASES)
+def test_nothing_behind_a_depth_limit_is_taken(name, level):
+    (scene, masks), camera, limit = prepared(name), CAMERAS[name], depth_limit(name)
+    options = options_of(*CASES[name])
+    images = render(level, scene, camera, masks, depth_limit=limit, **options)
+    del options["mask_to_shape"]
+    params = scenes.leaves(scene, requires_grad=False)
+    expected = {k: image.numpy() for k, image in reference_images(params, masks, camera, depth_limit=torch.tensor(limit), **options).items()}
+    for image, error in image_errors(images, expected).items():
+        assert error <= (1e-9 if level == "float64" else IMAGE_BOUND[image]), (image, error)
+    for count in ("hits", "kept"):
+        np.testing.assert_array_equal(images[count], expected[count])
+
+
+def test_depth_limits_bite():
+    """Cut rays, empty ones and whole ones all occur."""
+    for name in ("plain", "tiles", "parallel_rotated"):
+        (scene, masks), camera = prepared(name), CAMERAS[name]
+        cut, whole = (render("float64", scene, camera, masks, depth_limit=limit)["hits"] for limit in (depth_limit(name), None))
+        assert all(share.mean() > 0.04 for share in (cut == 0, (0 < cut) & (cut < whole), cut == whole))
+
+
 # --- finite differences of the native float64 itself
 
 

@@ -325,6 +325,50 @@ def test_same_bits_for_any_number_of_threads(level):
             assert_same_bits(dense_view(level), expected)
 
 
+SLOPE = np.broadcast_to(np.where(np.arange(100) < 90, np.linspace(2, 6, 100), np.inf), (70, 100))
+
+
+def limited_view(level: str, limit=SLOPE, **options) -> dict[str, np.ndarray]:
+    """The images of a view of several chunks a tile."""
+    scene, camera = scenes.random_scene(4000, 1, 1, scale=0.1, opacity=-3.0), scenes.camera(100, 70, fov=75)
+    return render(level, scene, camera, scenes.random_masks(4000, 1), depth_limit=limit, **options)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("full", [True, False])
+def test_depth_limits_keep_their_bits_for_any_threads_and_skips(level, full):
+    expected, whole = limited_view(level, full=full), limited_view(level, limit=None, full=full)["hits"]
+    assert (expected["hits"] < whole).mean() > 0.4 and (expected["hits"] == whole)[:, 90:].all()
+    for threads in (1, 3, 16):
+        native.set_threads(threads)
+        assert_same_bits(limited_view(level, full=full), expected)
+    assert_same_bits(limited_view(level, full=full, without=tuple(native.SKIPS)), expected)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_limit_beyond_everything_changes_no_bit(level):
+    scene, masks = scenes.opaque_stack(60, 2, 1), scenes.random_masks(60, 2)
+    for kind, full in (("none", True), ("svr", True), ("svr", False), ("a", True)):
+        whole, far = (render(level, scene, CAMERA, masks, mask_kind=kind, full=full, depth_limit=limit) for limit in (None, np.full((27, 40), np.inf)))
+        assert_same_bits(far, whole)
+
+
+def test_views_with_a_depth_limit_are_for_looking_at():
+    r, scene = Rasterizer(), scenes.random_scene(20, 1, 1)
+    r.forward(typed(scene, r.dtype), CAMERA, depth_limit=np.ones((27, 40), r.dtype))
+    n, residuals = np.zeros(20), np.zeros((27, 40, 3), r.dtype)
+    calls = (
+        lambda: r.backward({"rgb": residuals}), lambda: r.add_scores(n, np.zeros(20, np.float32), np.zeros(20, np.int64)), r.moments,
+        lambda: r.add_removal(n, residuals), lambda: r.work(count_pixels=True),
+    )  # fmt: skip
+    for call in calls:
+        with pytest.raises(NativeError, match="a view with a depth limit has no gradients and no statistics"):
+            call()
+    r.forward(typed(scene, r.dtype), CAMERA)
+    for call in calls:
+        call()
+
+
 @pytest.mark.parametrize("level", LEVELS)
 def test_buffers_of_earlier_views_leave_no_trace(level):
     """Large, small, large again, and in a fresh renderer."""

@@ -498,8 +498,8 @@ def prepared_rasterizer() -> Rasterizer:
     return r
 
 
-def call_forward(r, masks, **arrays):
-    return r.forward(SimpleNamespace(**arrays), frontal(6, 5), masks=masks)
+def call_forward(r, masks, depth_limit, **arrays):
+    return r.forward(SimpleNamespace(**arrays), frontal(6, 5), masks=masks, depth_limit=depth_limit)
 
 
 def call_backward(r, **weights):
@@ -518,6 +518,7 @@ CALLS = {  # call: {argument: (a right value, written to, may be None)}
         "opacity_logits": (real(7), False, False),
         "sh": (real(7, 4, 3), False, False),
         "masks": (np.ones(7, np.uint8), False, True),
+        "depth_limit": (real(5, 6), False, True),
     },
     call_backward: {
         "rgb": (real(5, 6, 3), False, False),

@@ -61,6 +61,7 @@ struct Frame {
   bool antialiased, full, mask_to_shape, want_depth;
   int mask_kind, without;
   double eps_a;
+  const void* depth_limit;  // R[height][width], optional
   // projection
   void* splats;           // Splat<R>[count], those of visible Gaussians close together at their places
   SplatTiles* tiles;      // [count], likewise

@@ -233,11 +233,15 @@ def rasterize(
     mask_kind: str = "svr",  # 'svr', 'a', 'b'
     eps_a: float = 1e-3,  # ε of scenario A
     mask_gradient: str = "exact",  # 'self': T constant within F, leaving only the self term
+    depth_limit: Tensor | None = None,  # (H, W): only centres nearer than this hit a pixel
 ) -> Render:
     """Render one view. The order of the splats, the hits, the stop and N are constants of the gradient."""
     degree = round(sh.shape[1] ** 0.5) - 1 if sh_degree is None else sh_degree
     splats = project(means, log_scales, quats, opacity_logits, sh, viewmat, K, width, height, degree, antialiased, orthographic)
     alpha, hit = alphas(splats, pixel_centres(width, height))
+    if depth_limit is not None:
+        hit = hit & (splats.z < depth_limit.reshape(-1, 1))
+        alpha = torch.where(hit, alpha, 0.0)
     M = masks[splats.index]
     images = blend(alpha, hit, M, splats.colour, splats.z, background, mode, mask_kind, eps_a, mask_gradient)
     return Render(*(image.reshape(height, width, *image.shape[1:]) for image in images))
