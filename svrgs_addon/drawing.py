@@ -41,7 +41,7 @@ def draw(rasterizer: Rasterizer, scene: Scene, camera: Camera, background=(0.0, 
     images = rasterizer.forward(scene, camera, replace(options, background=(0.0, 0.0, 0.0)), outputs=OUTPUTS, depth_limit=limit)
     T = 1 - images["alpha"]
     images["rgb"] += T[..., None] * np.where(solid[..., None], surface.rgb, np.asarray(background, np.float32))
-    images["depth"] += np.where(solid, T * surface.depth, 0)
+    images["depth"] += T * np.where(solid, surface.depth, np.float32(0))
     return _drawing(images, np.where(solid, np.float32(1), images["alpha"]))
 
 

@@ -165,7 +165,7 @@ class Rasterizer:
 
         scene: anything with the arrays of Scene, in self.dtype (sh may be float16: half the memory, no gradients);
         masks: (N,) uint8 of 0 and 1, or None for all 1; outputs: names from IMAGES and COUNTS; depth_limit: (H, W) in self.dtype, or None:
-        a pixel takes nothing of Gaussians unless their z is less. Such a view has no gradients, scores, moments or counts of work.
+        a pixel takes a Gaussian only where its z is less, and the view has no gradients, scores, moments or counts of pixels.
         Returns {name: (H, W) or (H, W, 3) array}; rgb is not clamped.
         """
         arrays = self._scene(scene, masks)

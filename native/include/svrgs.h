@@ -88,7 +88,7 @@ typedef struct {
   int32_t without;       /* enum svrgs_skip bits: skips turned off */
   int64_t max_pairs;     /* refuse more (Gaussian, tile) pairs than this: SVRGS_TOO_LARGE; 0: 2^31 - 1 */
   const int32_t *cancel; /* optional; polled once per tile, non-zero stops with SVRGS_CANCELLED */
-  const real *depth_limit; /* (H, W), optional: a pixel takes nothing of Gaussians unless z < limit; such a view is only for looking at */
+  const real *depth_limit; /* (H, W), optional: a pixel takes a Gaussian only where its z < limit; no gradients and no statistics then */
 } svrgs_options;
 
 typedef struct { /* all optional */

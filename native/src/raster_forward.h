@@ -193,6 +193,7 @@ inline void count_hit(const Frame& f, Pixels& p, V alpha, V T, R mask, M counted
   if constexpr (walk.scenario) add_scenario(f, p, alpha, T, mask, counted);
 }
 
+// A Gaussian hits pixels only where it lies before their depth limit.
 template <Walk walk>
 inline Hit evaluate_before(V limit, const Local& l, V x, V y) {
   Hit e = evaluate(l, x, y);
