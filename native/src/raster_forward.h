@@ -65,8 +65,8 @@ struct Hit {
 };
 
 // alpha of one Gaussian at W pixels, not yet clamped. Forward, backward and scores call this and nothing else. What it says
-// where `hit` is not set means nothing.
-inline Hit evaluate(const Local& l, V x, V y) {
+// where `hit` is not set means nothing. Always inline: as a call it costs the backward pass 5 %.
+[[gnu::always_inline]] inline Hit evaluate(const Local& l, V x, V y) {
   Hit r;
   const V dx = splat(l.x) + x, dy = splat(l.y) + y;
   r.u = fma(splat(l.l11), dx, splat(l.l12) * dy);
