@@ -167,23 +167,25 @@ def camera_from_object(
 
     size: (width, height) in pixels of the scene's aspect; default: the photograph's, or of other cameras the scene's render.
     The pose is rigid: a uniform scale s of the splat leaves all distances 1/s of Blender's. obj: an evaluated one where
-    animation counts. Raises SceneError for cameras without perspective, and where the splat is scaled differently by axis:
-    then turn its scene into world coordinates (svrgs_addon.transform) and leave splat_matrix out.
+    animation counts. Raises SceneError for cameras that are neither perspective nor orthographic, and where the splat is scaled
+    differently by axis: then turn its scene into world coordinates (svrgs_addon.transform) and leave splat_matrix out.
     """
     data, render = obj.data, scene.render
-    if data.type != "PERSP":
-        raise SceneError(f"camera '{obj.name}' is not a perspective camera; splats are drawn for those alone")
+    if data.type not in ("PERSP", "ORTHO"):
+        raise SceneError(f"camera '{obj.name}' is neither perspective nor orthographic; splats are drawn for those alone")
     aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
     if size is None:
         size, aspect = (tuple(data[SIZE]), tuple(data[ASPECT])) if SIZE in data else (render_size(scene), aspect)
-    lens = lenses.Lens(*size, data.lens, (data.shift_x, data.shift_y), aspect, (data.sensor_width, data.sensor_height), data.sensor_fit)
+    sensor, orthographic = (data.sensor_width, data.sensor_height), data.type == "ORTHO"
+    ortho_scale = data.ortho_scale if orthographic else None
+    lens = lenses.Lens(*size, data.lens, (data.shift_x, data.shift_y), aspect, sensor, data.sensor_fit, ortho_scale)
     viewmat = FLIP @ np.linalg.inv(_without_scale(obj.matrix_world))
-    if splat_matrix is not None:
-        if stretch(splat_matrix) - 1 > 10 * UNIFORM:
-            raise SceneError("the splat is scaled differently along its axes, so no camera sees it as it is in its own coordinates")
-        viewmat = viewmat @ np.array(splat_matrix, np.float64)
-        viewmat[:3] /= abs(np.linalg.det(viewmat[:3, :3])) ** (1 / 3)
-    return Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name))
+    camera = Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name), orthographic)
+    if splat_matrix is None:
+        return camera
+    if stretch(splat_matrix) - 1 > 10 * UNIFORM:
+        raise SceneError("the splat is scaled differently along its axes, so no camera sees it as it is in its own coordinates")
+    return camera.moved(splat_matrix)
 
 
 def camera_to_object(camera: Camera, obj: bpy.types.Object):

@@ -25,13 +25,14 @@ void main() {
   opacity = 0.0;
   if (z < near || a.w < 1.0 / 255.0) return;
   vec2 focal = lens.xy, centre = lens.zw;
-  vec2 ray = vec2(t.x, -t.y) / z;
-  vec2 limit = 0.15 * size / focal + max(centre, size - centre) / focal;
+  float w = parallel > 0.5 ? 1.0 : z;
+  vec2 ray = vec2(t.x, -t.y) / w;
+  vec2 limit = parallel > 0.5 ? vec2(0.0) : 0.15 * size / focal + max(centre, size - centre) / focal;
   vec2 near_ray = clamp(ray, -limit, limit);
   mat3 W = mat3(modelview);
   mat3 S = mat3(b, vec3(b.y, c.x, c.y), vec3(b.z, c.y, c.z));
   S = W * (S * enlarge) * transpose(W);
-  vec3 jx = vec3(focal.x, 0.0, focal.x * near_ray.x) / z, jy = vec3(0.0, -focal.y, focal.y * near_ray.y) / z;
+  vec3 jx = vec3(focal.x, 0.0, focal.x * near_ray.x) / w, jy = vec3(0.0, -focal.y, focal.y * near_ray.y) / w;
   float xx = dot(jx, S * jx), xy = dot(jx, S * jy), yy = dot(jy, S * jy);
   float sharp = max(xx * yy - xy * xy, 0.0);
   xx += 0.3;
@@ -44,7 +45,7 @@ void main() {
   corner = reach * pos;
   vec2 offset = corner.x * sqrt(middle + spread) * axis + corner.y * sqrt(max(middle - spread, 0.0)) * vec2(-axis.y, axis.x);
   vec2 pixel = centre + focal * ray + offset;
-  gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, (depth_scale * t.z + depth_shift) / z, 1.0);
+  gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, (depth_scale * t.z + depth_shift) / w, 1.0);
 }
 """
 
@@ -84,10 +85,10 @@ class Shaders:
         passed.smooth("VEC2", "corner")
         passed.flat("VEC3", "color")
         passed.flat("FLOAT", "opacity")
-        info.push_constant("MAT4", "modelview")  # 116 bytes of constants in all; graphics cards promise 128
+        info.push_constant("MAT4", "modelview")  # 120 bytes of constants in all; graphics cards promise 128
         info.push_constant("VEC4", "lens")
         info.push_constant("VEC2", "size")
-        for name in ("depth_scale", "depth_shift", "near", "enlarge", "antialiased", "reduction"):
+        for name in ("parallel", "depth_scale", "depth_shift", "near", "enlarge", "antialiased", "reduction"):
             info.push_constant("FLOAT", name)
         for slot, name in enumerate(("order", "geometry", "colors", "hidden")):
             info.sampler(slot, "FLOAT_2D", name)

@@ -13,7 +13,7 @@ from ..svrgs_addon.assembly import merged
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.images import linear_to_srgb
-from ..svrgs_addon.lens import intrinsics_of_projection
+from ..svrgs_addon.lens import camera_of_projection
 from ..svrgs_addon.scene import Scene
 from ..svrgs_addon.surfaces import Surface, Triangles, surface
 from ..svrgs_addon.transform import UNIFORM, stretch, transformed
@@ -40,9 +40,7 @@ class Shown:
 
     def seen_by(self, camera: Camera) -> Camera:
         """A camera of Blender's world in these coordinates; lengths in it are 1 / unit of Blender's."""
-        viewmat = camera.viewmat @ np.array(self.matrix, np.float64)
-        viewmat[:3] /= abs(np.linalg.det(viewmat[:3, :3])) ** (1 / 3)
-        return replace(camera, viewmat=viewmat)
+        return camera.moved(self.matrix)
 
     def hidden_by(self, triangles: Triangles, camera: Camera) -> Surface | None:
         """What a camera of Blender's world sees of the triangles, depths in lengths of seen_by(camera)."""
@@ -103,11 +101,8 @@ def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = N
 
 
 def region_camera(region: bpy.types.Region, view: bpy.types.RegionView3D) -> Camera:
-    """What a 3D viewport sees, in Blender's world. Raises SceneError for views without perspective."""
-    K = intrinsics_of_projection(np.array(view.window_matrix), region.width, region.height)
-    if K is None:
-        raise SceneError("splats are drawn in perspective views only: press Numpad 5")
-    return Camera(bridge.FLIP @ np.array(view.view_matrix, np.float64), K, region.width, region.height)
+    """What a 3D viewport sees, in Blender's world."""
+    return camera_of_projection(view.window_matrix, bridge.FLIP @ np.array(view.view_matrix, np.float64), region.width, region.height)
 
 
 def _instances(depsgraph: bpy.types.Depsgraph) -> Iterator:

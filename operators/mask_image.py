@@ -52,7 +52,7 @@ def _view(depsgraph: bpy.types.Depsgraph) -> tuple:
     """What a mask depends on."""
     camera = bridge.camera_from_object(bridge_graph.camera(depsgraph), depsgraph.scene)
     places = [(id(scene_cache.read(obj)), tuple(map(tuple, matrix))) for obj, matrix in bridge_graph.placed_splats(depsgraph)]
-    return camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, depsgraph.scene.svrgs_looking.mask_size, *places
+    return camera.key, depsgraph.scene.svrgs_looking.mask_size, *places
 
 
 def recolor(settings, context):

@@ -16,7 +16,7 @@ from ..svrgs_addon import native
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.film import lay
-from ..svrgs_addon.lens import depth_of_projection
+from ..svrgs_addon.lens import depth_of_projection, step_back
 from ..svrgs_addon.live_view import LiveView, Picture
 from ..svrgs_addon.quads import Quads, colors, painted, quads
 from ..svrgs_addon.scene import Scene
@@ -43,7 +43,7 @@ class Job:
 def draw_job(rasterizer, job: Job, _) -> tuple:
     """(H, W, 4) display sRGB times alpha, and the quads' colours (n, 3) from here."""
     scene, rows = job.cloud.scene, job.cloud.quads.rows
-    return lay(rasterizer, scene, job.camera, job.hidden), colors(scene, rows, job.camera.position)
+    return lay(rasterizer, scene, job.camera, job.hidden), colors(scene, rows, job.camera)
 
 
 class Cloud:
@@ -105,7 +105,7 @@ class Overlay:
             if cloud is not None:
                 native.set_threads(threads(context))
                 self.draw_cloud(context, cloud, camera)
-        except (SplatError, NativeError):  # no perspective, an object without size, no library: the panels say so
+        except (SplatError, NativeError):  # an object without size, no library: the panels say so
             return
 
     def current(self, context) -> Cloud | None:
@@ -140,7 +140,7 @@ class Overlay:
             return
         hidden, depth = beside
         local = cloud.shown.seen_by(camera)
-        where = local.viewmat.tobytes() + camera.K.tobytes() + repr(cloud.key).encode()
+        where = local.key + repr(cloud.key).encode()
         if view.resting(where):
             key = where, self.changes, space.shading.type, space.shading.show_xray
             view.live.request(key, Job(cloud, local, depth_of_projection(context.region_data.window_matrix, depth) / cloud.shown.unit))
@@ -165,7 +165,7 @@ class Overlay:
     def draw_quads(self, context, view: View, cloud: Cloud, camera: Camera, hidden: gpu.types.GPUTexture):
         modelview = context.region_data.view_matrix @ cloud.shown.matrix
         if cloud.colors is None:
-            cloud.paint(colors(cloud.scene, cloud.quads.rows, cloud.shown.seen_by(camera).position))
+            cloud.paint(colors(cloud.scene, cloud.quads.rows, cloud.shown.seen_by(camera)))
         count, reduction = max(1, len(cloud.quads.rows) >> view.level), min(1 << view.level, 4)
         order = native.depth_order(cloud.quads.means[:count], -modelview.row[2].xyz)
         width, height = (max(1, side // reduction) for side in (camera.width, camera.height))
@@ -174,7 +174,8 @@ class Overlay:
         small, P = camera.resized(width, height), context.region_data.window_matrix
         constants = {
             "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]), "size": (width, height),
-            "depth_scale": P[2][2], "depth_shift": P[2][3], "near": bridge_gpu.NEAR * cloud.shown.unit,
+            "parallel": float(camera.orthographic), "depth_scale": P[2][2], "depth_shift": P[2][3],
+            "near": bridge_gpu.NEAR * cloud.shown.unit - step_back(P),
             "enlarge": min(cloud.scene.count / count, LARGEST**2), "antialiased": float(cloud.scene.antialiased), "reduction": reduction,
         }  # fmt: skip
         lists = {"order": bridge_gpu.texture(order, "R32F"), "geometry": cloud.geometry, "colors": cloud.colors}

@@ -76,11 +76,11 @@ class Viewport:
             return self.trouble or "There is no splat to show: import one"
         try:
             native.set_threads(threads(context))
-            camera = bridge_graph.region_camera(context.region, context.region_data)
-        except (SplatError, NativeError) as error:
+        except NativeError as error:
             return str(error)
+        camera = bridge_graph.region_camera(context.region, context.region_data)
         job = Job(self.shown, self.triangles, camera, tuple(scene.svrgs_looking.background), scene.render.film_transparent, working_space())
-        key = self.version, camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, job.background, job.transparent
+        key = self.version, camera.key, job.background, job.transparent
         self.live.request(key, job)
         if self.live.busy and not bpy.app.timers.is_registered(_refresh):
             bpy.app.timers.register(_refresh, first_interval=REFRESH)

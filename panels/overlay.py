@@ -2,7 +2,7 @@
 
 import bpy
 
-from .lines import lines, usable
+from .lines import usable
 
 
 class SVRGS_PT_overlay(bpy.types.Panel):
@@ -26,8 +26,6 @@ class SVRGS_PT_overlay(bpy.types.Panel):
         column.active = settings.overlay
         column.prop(settings, "overlay_shown")
         column.prop(settings, "overlay_moving")
-        if context.region_data is not None and not context.region_data.is_perspective:
-            lines(layout, "Splats are drawn in perspective: press Numpad 5", "INFO")
 
 
 def register():

@@ -45,7 +45,7 @@ def _render(commands):
     command.add_argument("scene", type=Path)
     cameras = command.add_mutually_exclusive_group(required=True)
     cameras.add_argument("--colmap", type=Path, metavar="DIR", help="COLMAP dataset or model; photographs are not needed")
-    cameras.add_argument("--cameras", type=Path, metavar="JSON", help="cameras.json of a 3DGS run")
+    cameras.add_argument("--cameras", type=Path, metavar="JSON", help='cameras.json of a 3DGS run; with "orthographic": true in a view, fx and fy are pixels per unit')
     command.add_argument("--views", default="all", help="all, train, test, or image names and positions, comma-separated (default: all)")
     command.add_argument("--outputs", default="rgb", help="any of rgb,mask,depth,alpha (default: rgb)")
     command.add_argument("--format", choices=("png", "exr", "npy"), default="png")

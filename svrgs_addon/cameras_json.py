@@ -20,7 +20,8 @@ MAX_SKEW = 1e-3  # by which a rotation may miss being one
 def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
     """The cameras of a 3DGS cameras.json, in file order; the principal point is the image centre, as in 3DGS.
 
-    Entries: img_name, width, height, position (3), rotation (camera to world, 3x3), fy, fx. Raises FormatError.
+    Entries: img_name, width, height, position (3), rotation (camera to world, 3x3), fy, fx. With "orthographic": true, which 3DGS does
+    not know, fx and fy are pixels per unit of length. Raises FormatError.
     """
     entries = _read_entries(path)
     cameras = []
@@ -60,11 +61,14 @@ def _camera(entry: dict) -> Camera:
         raise FormatError("its focal length or position is not usable")
     if not np.abs(rotation).max() < 2 or not np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_SKEW or np.linalg.det(rotation) < 0:
         raise FormatError("its rotation is not a rotation")
+    orthographic = entry.get("orthographic", False)
+    if type(orthographic) is not bool:
+        raise FormatError(f"orthographic is {orthographic!r}; true or false is expected")
     viewmat = np.eye(4)
     viewmat[:3, :3] = rotation.T
     viewmat[:3, 3] = -rotation.T @ position
     K = np.array([[fx, 0, width / 2], [0, fy, height / 2], [0, 0, 1]])
-    return Camera(viewmat, K, width, height, name)
+    return Camera(viewmat, K, width, height, name, orthographic)
 
 
 def _side(value: object) -> int:

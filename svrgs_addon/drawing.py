@@ -14,7 +14,6 @@ from .native import Rasterizer, RenderOptions
 from .scene import Scene
 from .surfaces import Surface
 
-LAYERS = 24  # of Gaussians between the nearest and the farthest point of a surface
 FAR = 1e10  # depth where there is nothing, as Blender's own engines have it
 POLL = 0.05  # seconds between two questions whether to stop
 OUTPUTS = ("rgb", "depth", "alpha", "mask", "hits")
@@ -33,14 +32,17 @@ class Drawing:
 
 
 def draw(rasterizer: Rasterizer, scene: Scene, camera: Camera, background=(0.0, 0.0, 0.0), surface: Surface | None = None) -> Drawing:
-    """Gaussians whose centre lies behind the surface are hidden where it is; exact to the thickness of a layer (LAYERS).
-
-    Raises Cancelled once rasterizer.cancel[0] is set.
-    """
+    """Gaussians are hidden at every pixel where the surface lies before their centre. Raises Cancelled once rasterizer.cancel[0] is set."""
     options = RenderOptions(antialiased=scene.antialiased, mask_kind="svr", background=tuple(background))
-    if surface is None or not np.isfinite(surface.depth).any():
-        return _unhidden(rasterizer.forward(scene, camera, options, outputs=OUTPUTS))
-    return _hidden(rasterizer, scene, camera, options, surface)
+    if surface is None or not (solid := np.isfinite(surface.depth)).any():
+        images = rasterizer.forward(scene, camera, options, outputs=OUTPUTS)
+        return _drawing(images, images["alpha"])
+    limit = np.ascontiguousarray(surface.depth, rasterizer.dtype)
+    images = rasterizer.forward(scene, camera, replace(options, background=(0.0, 0.0, 0.0)), outputs=OUTPUTS, depth_limit=limit)
+    T = 1 - images["alpha"]
+    images["rgb"] += T[..., None] * np.where(solid[..., None], surface.rgb, np.asarray(background, np.float32))
+    images["depth"] += T * np.where(solid, surface.depth, np.float32(0))
+    return _drawing(images, np.where(solid, np.float32(1), images["alpha"]))
 
 
 def draw_while(wanted: Callable[[], bool], rasterizer: Rasterizer, *arguments) -> Drawing | None:
@@ -67,42 +69,6 @@ def draw_while(wanted: Callable[[], bool], rasterizer: Rasterizer, *arguments) -
     return result[0]
 
 
-def _unhidden(images: dict) -> Drawing:
-    alpha = images["alpha"]
-    depth = np.divide(images["depth"], alpha, out=np.full_like(alpha, FAR), where=alpha > 0)
-    return Drawing(images["rgb"], alpha, alpha, depth, images["mask"], images["hits"].astype(np.float32))
-
-
-def _hidden(rasterizer: Rasterizer, scene: Scene, camera: Camera, options: RenderOptions, surface: Surface) -> Drawing:
-    shape, solid = surface.depth.shape, np.isfinite(surface.depth)
-    rgb, depth, hits = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    T, full_T = np.ones(shape, np.float32), np.ones(shape, np.float32)
-    for rows, middle in _layers(scene, camera, surface.depth[solid]):
-        part = scene.select(rows)
-        images = rasterizer.forward(part, camera, replace(options, background=(0, 0, 0)), outputs=("rgb", "depth", "alpha", "hits", "transmittance"))
-        seen = surface.depth > middle
-        through = T * seen
-        rgb += through[..., None] * images["rgb"]
-        depth += through * images["depth"]
-        hits += seen * images["hits"]
-        T *= np.where(seen, 1 - images["alpha"], 1)
-        full_T *= np.where(seen, images["transmittance"], 1)
-    rgb += T[..., None] * np.where(solid[..., None], surface.rgb, np.asarray(options.background, np.float32))
-    alpha, covered = 1 - T, np.where(solid, np.float32(1), 1 - T)
-    depth += np.where(solid, T * np.where(solid, surface.depth, 0), 0)
-    depth = np.divide(depth, covered, out=np.full_like(depth, FAR), where=covered > 0)
-    mask = np.divide(hits - 1 + full_T, np.log1p(hits), out=np.zeros_like(hits), where=hits > 0)
-    return Drawing(rgb, alpha, covered, depth, mask, hits)
-
-
-def _layers(scene: Scene, camera: Camera, depths: np.ndarray):
-    """Yields (rows of the scene, middle depth) of its layers, nearest first: one before all of the surface, LAYERS along it, one behind."""
-    z = scene.means.astype(np.float64) @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    low, high = float(depths.min()), float(depths.max())
-    between = z[(z > low) & (z < high)]
-    inner = np.quantile(between, np.linspace(0, 1, LAYERS + 1)) if len(between) else []
-    edges = np.unique(np.r_[-np.inf, low, inner, high, np.inf])
-    for near, far in zip(edges[:-1], edges[1:], strict=True):
-        rows = np.flatnonzero((z > near) & (z <= far))
-        if len(rows):
-            yield rows, (near if np.inf in (-near, far) else (near + far) / 2)
+def _drawing(images: dict, covered: np.ndarray) -> Drawing:
+    depth = np.divide(images["depth"], covered, out=np.full_like(covered, FAR), where=covered > 0)
+    return Drawing(images["rgb"], images["alpha"], covered, depth, images["mask"], images["hits"].astype(np.float32))

@@ -79,9 +79,9 @@ def refuse_unseen(scene: Scene, cameras: Sequence[Camera], name: str):
     reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf  # one camera tells no scale
     points = scene.means[:: max(1, scene.count // VISIBLE_POINTS)].astype(np.float64)
     for camera in cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]:
-        x, y, z = camera.K @ (camera.viewmat[:3, :3] @ points.T + camera.viewmat[:3, 3:])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inside = (z > 0) & (z < reach) & (x >= 0) & (x < z * camera.width) & (y >= 0) & (y < z * camera.height)
+        local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+        x, y, z = *camera.pixels(local).T, local[:, 2]
+        inside = (z > 0) & (z < reach) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
         if inside.any():
             return
     raise SceneError(f"{name}: none of its Gaussians lies near and in view of any camera; is it in the frame of this COLMAP model?")

@@ -17,7 +17,7 @@ SENSOR = 36.0  # millimetres
 
 @dataclass(frozen=True)
 class Lens:
-    """A perspective camera as Blender describes it; the image size and pixel aspect are the scene's there."""
+    """A perspective or orthographic camera as Blender describes it; the image size and pixel aspect are the scene's there."""
 
     width: int
     height: int
@@ -26,19 +26,20 @@ class Lens:
     aspect: tuple[float, float] = (1.0, 1.0)  # of a pixel, x and y
     sensor: tuple[float, float] = (SENSOR, SENSOR)  # millimetres
     fit: str = "AUTO"  # HORIZONTAL, VERTICAL; AUTO: the longer side, and always sensor[0]
+    ortho_scale: float | None = None  # length that the fitted side shows: orthographic, whatever lens and sensor are
 
 
 def intrinsics(lens: Lens) -> np.ndarray:
-    """K (3, 3) float64, pixels."""
+    """K (3, 3) float64, pixels; orthographic: as in Camera."""
     side, ratio, sensor = _fitted(lens)
-    focal = lens.lens * side / sensor
+    focal = lens.lens * side / sensor if lens.ortho_scale is None else side / lens.ortho_scale
     cx = lens.width / 2 - lens.shift[0] * side
     cy = lens.height / 2 + lens.shift[1] * side / ratio
     return np.array([[focal, 0, cx], [0, focal / ratio, cy], [0, 0, 1]])
 
 
 def lens_of(camera: Camera) -> Lens:
-    """The AUTO-fitted Lens whose intrinsics are camera.K, exactly but for skew, which Blender does not have."""
+    """The AUTO-fitted Lens whose intrinsics are a perspective camera's K, exactly but for skew, which Blender does not have."""
     (fx, _, cx), (_, fy, cy), _ = camera.K
     aspect = (1.0, 1.0) if abs(fx / fy - 1) < 1e-12 else (max(1.0, fy / fx), max(1.0, fx / fy))
     side, ratio, sensor = _fitted(Lens(camera.width, camera.height, 1.0, aspect=aspect))
@@ -46,19 +47,30 @@ def lens_of(camera: Camera) -> Lens:
     return Lens(camera.width, camera.height, fx * sensor / side, shift, aspect)
 
 
-def intrinsics_of_projection(projection: np.ndarray, width: int, height: int) -> np.ndarray | None:
-    """K (3, 3) float64, pixels, of an OpenGL projection matrix (4, 4); None where it is not a perspective one."""
+def camera_of_projection(projection: np.ndarray, viewmat: np.ndarray, width: int, height: int) -> Camera:
+    """The view through an OpenGL projection matrix (4, 4), perspective or orthographic, from the pose viewmat (4, 4), world to camera.
+
+    What is seen though it lies behind the eye, in orthographic views, comes to lie before the camera: step_back further back.
+    """
+    P, viewmat = np.asarray(projection, np.float64), np.array(viewmat, np.float64)
+    orthographic = P[3, 3] != 0
+    x, y = P[:2, 3] if orthographic else -P[:2, 2]
+    K = np.array([[P[0, 0] * width / 2, 0, (1 + x) * width / 2], [0, P[1, 1] * height / 2, (1 - y) * height / 2], [0, 0, 1]])
+    viewmat[2, 3] += step_back(P)
+    return Camera(viewmat, K, width, height, orthographic=bool(orthographic))
+
+
+def step_back(projection: np.ndarray) -> float:
+    """How far behind its eye an OpenGL projection matrix (4, 4) shows things: 0 where the near plane lies before it."""
     P = np.asarray(projection, np.float64)
-    if P[3, 3] != 0 or P[3, 2] == 0:
-        return None
-    return np.array([[P[0, 0] * width / 2, 0, (1 - P[0, 2]) * width / 2], [0, P[1, 1] * height / 2, (1 + P[1, 2]) * height / 2], [0, 0, 1]])
+    return max(0.0, -(P[2, 3] + P[3, 3]) / (P[2, 2] + P[3, 2]))
 
 
 def depth_of_projection(projection: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Distances along the camera's axis, float32, of an OpenGL depth buffer's values in [0, 1]; infinite at 1."""
-    P = np.asarray(projection, np.float64)
+    """Depths before camera_of_projection(projection, ...), float32, of an OpenGL depth buffer's values in [0, 1]; infinite at 1."""
+    P, z = np.asarray(projection, np.float64), 2.0 * values - 1
     with np.errstate(divide="ignore"):
-        return np.where(values < 1, P[2, 3] / (2.0 * values - 1 + P[2, 2]), np.inf).astype(np.float32)
+        return np.where(values < 1, (P[2, 3] - z * P[3, 3]) / (P[2, 2] - z * P[3, 2]) + step_back(P), np.inf).astype(np.float32)
 
 
 def _fitted(lens: Lens) -> tuple[float, float, float]:

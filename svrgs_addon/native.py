@@ -17,7 +17,7 @@ import numpy as np
 from .camera import Camera
 from .errors import Cancelled, NativeError
 
-INTERFACE_VERSION = 5
+INTERFACE_VERSION = 7
 LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
 MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
@@ -41,9 +41,9 @@ def _struct(name: str, **fields):
 _Scene = _struct("_Scene", count=c.c_int64, sh_coefficients=c.c_int32, sh_half=c.c_int32, means=_real, log_scales=_real, quats=_real,
                  opacity_logits=_real, sh=_real, masks=c.c_void_p)
 _Camera = _struct("_Camera", viewmat=c.c_double * 16, fx=c.c_double, fy=c.c_double, cx=c.c_double, cy=c.c_double,
-                  width=c.c_int32, height=c.c_int32, background=c.c_double * 3)
+                  width=c.c_int32, height=c.c_int32, orthographic=c.c_int32, background=c.c_double * 3)
 _Options = _struct("_Options", sh_degree=c.c_int32, antialiased=c.c_int32, full=c.c_int32, mask_kind=c.c_int32,
-                   mask_to_shape=c.c_int32, eps_a=c.c_double, without=c.c_int32, max_pairs=c.c_int64, cancel=c.c_void_p)
+                   mask_to_shape=c.c_int32, eps_a=c.c_double, without=c.c_int32, max_pairs=c.c_int64, cancel=c.c_void_p, depth_limit=_real)
 _Images = _struct("_Images", rgb=_real, depth=_real, alpha=_real, mask=_real, hits=_real, kept=_real, transmittance=_real)
 _ImageGrads = _struct("_ImageGrads", rgb=_real, depth=_real, alpha=_real, mask=_real)
 _Grads = _struct("_Grads", **{name: _real for name in GRADS})
@@ -160,17 +160,20 @@ class Rasterizer:
             _library().svrgs_context_destroy(self._context)
             self._context = None
 
-    def forward(self, scene, camera: Camera, options: RenderOptions = RenderOptions(), masks=None, outputs=("rgb",)) -> dict:
+    def forward(self, scene, camera: Camera, options: RenderOptions = RenderOptions(), masks=None, outputs=("rgb",), depth_limit=None) -> dict:
         """Renders one view (paper Eq. 1-2 and 5).
 
         scene: anything with the arrays of Scene, in self.dtype (sh may be float16: half the memory, no gradients);
-        masks: (N,) uint8 of 0 and 1, or None for all 1; outputs: names from IMAGES and COUNTS. Returns {name: (H, W) or (H, W, 3) array}; rgb is not clamped.
+        masks: (N,) uint8 of 0 and 1, or None for all 1; outputs: names from IMAGES and COUNTS; depth_limit: (H, W) in self.dtype, or None:
+        a pixel takes a Gaussian only where its z is less, and the view has no gradients, scores, moments or counts of pixels.
+        Returns {name: (H, W) or (H, W, 3) array}; rgb is not clamped.
         """
         arrays = self._scene(scene, masks)
         images, pointers = self._images(camera, outputs)
+        limit = None if depth_limit is None else _check(depth_limit, "depth_limit", (camera.height, camera.width), self.dtype)
         degree = min(options.sh_degree, int(arrays.sh_coefficients**0.5) - 1)
         native = _Options(degree, options.antialiased, options.full, MASK_KINDS[options.mask_kind], options.mask_to_shape,
-                          options.eps_a, sum(SKIPS[name] for name in options.without), options.max_pairs, self.cancel.ctypes.data)
+                          options.eps_a, sum(SKIPS[name] for name in options.without), options.max_pairs, self.cancel.ctypes.data, limit)
         self._shape = (camera.height, camera.width, arrays.sh_coefficients)
         _call("svrgs_forward", self._context, c.byref(arrays), c.byref(_camera(camera, options.background)), c.byref(native), c.byref(pointers))
         return images
@@ -338,7 +341,7 @@ def _image_shape(name: str, height: int, width: int) -> tuple:
 def _camera(camera: Camera, background) -> _Camera:
     K = camera.K
     return _Camera((c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()), K[0, 0], K[1, 1], K[0, 2], K[1, 2],
-                   camera.width, camera.height, (c.c_double * 3)(*background))
+                   camera.width, camera.height, camera.orthographic, (c.c_double * 3)(*background))
 
 
 def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, np.ndarray]:

@@ -21,13 +21,9 @@ class Preview:
 
     def image(self, camera: Camera) -> np.ndarray:
         """Colours (H, W, 3) float32, not clamped; read-only. The picture of a camera that has not moved is the last one."""
-        key = _key(camera)
+        key = camera.key
         if self._drawn is None or self._drawn[0] != key:
             image = self._rasterizer.forward(self.scene, camera, self.options)["rgb"]
             image.flags.writeable = False
             self._drawn = key, image
         return self._drawn[1]
-
-
-def _key(camera: Camera) -> bytes:
-    return b"".join((camera.viewmat.tobytes(), camera.K.tobytes(), camera.width.to_bytes(4, "little"), camera.height.to_bytes(4, "little")))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from . import activation
+from .camera import Camera
 from .color_maps import colored
 from .scene import SH_C0, Scene
 from .sh_rotation import band
@@ -53,14 +54,13 @@ def recolored(scene: Scene, rgb: np.ndarray) -> Scene:
     return replace(scene, sh=np.ascontiguousarray(((rgb - 0.5) / SH_C0)[:, None], np.float32))
 
 
-def colors(scene: Scene, rows: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """(N, 3) float32 display colours of these rows as seen from `eye` (3,), in the scene's coordinates."""
+def colors(scene: Scene, rows: np.ndarray, camera: Camera) -> np.ndarray:
+    """(N, 3) float32 display colours of these rows as a camera in the scene's coordinates sees them."""
     result = np.empty((len(rows), 3), np.float32)
     for start in range(0, len(rows), BLOCK):
         part = rows[start : start + BLOCK]
         sh = scene.sh[part]
-        directions = scene.means[part] - np.asarray(eye, np.float32)
-        directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
+        directions = camera.directions(scene.means[part])
         color = 0.5 + SH_C0 * sh[:, 0]
         for degree in range(1, scene.sh_degree + 1):
             basis = band(degree, directions).astype(np.float32)

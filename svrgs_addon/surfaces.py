@@ -8,7 +8,7 @@ import numpy as np
 
 from .camera import Camera
 
-NEAR = 1e-3  # of the farthest corner: nearer parts of triangles are cut off
+NEAR = 1e-3  # of the farthest corner: nearer parts of triangles are cut off in perspective
 SHADE = 0.35  # light on a triangle seen edge-on; 1 on one that faces the camera
 AT_ONCE = 1 << 20  # (triangle, row) or (triangle, pixel) pairs held in memory
 
@@ -33,22 +33,26 @@ def surface(triangles: Triangles, camera: Camera) -> Surface:
     """The nearest triangle at every pixel centre, flat, lit along the camera's axis."""
     corners = triangles.corners.astype(np.float64) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     shaded = triangles.colors * _light(corners)[:, None]
-    corners, source = _clipped(corners)
+    corners, source = _clipped(corners, 0.0 if camera.orthographic else NEAR)
     depth = np.full(camera.height * camera.width, np.inf, np.float32)
     rgb = np.zeros((len(depth), 3), np.float32)
-    projected = corners @ camera.K.T
-    x, y = projected[..., 0] / corners[..., 2], projected[..., 1] / corners[..., 2]
-    nearness = _planes(x, y, 1 / corners[..., 2])
+    x, y = np.moveaxis(camera.pixels(corners), -1, 0)
+    planes = _planes(x, y, _flat(corners[..., 2], camera))
     for triangle, row, left, right in _spans(x, y, camera.width, camera.height):
         for span, column in _expanded(left, right):
             owner = triangle[span]
-            a, b, c = nearness[owner].T
-            z = (1 / (a * (column + 0.5) + b * (row[span] + 0.5) + c)).astype(np.float32)
+            a, b, c = planes[owner].T
+            z = _flat(a * (column + 0.5) + b * (row[span] + 0.5) + c, camera).astype(np.float32)
             pixel = row[span] * camera.width + column
             np.minimum.at(depth, pixel, z)
             won = z == depth[pixel]
             rgb[pixel[won]] = shaded[source[owner[won]]]
     return Surface(depth.reshape(camera.height, camera.width), rgb.reshape(camera.height, camera.width, 3))
+
+
+def _flat(z: np.ndarray, camera: Camera) -> np.ndarray:
+    """Depths as what changes evenly across the picture of a plane, and back: 1 / z in perspective."""
+    return z if camera.orthographic else 1 / z
 
 
 def _light(corners: np.ndarray) -> np.ndarray:
@@ -59,11 +63,12 @@ def _light(corners: np.ndarray) -> np.ndarray:
     return SHADE + (1 - SHADE) * facing
 
 
-def _clipped(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The parts of triangles (M, 3, 3) before the camera, as triangles, and the one each is part of."""
+def _clipped(corners: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """The parts of triangles (M, 3, 3) farther before the camera than this share of the farthest corner, as triangles, and the one each
+    is part of."""
     finite = np.isfinite(corners).all(axis=(1, 2))
-    near = NEAR * corners[finite, :, 2].max(initial=0)
-    front = (corners[..., 2] > near) & (near > 0) & finite[:, None]
+    near = share * corners[finite, :, 2].max(initial=0)
+    front = (corners[..., 2] > near) & finite[:, None]
     count = front.sum(axis=1)
     whole, one, two = (np.flatnonzero(count == n) for n in (3, 1, 2))
     # turned so that corner 0 is the one that differs from the other two

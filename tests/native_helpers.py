@@ -35,11 +35,12 @@ def bytes_of(masks) -> np.ndarray | None:
     return None if masks is None else np.ascontiguousarray(masks, np.uint8)
 
 
-def render(level: str, scene, camera, masks=None, outputs=IMAGES, **options) -> dict[str, np.ndarray]:
+def render(level: str, scene, camera, masks=None, outputs=IMAGES, depth_limit=None, **options) -> dict[str, np.ndarray]:
     """One view of the scene, all images by default; the background is BACKGROUND unless given."""
     r = rasterizer(level)
     options = RenderOptions(**{"background": BACKGROUND, "mask_kind": "svr"} | options)
-    return r.forward(typed(scene, r.dtype), camera, options, bytes_of(masks), outputs)
+    limit = None if depth_limit is None else np.ascontiguousarray(depth_limit, r.dtype)
+    return r.forward(typed(scene, r.dtype), camera, options, bytes_of(masks), outputs, limit)
 
 
 def image_weights(camera, seed: int = 0) -> dict[str, np.ndarray]:

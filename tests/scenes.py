@@ -168,6 +168,15 @@ CAMERAS = {
 }
 
 
+def parallel(camera: Camera) -> Camera:
+    """The orthographic view that shows the origin's plane at the camera's scale."""
+    z = camera.viewmat[2, 3]
+    return replace(camera, K=camera.K @ np.diag([1 / z, 1 / z, 1.0]), orthographic=True)
+
+
+ORTHOGRAPHIC = {f"parallel_{name}": parallel(CAMERAS[name]) for name in ("plain", "rotated", "off_centre", "narrow", "inside")}
+
+
 # --- float64 torch twins
 
 
@@ -186,6 +195,7 @@ def reference_render(params: dict[str, torch.Tensor], masks, camera: Camera, bac
         K=torch.as_tensor(camera.K, dtype=torch.float64),
         width=camera.width,
         height=camera.height,
+        orthographic=camera.orthographic,
         background=torch.as_tensor(background, dtype=torch.float64),
         **options,
     )
@@ -207,16 +217,17 @@ def undecided(scene: Scene, camera: Camera, masks: np.ndarray) -> np.ndarray:
     p = leaves(scene, requires_grad=False)
     viewmat, K = torch.tensor(camera.viewmat), torch.tensor(camera.K)
     size = camera.width, camera.height
-    splats = ref.project(*p.values(), viewmat, K, *size, scene.sh_degree, scene.antialiased)
+    splats = ref.project(*p.values(), viewmat, K, *size, scene.sh_degree, scene.antialiased, camera.orthographic)
     pixels = ref.pixel_centres(*size)
     alpha, raw = ref.alphas(splats, pixels)[0], ref.unclamped_alphas(splats, pixels)[0]
     T = ref.transmittance(alpha, torch.as_tensor(masks, dtype=torch.float64)[splats.index])[:, 1:]
 
     means_c = (p["means"] @ viewmat[:3, :3].T + viewmat[:3, 3])[splats.index]
     slopes, limits = means_c[:, :2] / means_c[:, 2:], ref.frustum_limits(K, *size)
-    colours = ref.view_colours(p["means"], p["sh"], viewmat, scene.sh_degree)[splats.index]
+    colours = ref.view_colours(p["means"], p["sh"], viewmat, scene.sh_degree, camera.orthographic)[splats.index]
     close = (_near(raw, ref.ALPHA_MIN, 0.03) | _near(raw, ref.ALPHA_MAX, 0.03) | _near(T, ref.T_MIN, 0.1)).any(0)
-    close |= torch.stack([_near(slopes, limit, 0.01) for limit in limits]).any(0).any(1)
+    if not camera.orthographic:
+        close |= torch.stack([_near(slopes, limit, 0.01) for limit in limits]).any(0).any(1)
     close |= (colours.abs() < 0.02).any(1)
     close[1:] |= splats.z.diff() < 1e-4 * splats.z[1:]
     if scene.antialiased:

@@ -24,6 +24,7 @@ from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.formats import read_ply, write_ply
 from svrgs_addon.images import read_image
 from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.splat_files import load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURES = {"psnr", "ssim", "lpips", "flip", "count", "bytes", "ms_per_frame"}
@@ -123,6 +124,19 @@ def test_render_from_cameras_json_with_folders_in_names(tiny, svrgs, tmp_path):
     assert svrgs("render", tiny.splat, "--colmap", tiny.folder, "--format", "npy", "--out", tmp_path / "colmap").status == 0
     for name, other in (("right/a", "00"), ("left/a", "01"), ("left/b.0012", "02")):
         assert np.allclose(np.load(tmp_path / f"json/{name}.rgb.npy"), np.load(tmp_path / f"colmap/{other}.rgb.npy"), atol=1e-5)
+
+
+def test_render_along_parallel_rays(tiny, svrgs, tmp_path):
+    path = cameras_json(tiny, tmp_path, ["flat"])
+    (entry,) = json.loads(path.read_text())
+    path.write_text(json.dumps([entry | {"orthographic": True, "fx": 12.0, "fy": 11.0}]))
+    done = svrgs("render", tiny.splat, "--cameras", path, "--format", "npy", "--out", tmp_path / "out")
+    assert done.status == 0, done.err
+    first = tiny.cameras[0]
+    K = np.array([[12, 0, first.width / 2], [0, 11, first.height / 2], [0, 0, 1]])
+    expected = Rasterizer().forward(load_scene(tiny.splat).scene, replace(first, K=K, orthographic=True))["rgb"]
+    np.testing.assert_allclose(np.load(tmp_path / "out/flat.rgb.npy"), expected, atol=1e-5)
+    assert expected.std() > 0.05
 
 
 def test_render_train_and_test_views_are_all_views(tiny, svrgs, tmp_path):

@@ -232,7 +232,12 @@ def test_cameras_json_conventions(tmp_path):
     (camera,) = load_cameras_json(tmp_path / "cameras.json")
     assert np.allclose(camera.position, [1, 2, 3])
     assert np.allclose(camera.viewmat[:3, :3] @ [0, 1, 0], [1, 0, 0])  # camera x is the rotation's first column
-    assert np.allclose(camera.K, [[60, 0, 32], [0, 58, 24], [0, 0, 1]])
+    assert np.allclose(camera.K, [[60, 0, 32], [0, 58, 24], [0, 0, 1]]) and not camera.orthographic
+    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY | {"orthographic": True}]))
+    assert load_cameras_json(tmp_path / "cameras.json")[0].orthographic
+    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY | {"orthographic": 1}]))
+    with pytest.raises(FormatError, match="orthographic is 1; true or false is expected"):
+        load_cameras_json(tmp_path / "cameras.json")
 
 
 @pytest.mark.parametrize(

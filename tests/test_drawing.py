@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -51,15 +53,18 @@ def test_a_flat_surface_hides_what_lies_behind_it(scene):
     assert (drawing.covered == 1).all()
 
 
-def test_a_surface_far_behind_hides_nothing_though_drawn_in_layers(scene):
-    """Layers are blended as the whole is, but for the Gaussian at which colours stop: it weighs up to 0.01, and a layer keeps it."""
+def test_a_slope_hides_at_every_pixel_what_lies_behind_it_there(scene):
     slope = plane(0)
     slope.depth[:] = np.linspace(depths(scene).min() - 1, depths(scene).max() + 1, CAMERA.width)
-    slope.depth[:, 32:] = np.inf
+    slope.depth[:, 48:] = np.inf
     drawing, whole = draw(Rasterizer(), scene, CAMERA, surface=slope), draw(Rasterizer(), scene, CAMERA)
-    for name, tolerance in (("rgb", 0.01), ("alpha", 0.01), ("mask", 1e-5), ("hits", 0)):
-        np.testing.assert_allclose(getattr(drawing, name)[:, 32:], getattr(whole, name)[:, 32:], atol=tolerance)
-    assert (drawing.hits[:, 0] == 0).all()
+    for name in ("rgb", "alpha", "mask", "hits", "depth"):
+        np.testing.assert_array_equal(getattr(drawing, name)[:, 48:], getattr(whole, name)[:, 48:])
+    assert (drawing.hits[:, 0] == 0).all() and (drawing.covered[:, :48] == 1).all()
+    for column in (12, 25, 40):
+        flat = draw(Rasterizer(), scene, CAMERA, surface=plane(slope.depth[0, column]))
+        for name in ("rgb", "alpha", "mask", "hits", "depth"):
+            np.testing.assert_array_equal(getattr(drawing, name)[:, column], getattr(flat, name)[:, column])
 
 
 def test_nothing_at_all_is_far_away():
@@ -107,22 +112,27 @@ def wall(*corners) -> Triangles:
 SIMPLE = Camera(np.eye(4), np.array([[50.0, 0, 32], [0, 50, 20], [0, 0, 1]]), 64, 40)
 
 
+PARALLEL = replace(SIMPLE, K=np.array([[12.0, 0, 32], [0, 12, 20], [0, 0, 1]]), orthographic=True)
+
+
 def covered_by_rays(triangle: np.ndarray, camera: Camera) -> np.ndarray:
     """(H, W) depth where the ray of a pixel meets the triangle, by solving for it; infinite elsewhere. Camera at the origin."""
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(camera.K).T
+    plane = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(camera.K).T
+    start, rays = (plane - (0, 0, 1), np.array([[[0.0, 0, 1]]])) if camera.orthographic else (np.zeros_like(plane), plane)
     a, b, c = triangle
-    system = np.stack(np.broadcast_arrays((a - b)[None, None], (a - c)[None, None], rays), axis=-1)
-    u, v, t = np.moveaxis(np.linalg.solve(system, np.broadcast_to(a[:, None], (*rays.shape, 1)))[..., 0], -1, 0)
+    system = np.stack(np.broadcast_arrays((a - b)[None, None], (a - c)[None, None], rays, plane)[:3], axis=-1)
+    u, v, t = np.moveaxis(np.linalg.solve(system, (a - start)[..., None])[..., 0], -1, 0)
     return np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
 
 
+@pytest.mark.parametrize("camera", [SIMPLE, PARALLEL], ids=["perspective", "orthographic"])
 @pytest.mark.parametrize("seed", range(8))
-def test_triangles_cover_the_pixels_whose_rays_meet_them(seed):
+def test_triangles_cover_the_pixels_whose_rays_meet_them(seed, camera):
     """Some reach behind the camera. Rays that graze an edge may fall on either side of it."""
     rng = np.random.default_rng(seed)
     corners = rng.uniform((-3, -2, -1), (3, 2, 6), (3, 3))
-    seen, expected = surface(wall(*corners), SIMPLE), covered_by_rays(corners, SIMPLE)
+    seen, expected = surface(wall(*corners), camera), covered_by_rays(corners, camera)
     both = np.isfinite(expected) & np.isfinite(seen.depth)
     np.testing.assert_allclose(seen.depth[both], expected[both], rtol=1e-4)
     assert (np.isfinite(expected) ^ np.isfinite(seen.depth))[expected > 0.01].sum() <= 2
@@ -141,5 +151,5 @@ def test_neighbours_leave_no_gap_and_the_nearer_one_wins():
 
 def test_a_scene_behind_the_camera_or_not_finite_is_not_seen():
     for corners in ([(-1, -1, -2), (1, -1, -2), (0, 1, -2)], [(np.nan, 0, 2), (1, 0, 2), (0, 1, 2)]):
-        assert np.isinf(surface(wall(*corners), SIMPLE).depth).all()
+        assert all(np.isinf(surface(wall(*corners), camera).depth).all() for camera in (SIMPLE, PARALLEL))
     assert np.isinf(surface(Triangles(np.empty((0, 3, 3)), np.empty((0, 3))), SIMPLE).depth).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import scenes
-from svrgs_addon.lens import Lens, depth_of_projection, intrinsics, intrinsics_of_projection, lens_of
+from svrgs_addon.lens import Lens, camera_of_projection, depth_of_projection, intrinsics, lens_of, step_back
 
 
 @pytest.mark.parametrize("camera", scenes.CAMERAS.values(), ids=scenes.CAMERAS)
@@ -33,6 +33,12 @@ def test_a_portrait_is_fitted_to_its_height():
     assert intrinsics(replace(lens, aspect=(2.0, 1.0)))[0, 0] == pytest.approx(50 * 80 / 36)  # pixels twice as wide: a landscape
 
 
+@pytest.mark.parametrize("fit, side", [("AUTO", 100), ("HORIZONTAL", 100), ("VERTICAL", 80)])
+def test_an_orthographic_lens_shows_its_scale_on_the_fitted_side(fit, side):
+    K = intrinsics(Lens(100, 80, 50.0, (0.1, -0.2), sensor=(36, 24), fit=fit, ortho_scale=4.0))
+    np.testing.assert_allclose(K, [[side / 4, 0, 50 - 0.1 * side], [0, side / 4, 40 - 0.2 * side], [0, 0, 1]])
+
+
 def frustum(left, right, bottom, top, near, far) -> np.ndarray:
     """OpenGL's projection matrix, from its definition."""
     return np.array([
@@ -41,15 +47,26 @@ def frustum(left, right, bottom, top, near, far) -> np.ndarray:
     ])  # fmt: skip
 
 
-def test_a_viewports_projection_and_its_intrinsics_show_points_at_the_same_pixels():
-    P, points = frustum(-0.3, 0.5, -0.2, 0.1, 0.5, 90), np.random.default_rng(0).uniform((-2, -2, -9), (2, 2, -1), (20, 3))
+def box(left, right, bottom, top, near, far) -> np.ndarray:
+    """OpenGL's orthographic projection matrix, from its definition."""
+    low, high = np.array([left, bottom, -near]), np.array([right, top, -far])
+    P = np.diag([*(2 / (high - low)), 1])
+    P[:3, 3] = -(high + low) / (high - low)
+    return P
+
+
+@pytest.mark.parametrize(
+    "P, behind",
+    [(frustum(-0.3, 0.5, -0.2, 0.1, 0.5, 90), 0), (box(-3, 5, -2, 1, 0.5, 90), 0), (box(-3, 5, -2, 1, -20, 20), 20)],
+    ids=["perspective", "orthographic", "around the eye"],
+)
+def test_a_viewports_projection_and_its_camera_show_points_at_the_same_pixels(P, behind):
+    points = np.random.default_rng(0).uniform((-2, -2, -9), (2, 2, 15 if behind else -1), (20, 3))
     clip = np.c_[points, np.ones(20)] @ P.T
     ndc = clip[:, :3] / clip[:, 3:]
-    seen = (points * (1, -1, -1)) @ intrinsics_of_projection(P, 320, 200).T
-    np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], np.c_[(ndc[:, 0] + 1) * 160, (1 - ndc[:, 1]) * 100], atol=1e-9)
-    np.testing.assert_allclose(depth_of_projection(P, (ndc[:, 2] + 1) / 2), -points[:, 2], rtol=1e-5)
+    camera = camera_of_projection(P, np.eye(4), 320, 200)
+    seen = points * (1, -1, -1) + camera.viewmat[:3, 3]
+    np.testing.assert_allclose(camera.pixels(seen), np.c_[(ndc[:, 0] + 1) * 160, (1 - ndc[:, 1]) * 100], atol=1e-9)
+    np.testing.assert_allclose(depth_of_projection(P, (ndc[:, 2] + 1) / 2), seen[:, 2], rtol=1e-5)
     assert np.isinf(depth_of_projection(P, np.ones(1))).all()
-
-
-def test_a_parallel_projection_has_no_intrinsics():
-    assert intrinsics_of_projection(np.diag([1.0, 1, -0.1, 1]), 320, 200) is None
+    assert step_back(P) == pytest.approx(behind, abs=1e-9) and (seen[:, 2] > 0).all()

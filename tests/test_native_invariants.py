@@ -3,6 +3,7 @@
 import functools
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -223,6 +224,22 @@ def test_gradients_are_linear_in_the_image_gradients(level):
         np.testing.assert_allclose(gradient, total, atol=(1e-5 if level != "float64" else 1e-13) * scale, err_msg=name)
 
 
+@pytest.mark.parametrize("level", LEVELS)
+def test_parallel_rays_show_the_same_from_any_distance(level):
+    """A step of 8 along the camera's axis: other depths, and not a colour else; no gradient pulls along the axis."""
+    scene, camera = scenes.random_scene(80, 3, 2, scale=0.3), scenes.ORTHOGRAPHIC["parallel_plain"]
+    back = replace(camera, viewmat=camera.viewmat + np.outer((0, 0, 1, 0), (0, 0, 0, 8)))
+    near, far = render(level, scene, camera, full=False), render(level, scene, back, full=False)
+    close = {"rtol": 0, "atol": 2e-6 if level != "float64" else 1e-13}
+    np.testing.assert_allclose(far["rgb"], near["rgb"], **close)
+    np.testing.assert_allclose(far["depth"], near["depth"] + 8 * near["alpha"], rtol=1e-5)
+    grads = backward(level, {name: image_weights(camera)[name] for name in ("rgb", "alpha")}, 80)
+    assert not grads["means"][:, 2].any() and grads["means"][:, :2].any()
+    fx, fy = camera.K.diagonal()[:2]
+    pulled = grads["means2d"] * (fx, fy)
+    np.testing.assert_allclose(grads["means"][:, :2], pulled, rtol=1e-5, atol=1e-6 * np.abs(pulled).max())
+
+
 # --- order
 
 
@@ -308,6 +325,50 @@ def test_same_bits_for_any_number_of_threads(level):
             assert_same_bits(dense_view(level), expected)
 
 
+SLOPE = np.broadcast_to(np.where(np.arange(100) < 90, np.linspace(2, 6, 100), np.inf), (70, 100))
+
+
+def limited_view(level: str, limit=SLOPE, **options) -> dict[str, np.ndarray]:
+    """The images of a view of several chunks a tile."""
+    scene, camera = scenes.random_scene(4000, 1, 1, scale=0.1, opacity=-3.0), scenes.camera(100, 70, fov=75)
+    return render(level, scene, camera, scenes.random_masks(4000, 1), depth_limit=limit, **options)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("full", [True, False])
+def test_depth_limits_keep_their_bits_for_any_threads_and_skips(level, full):
+    expected, whole = limited_view(level, full=full), limited_view(level, limit=None, full=full)["hits"]
+    assert (expected["hits"] < whole).mean() > 0.4 and (expected["hits"] == whole)[:, 90:].all()
+    for threads in (1, 3, 16):
+        native.set_threads(threads)
+        assert_same_bits(limited_view(level, full=full), expected)
+    assert_same_bits(limited_view(level, full=full, without=tuple(native.SKIPS)), expected)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_limit_beyond_everything_changes_no_bit(level):
+    scene, masks = scenes.opaque_stack(60, 2, 1), scenes.random_masks(60, 2)
+    for kind, full in (("none", True), ("svr", True), ("svr", False), ("a", True)):
+        whole, far = (render(level, scene, CAMERA, masks, mask_kind=kind, full=full, depth_limit=limit) for limit in (None, np.full((27, 40), np.inf)))
+        assert_same_bits(far, whole)
+
+
+def test_views_with_a_depth_limit_are_for_looking_at():
+    r, scene = Rasterizer(), scenes.random_scene(20, 1, 1)
+    r.forward(typed(scene, r.dtype), CAMERA, depth_limit=np.ones((27, 40), r.dtype))
+    n, residuals = np.zeros(20), np.zeros((27, 40, 3), r.dtype)
+    calls = (
+        lambda: r.backward({"rgb": residuals}), lambda: r.add_scores(n, np.zeros(20, np.float32), np.zeros(20, np.int64)), r.moments,
+        lambda: r.add_removal(n, residuals), lambda: r.work(count_pixels=True),
+    )  # fmt: skip
+    for call in calls:
+        with pytest.raises(NativeError, match="a view with a depth limit has no gradients and no statistics"):
+            call()
+    r.forward(typed(scene, r.dtype), CAMERA)
+    for call in calls:
+        call()
+
+
 @pytest.mark.parametrize("level", LEVELS)
 def test_buffers_of_earlier_views_leave_no_trace(level):
     """Large, small, large again, and in a fresh renderer."""
@@ -331,7 +392,7 @@ def reference_weights(scene, masks, camera) -> np.ndarray:
     p = scenes.leaves(scene, requires_grad=False)
     splats = ref.project(
         *p.values(), torch.tensor(camera.viewmat), torch.tensor(camera.K), camera.width, camera.height,
-        scene.sh_degree, scene.antialiased,
+        scene.sh_degree, scene.antialiased, camera.orthographic,
     )  # fmt: skip
     alpha, _ = ref.alphas(splats, ref.pixel_centres(camera.width, camera.height))
     M = torch.as_tensor(masks, dtype=torch.float64)[splats.index]
@@ -388,9 +449,10 @@ def test_scores_and_gradients_do_not_disturb_each_other(level):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_visible_are_ascending_and_hold_every_hit(level):
+@pytest.mark.parametrize("model", [lambda camera: camera, scenes.parallel], ids=["perspective", "orthographic"])
+def test_visible_are_ascending_and_hold_every_hit(level, model):
     scene, masks = scenes.random_scene(300, 4, 0, scale=0.05), scenes.random_masks(300, 4)
-    camera = scenes.camera(40, 27, fov=25)
+    camera = model(scenes.camera(40, 27, fov=25))
     render(level, scene, camera, np.ones(300))
     visible = rasterizer(level).visible()
     hit = reference_weights(scene, np.ones(300), camera).any(0)

@@ -3,6 +3,7 @@
 import math
 import time
 import weakref
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -30,6 +31,7 @@ from svrgs_addon.camera import Camera
 from svrgs_addon.errors import NativeError
 from svrgs_addon.native import Rasterizer, RenderOptions, sample_masks
 
+CAMERAS = scenes.CAMERAS | scenes.ORTHOGRAPHIC
 FLOAT_MAX = float(np.finfo(np.float32).max)
 
 
@@ -53,7 +55,7 @@ def assert_in_range(images: dict[str, np.ndarray]):
 # --- hostile scenes
 
 
-HOSTILE_CAMERAS = ("plain", "rotated", "off_centre", "outside", "wide", "narrow", "inside", "pixel")
+HOSTILE_CAMERAS = ("plain", "rotated", "off_centre", "outside", "wide", "narrow", "inside", "pixel", "parallel_plain", "parallel_inside")
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -64,7 +66,7 @@ def test_hostile_scenes_stay_finite(kind, level):
         scene, masks = scenes.HOSTILE_SCENES[kind](60, seed, seed % 4), scenes.random_masks(60, seed)
         for antialiased, mask_kind in ((False, "svr"), (True, "a"), (False, "b")):
             images, grads = view_and_gradients(
-                level, scene, scenes.CAMERAS[name], masks, antialiased=antialiased, mask_kind=mask_kind
+                level, scene, CAMERAS[name], masks, antialiased=antialiased, mask_kind=mask_kind
             )
             assert_in_range(images)
             assert_finite(grads)
@@ -76,8 +78,8 @@ def test_hostile_scenes_stay_finite(kind, level):
 def test_hostile_scenes_are_those_of_the_reference(kind):
     """float64: every pixel. Float: a hit at the very edge of the alpha cut may be decided differently."""
     scene, masks = scenes.HOSTILE_SCENES[kind](50, 3, 1), scenes.random_masks(50, 3)
-    for name in ("plain", "off_centre", "inside"):
-        camera = scenes.CAMERAS[name]
+    for name in ("plain", "off_centre", "inside", "parallel_rotated"):
+        camera = CAMERAS[name]
         expected = scenes.reference_render(scenes.leaves(scene, requires_grad=False), masks, camera, BACKGROUND)
         exact = render("float64", scene, camera, masks)
         np.testing.assert_allclose(exact["rgb"], expected.rgb, rtol=1e-9, atol=1e-9)
@@ -108,9 +110,9 @@ def test_ranges_no_scene_has_stay_finite(level, seed):
             scene.means[:, :2] *= 10 ** rng.uniform(-3, 4, (n, 1))
             scene.means[:, 2] = -scenes.DISTANCE + 0.2 + 10 ** rng.uniform(-8, 2, n)
             scene.log_scales[:] = rng.uniform(-8, 12, (n, 3))
-        for name in ("plain", "rotated", "wide", "narrow"):
+        for name in ("plain", "rotated", "wide", "narrow", "parallel_rotated"):
             for antialiased in (False, True):
-                images, grads = view_and_gradients(level, scene, scenes.CAMERAS[name], antialiased=antialiased)
+                images, grads = view_and_gradients(level, scene, CAMERAS[name], antialiased=antialiased)
                 assert_in_range(images)
                 assert_finite(grads)
                 drawn += images["hits"].sum()
@@ -158,7 +160,7 @@ def test_values_that_are_not_finite_draw_nothing(array, slot, level, antialiased
 def test_extreme_finite_values_stay_finite(array, slot, level):
     """Drawn or culled; if culled, every other bit is as without it."""
     for name in ("plain", "rotated"):
-        camera = scenes.CAMERAS[name]
+        camera = CAMERAS[name]
         for value in FINITE_POISON:
             bad, without, others = poisoned(level, array, slot, value)
             images, grads = view_and_gradients(level, bad, camera)
@@ -319,16 +321,16 @@ def moved(scene, camera: Camera, offset) -> tuple[SimpleNamespace, Camera]:
     far, viewmat = typed(scene, np.float64), camera.viewmat.copy()
     far.means += offset
     viewmat[:3, 3] -= viewmat[:3, :3] @ offset
-    return far, Camera(viewmat, camera.K, camera.width, camera.height)
+    return far, replace(camera, viewmat=viewmat)
 
 
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("name", ["plain", "rotated"])
+@pytest.mark.parametrize("name", ["plain", "rotated", "parallel_rotated"])
 def test_a_world_a_million_units_away(level, name):
     """Centres on a grid that float32 still holds at 1e6, so the image must be the same."""
     scene = scenes.random_scene(60, 1, 0, scale=0.2)
     scene.means[:] = np.round(scene.means * 16) / 16
-    camera = scenes.CAMERAS[name]
+    camera = CAMERAS[name]
     far, far_camera = moved(scene, camera, np.array([1e6, -5e5, 1e6]))
     assert (far.means.astype(np.float32) == far.means).all()
     expected, (images, grads) = render(level, scene, camera), view_and_gradients(level, far, far_camera)
@@ -388,12 +390,13 @@ def test_more_pairs_than_an_index_holds_are_refused_before_allocation():
         {"K": np.array([[20.0, 0, np.nan], [0, 20, 0], [0, 0, 1]])},
         {"viewmat": np.full((4, 4), np.nan)},
         {"viewmat": np.diag([1, 1, np.inf, 1])},
+        {"orthographic": 2},
     ],
 )
 def test_broken_cameras_are_refused(change):
     r, camera = rasterizer("scalar"), frontal(5, 5)
     broken = Camera(**{"viewmat": camera.viewmat, "K": camera.K, "width": 5, "height": 5} | change)
-    with pytest.raises(NativeError, match="camera|focal"):
+    with pytest.raises(NativeError, match="camera|focal|orthographic"):
         r.forward(typed(scenes.random_scene(3), r.dtype), broken)
 
 
@@ -495,8 +498,8 @@ def prepared_rasterizer() -> Rasterizer:
     return r
 
 
-def call_forward(r, masks, **arrays):
-    return r.forward(SimpleNamespace(**arrays), frontal(6, 5), masks=masks)
+def call_forward(r, masks, depth_limit, **arrays):
+    return r.forward(SimpleNamespace(**arrays), frontal(6, 5), masks=masks, depth_limit=depth_limit)
 
 
 def call_backward(r, **weights):
@@ -515,6 +518,7 @@ CALLS = {  # call: {argument: (a right value, written to, may be None)}
         "opacity_logits": (real(7), False, False),
         "sh": (real(7, 4, 3), False, False),
         "masks": (np.ones(7, np.uint8), False, True),
+        "depth_limit": (real(5, 6), False, True),
     },
     call_backward: {
         "rgb": (real(5, 6, 3), False, False),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -35,15 +37,16 @@ def test_the_order_is_that_of_the_depths(values):
     np.testing.assert_array_equal(depth_order(means, np.array([0, 0, 1.0])), np.argsort(-means[:, 2], kind="stable"))
 
 
-def test_colours_are_the_rasterizers():
-    scene, camera = room(300), orbit_camera(32, 32)
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_colours_are_the_rasterizers(orthographic):
+    scene, camera = room(300), replace(orbit_camera(32, 32), orthographic=orthographic)
     rows = np.arange(300)[::-1].copy()
     means, sh, viewmat = (torch.tensor(array, dtype=torch.float64) for array in (scene.means[rows], scene.sh[rows], camera.viewmat))
-    expected = ref.view_colours(means, sh, viewmat, 3)
-    np.testing.assert_allclose(colors(scene, rows, camera.position), expected.clamp(min=0), atol=1e-5)
+    expected = ref.view_colours(means, sh, viewmat, 3, orthographic)
+    np.testing.assert_allclose(colors(scene, rows, camera), expected.clamp(min=0), atol=1e-5)
 
 
 def test_a_recoloured_scene_has_these_colours_from_everywhere():
     scene, rgb = room(50), np.random.default_rng(0).random((50, 3))
-    for eye in ((0, 0, 9), (3, 0, 0)):
-        np.testing.assert_allclose(colors(recolored(scene, rgb), np.arange(50), np.array(eye)), rgb, atol=1e-6)
+    for turn in (0.0, 120.0):
+        np.testing.assert_allclose(colors(recolored(scene, rgb), np.arange(50), orbit_camera(32, 32, turn)), rgb, atol=1e-6)

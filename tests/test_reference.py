@@ -63,6 +63,7 @@ CASES = {
     "stopping": (scenes.opaque_stack(24, 4, 0), scenes.camera(5, 4), {"mode": "full"}),
     "stopping_visible": (scenes.opaque_stack(24, 4, 0), scenes.camera(5, 4), {"mode": "visible"}),
     "clamped": (scenes.off_screen(8, 5, 0), scenes.camera(6, 8), {}),
+    "orthographic": (scenes.random_scene(6, 6, 3, scale=0.3), scenes.parallel(scenes.CAMERAS["rotated"].resized(9, 7)), {}),
 }
 
 
@@ -146,16 +147,18 @@ def test_isotropic_gaussian_by_hand(antialiased):
     np.testing.assert_array_equal(far["rgb"], BACKGROUND)
 
 
-def test_projected_covariance_is_that_of_the_linearised_pinhole():
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_projected_covariance_is_that_of_the_linearised_camera(orthographic):
     scene = scenes.random_scene(6, 1, 0, spread=0.3)
     camera = scenes.camera(40, 30, aspect=1.2, eye=(1, -2, -3), roll=30)
+    camera = scenes.parallel(camera) if orthographic else camera
     p = scenes.leaves(scene, requires_grad=False)
     viewmat, K = torch.tensor(camera.viewmat), torch.tensor(camera.K)
-    splats = ref.project(*p.values(), viewmat, K, camera.width, camera.height, 0, False)
+    splats = ref.project(*p.values(), viewmat, K, camera.width, camera.height, 0, False, orthographic)
 
     def pixel(x: torch.Tensor) -> torch.Tensor:
-        image = K @ (viewmat[:3, :3] @ x + viewmat[:3, 3])
-        return image[:2] / image[2]
+        point = viewmat[:3, :3] @ x + viewmat[:3, 3]
+        return K[:2, :2] @ (point[:2] if orthographic else point[:2] / point[2]) + K[:2, 2]
 
     for k, i in enumerate(splats.index):
         J = torch.autograd.functional.jacobian(pixel, p["means"][i])

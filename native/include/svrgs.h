@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 5
+#define SVRGS_INTERFACE_VERSION 7
 
 typedef void real; /* float or double, by the context's level */
 
@@ -72,8 +72,9 @@ typedef struct {
 
 typedef struct {
   double viewmat[16]; /* world to camera, row-major: a rotation and a translation */
-  double fx, fy, cx, cy;
+  double fx, fy, cx, cy; /* pixels; orthographic: fx, fy are pixels per unit of length */
   int32_t width, height;
+  int32_t orthographic; /* 1: centres are seen at (fx x + cx, fy y + cy), colours along the camera's axis; 0: perspective */
   double background[3];
 } svrgs_camera;
 
@@ -87,6 +88,7 @@ typedef struct {
   int32_t without;       /* enum svrgs_skip bits: skips turned off */
   int64_t max_pairs;     /* refuse more (Gaussian, tile) pairs than this: SVRGS_TOO_LARGE; 0: 2^31 - 1 */
   const int32_t *cancel; /* optional; polled once per tile, non-zero stops with SVRGS_CANCELLED */
+  const real *depth_limit; /* (H, W), optional: a pixel takes a Gaussian only where its z < limit; no gradients and no statistics then */
 } svrgs_options;
 
 typedef struct { /* all optional */

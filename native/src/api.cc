@@ -95,6 +95,7 @@ void check(const svrgs_camera& c) {
   for (const double v : c.background) finite = finite && std::isfinite(v);
   require(finite, "the camera has a value that is not finite");
   require(c.fx > 0 && c.fy > 0 && c.fx < 1e9 && c.fy < 1e9, "focal lengths must be positive");
+  require(c.orthographic == 0 || c.orthographic == 1, "orthographic must be 0 or 1");
 }
 
 void check(const svrgs_options& o, const svrgs_scene& s) {
@@ -103,8 +104,14 @@ void check(const svrgs_options& o, const svrgs_scene& s) {
   require(o.mask_kind != SVRGS_MASK_A || o.eps_a > 0, "eps_a must be positive");
 }
 
+// Whatever walks a view's lists again knows no depth limit.
+void check_whole(const svrgs::Context& context) {
+  require(!context.holds_limit(), "a view with a depth limit has no gradients and no statistics");
+}
+
 void check_view(const svrgs::Context& context, const svrgs_image_grads& in) {
   require(context.holds_view(), "there is no rendered view to differentiate: call svrgs_forward first");
+  check_whole(context);
   require(context.holds_gradients(), "a view of 16-bit sh has no gradients");
   require(!in.depth || context.holds_depth(), "a gradient of the depth image needs a forward pass that made one");
 }
@@ -160,6 +167,7 @@ int32_t svrgs_count_work(svrgs_context* c, int32_t count_pixels, svrgs_work* wor
   return guarded([&] {
     require(c && work, "an argument is missing");
     require(!count_pixels || c->context.holds_view(), "there is no rendered view to count: call svrgs_forward first");
+    if (count_pixels) check_whole(c->context);
     *work = c->context.work(count_pixels);
   });
 }
@@ -201,6 +209,7 @@ int32_t svrgs_scores(svrgs_context* c, double* sum, float* max, int64_t* hits, d
   return guarded([&] {
     require(c, "an argument is missing");
     require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
+    check_whole(c->context);
     c->context.scores({sum, max, hits, through});
   });
 }
@@ -209,6 +218,7 @@ int32_t svrgs_moments(svrgs_context* c, double* moments) {
   return guarded([&] {
     require(c && moments, "an argument is missing");
     require(c->context.holds_view(), "there is no rendered view to take moments of: call svrgs_forward first");
+    check_whole(c->context);
     c->context.moments(moments);
   });
 }
@@ -217,6 +227,7 @@ int32_t svrgs_removal(svrgs_context* c, const real* residuals, double* cost) {
   return guarded([&] {
     require(c && residuals && cost, "an argument is missing");
     require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
+    check_whole(c->context);
     c->context.removal(residuals, cost);
   });
 }

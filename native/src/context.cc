@@ -46,9 +46,11 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
     f.background[k] = c.background[k];
   }
   f.fx = c.fx, f.fy = c.fy, f.cx = c.cx, f.cy = c.cy;
+  f.orthographic = c.orthographic;
   f.width = c.width, f.height = c.height;
   f.tiles_x = (c.width + kTile - 1) / kTile, f.tiles_y = (c.height + kTile - 1) / kTile;
   f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.mask_to_shape = o.mask_to_shape, f.eps_a = o.eps_a, f.without = o.without;
+  f.depth_limit = o.depth_limit;
   f.full = o.full && o.mask_kind != kMaskNone;
   f.want_depth = images.depth != nullptr;
 }

@@ -59,6 +59,7 @@ class Context {
   bool holds_gradients() const { return holds_view_ && !frame_.sh_half; }
   bool is_double() const { return kernels_.real_size == sizeof(double); }
   bool holds_depth() const { return frame_.want_depth; }
+  bool holds_limit() const { return frame_.depth_limit; }
 
  private:
   void set_frame(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);

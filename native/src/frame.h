@@ -54,12 +54,14 @@ struct Frame {
   // camera
   double viewmat[16], position[3];
   double fx, fy, cx, cy;
+  bool orthographic;
   int width, height, tiles_x, tiles_y;
   double background[3];
   // options
   bool antialiased, full, mask_to_shape, want_depth;
   int mask_kind, without;
   double eps_a;
+  const void* depth_limit;  // R[height][width], optional
   // projection
   void* splats;           // Splat<R>[count], those of visible Gaussians close together at their places
   SplatTiles* tiles;      // [count], likewise

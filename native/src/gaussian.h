@@ -1,5 +1,6 @@
 // One batch of W Gaussians from world to screen, and back (projection and its vector-Jacobian product, side by side).
-// Equations: 3DGS Eq. 5-6 (covariance, EWA projection), with the full K and the 3DGS clamp of x/z, y/z.
+// Equations: 3DGS Eq. 5-6 (covariance, EWA projection), with the full K and the 3DGS clamp of x/z, y/z. Where rays are parallel
+// (Frame::orthographic), 1 stands for 1/z, and x/z, y/z within the Jacobian are 0.
 
 struct Batch {  // raw parameters of W Gaussians, transposed
   D offset[3];  // mean from the camera centre
@@ -44,17 +45,27 @@ inline void rotation_matrix(const V q[4], V m[3][3]) {
 
 inline V view(const Frame& f, int row, int column) { return splat(static_cast<R>(f.viewmat[4 * row + column])); }
 
-inline Projected project(const Frame& f, const Batch& b) {
-  Projected p;
-  for (int i = 0; i < 3; ++i)
-    p.c[i] = fma(view(f, i, 0), b.mean[0], fma(view(f, i, 1), b.mean[1], view(f, i, 2) * b.mean[2]));
-  const V inv_z = splat(1) / p.c[2], fx = splat(R(f.fx)), fy = splat(R(f.fy));
+inline V inverse_depth(const Frame& f, V z) { return f.orthographic ? splat(1) : splat(1) / z; }
+
+inline void clamp_ratios(const Frame& f, V inv_z, Projected& p) {
+  if (f.orthographic) {
+    p.ratio_x = p.ratio_y = p.free_x = p.free_y = splat(0);
+    return;
+  }
   const V rx = p.c[0] * inv_z, ry = p.c[1] * inv_z;
   const R margin_x = R(kFrustumMargin * f.width / (2 * f.fx)), margin_y = R(kFrustumMargin * f.height / (2 * f.fy));
   p.ratio_x = clamp(rx, splat(R(-f.cx / f.fx) - margin_x), splat(R((f.width - f.cx) / f.fx) + margin_x));
   p.ratio_y = clamp(ry, splat(R(-f.cy / f.fy) - margin_y), splat(R((f.height - f.cy) / f.fy) + margin_y));
   p.free_x = select(both(at_least(rx, p.ratio_x), at_least(p.ratio_x, rx)), splat(1), splat(0));
   p.free_y = select(both(at_least(ry, p.ratio_y), at_least(p.ratio_y, ry)), splat(1), splat(0));
+}
+
+inline Projected project(const Frame& f, const Batch& b) {
+  Projected p;
+  for (int i = 0; i < 3; ++i)
+    p.c[i] = fma(view(f, i, 0), b.mean[0], fma(view(f, i, 1), b.mean[1], view(f, i, 2) * b.mean[2]));
+  const V inv_z = inverse_depth(f, p.c[2]), fx = splat(R(f.fx)), fy = splat(R(f.fy));
+  clamp_ratios(f, inv_z, p);
 
   V norm2 = splat(0);
   for (int k = 0; k < 4; ++k) norm2 = fma(b.quat[k], b.quat[k], norm2);
@@ -142,9 +153,22 @@ inline void factor_vjp(const Frame& f, const Projected& p, const Whitening& l, c
   }
 }
 
+// What dL/dP says of x/z, y/z and z: P = (1/z) [fx (w0 - rx w2); fy (w1 - ry w2)], w = rows of the view rotation.
+inline void jacobian_vjp(const Frame& f, const Projected& p, V inv_z, const V d_screen[2][3], V& d_rx, V& d_ry, V& d_z) {
+  const V fx = splat(R(f.fx)), fy = splat(R(f.fy));
+  V radial = splat(0);
+  for (int i = 0; i < 3; ++i) {
+    radial = fma(d_screen[0][i], p.to_screen[0][i], fma(d_screen[1][i], p.to_screen[1][i], radial));
+    d_rx = fnma(d_screen[0][i], fx * inv_z * view(f, 2, i), d_rx);
+    d_ry = fnma(d_screen[1][i], fy * inv_z * view(f, 2, i), d_ry);
+  }
+  d_z -= radial * inv_z;
+  d_rx *= p.free_x, d_ry *= p.free_y;
+}
+
 inline ParameterGrads project_vjp(const Frame& f, const Projected& p, const ScreenGrads& g) {
   ParameterGrads out;
-  const V inv_z = splat(1) / p.c[2], fx = splat(R(f.fx)), fy = splat(R(f.fy));
+  const V inv_z = inverse_depth(f, p.c[2]), fx = splat(R(f.fx)), fy = splat(R(f.fy));
   const Whitening l = whitening(p);
   out.opacity_logit = g.g * (splat(1) - p.opacity);
   out.mean2d[0] = splat(kWhiten * kWhiten) * l.l11 * g.gu;  // Q (sum of g d)
@@ -172,19 +196,11 @@ inline ParameterGrads project_vjp(const Frame& f, const Projected& p, const Scre
   for (int k = 0; k < 4; ++k) along = fma(d_quat[k], p.quat[k], along);
   for (int k = 0; k < 4; ++k) out.quat[k] = (d_quat[k] - along * p.quat[k]) * p.inv_norm;
 
-  // P = (1/z) [fx (w0 - rx w2); fy (w1 - ry w2)], w = rows of the view rotation
-  V d_c[3] = {splat(0), splat(0), g.depth};
-  V radial = splat(0), d_rx = splat(0), d_ry = splat(0);
-  for (int i = 0; i < 3; ++i) {
-    radial = fma(d_screen[0][i], p.to_screen[0][i], fma(d_screen[1][i], p.to_screen[1][i], radial));
-    d_rx = fnma(d_screen[0][i], fx * inv_z * view(f, 2, i), d_rx);
-    d_ry = fnma(d_screen[1][i], fy * inv_z * view(f, 2, i), d_ry);
-  }
-  d_c[2] -= radial * inv_z;
-  d_rx *= p.free_x, d_ry *= p.free_y;
+  V d_c[3] = {splat(0), splat(0), g.depth}, d_rx = splat(0), d_ry = splat(0);
+  if (!f.orthographic) jacobian_vjp(f, p, inv_z, d_screen, d_rx, d_ry, d_c[2]);
   d_rx = fma(out.mean2d[0], fx, d_rx), d_ry = fma(out.mean2d[1], fy, d_ry);  // centre = (fx x/z + cx, fy y/z + cy)
   d_c[0] = d_rx * inv_z, d_c[1] = d_ry * inv_z;
-  d_c[2] -= (d_rx * (p.c[0] * inv_z) + d_ry * (p.c[1] * inv_z)) * inv_z;
+  if (!f.orthographic) d_c[2] -= (d_rx * (p.c[0] * inv_z) + d_ry * (p.c[1] * inv_z)) * inv_z;
   for (int j = 0; j < 3; ++j) out.mean[j] = view(f, 0, j) * d_c[0] + view(f, 1, j) * d_c[1] + view(f, 2, j) * d_c[2];
   return out;
 }

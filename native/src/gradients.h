@@ -21,7 +21,7 @@ struct ColourGrads {
 
 // ... to its SH coefficients (rows of (V, K, 3), bands above sh_degree zero) and, through the direction, to the mean.
 inline void sh_vjp(const Frame& f, const Batch& b, const uint32_t* ids, int n, const ColourGrads& g, R* sh_rows, V mean[3]) {
-  const Direction dir = direction(b.mean);
+  const Direction dir = direction(f, b.mean);
   const int used = (f.sh_degree + 1) * (f.sh_degree + 1);
   V basis[16], weight[16] = {};
   sh_basis(f.sh_degree, dir.d, basis);

@@ -68,14 +68,18 @@ inline uint32_t may_be_seen(const Frame& f, int64_t first, int n) {
   const double* m = f.viewmat;
   const D wx = wide(x), wy = wide(y), wz = wide(z);
   const auto camera = [&](int row) { return narrow(m[4 * row] * wx + m[4 * row + 1] * wy + m[4 * row + 2] * wz + m[4 * row + 3]); };
-  const V depth = camera(2), inv = splat(1) / depth, rx = camera(0) * inv, ry = camera(1) * inv;
+  const V depth = camera(2), inv = inverse_depth(f, depth), rx = camera(0) * inv, ry = camera(1) * inv;
   const M front = both(less(splat(R(kNear)), depth), less(depth, splat(R(kFar))));
-  const V limit_x = splat(R(kFrustumMargin * f.width / (2 * f.fx) + std::max(f.cx, f.width - f.cx) / f.fx));
-  const V limit_y = splat(R(kFrustumMargin * f.height / (2 * f.fy) + std::max(f.cy, f.height - f.cy) / f.fy));
-  const V tx = min(magnitude(rx), limit_x), ty = min(magnitude(ry), limit_y);
+  V stretch = splat(1);  // of what a slanting ray meets
+  if (!f.orthographic) {
+    const V limit_x = splat(R(kFrustumMargin * f.width / (2 * f.fx) + std::max(f.cx, f.width - f.cx) / f.fx));
+    const V limit_y = splat(R(kFrustumMargin * f.height / (2 * f.fy) + std::max(f.cy, f.height - f.cy) / f.fy));
+    const V tx = min(magnitude(rx), limit_x), ty = min(magnitude(ry), limit_y);
+    stretch = splat(1) + tx * tx + ty * ty;
+  }
   const V size = exp(scale) * splat(R(std::max(f.fx, f.fy))) * inv;  // of the largest scale across the view, pixels
   const V reach = splat(kWhiten) * root(splat(kReachMargin - R(kLog2Cut)));
-  const V radius = reach * sqrt(fma(size * size, splat(1) + tx * tx + ty * ty, splat(R(kBlur)))) * R(1.001) + R(1);
+  const V radius = reach * sqrt(fma(size * size, stretch, splat(R(kBlur)))) * R(1.001) + R(1);
   const V px = rx * R(f.fx) + R(f.cx), py = ry * R(f.fy) + R(f.cy), spread_x = radius + magnitude(px) * R(1e-3), spread_y = radius + magnitude(py) * R(1e-3);
   const M outside = either(either(less(px + spread_x, splat(0)), less(splat(R(f.width)), px - spread_x)),
                            either(less(py + spread_y, splat(0)), less(splat(R(f.height)), py - spread_y)));
@@ -139,7 +143,7 @@ inline Screen to_screen(const Frame& f, const Batch& b) {
   Screen s;
   const double* m = f.viewmat;
   const auto along = [&](int row) { return m[4 * row] * b.offset[0] + m[4 * row + 1] * b.offset[1] + m[4 * row + 2] * b.offset[2]; };
-  const D z = along(2), inv = 1.0 / z;
+  const D z = along(2), inv = f.orthographic ? D{} + 1.0 : 1.0 / z;
   s.x = f.fx * along(0) * inv + f.cx, s.y = f.fy * along(1) * inv + f.cy;
   s.l11 = l.l11, s.l12 = l.l12, s.l22 = l.l22, s.log2_opacity = log2(p.opacity * p.compensation);
   s.depth = narrow(z);  // from double, so that all levels sort alike
@@ -169,7 +173,7 @@ inline void project_batch(const Frame& f, uint32_t* ids, int n, Projection& out)
   const Batch b = load_batch(f, ids);
   const Screen s = to_screen(f, b);
   V basis[16] = {};
-  sh_basis(f.sh_degree, direction(b.mean).d, basis);
+  sh_basis(f.sh_degree, direction(f, b.mean).d, basis);
   for (uint32_t left = bits(s.visible) & ((1u << n) - 1); left; left &= left - 1) {
     const int i = __builtin_ctz(left);
     const uint32_t g = ids[i];

@@ -1,5 +1,5 @@
 // Spherical harmonics colour, degree 0-3 (3DGS sign convention), and its vector-Jacobian product.
-// colour = max(0, 0.5 + sum_k basis_k(dir) sh_k), dir = (mean - camera position) normalised.
+// colour = max(0, 0.5 + sum_k basis_k(dir) sh_k), dir = (mean - camera position) normalised; the camera's axis where rays are parallel.
 
 constexpr R kC0 = R(0.28209479177387814), kC1 = R(0.4886025119029199);
 constexpr R kC2[5] = {R(1.0925484305920792), R(-1.0925484305920792), R(0.31539156525252005), R(-1.0925484305920792), R(0.5462742152960396)};
@@ -9,7 +9,8 @@ struct Direction {
   V d[3], inv_length;
 };
 
-inline Direction direction(const V mean[3]) {
+inline Direction direction(const Frame& f, const V mean[3]) {
+  if (f.orthographic) return {{view(f, 2, 0), view(f, 2, 1), view(f, 2, 2)}, splat(0)};  // does not change with the mean
   Direction out;
   V length2 = splat(0);
   for (int k = 0; k < 3; ++k) {

@@ -29,14 +29,15 @@ def quads_picture(shaders, scene, camera, hidden: float = 1.0, reduction: int = 
     lists = {
         "order": bridge_gpu.texture(native.depth_order(cloud.means, camera.viewmat[2, :3]), "R32F"),
         "geometry": bridge_gpu.texture(cloud.geometry.reshape(-1, 4), "RGBA32F"),
-        "colors": bridge_gpu.texture(quads.colors(scene, cloud.rows, camera.position), "RGBA16F"),
+        "colors": bridge_gpu.texture(quads.colors(scene, cloud.rows, camera), "RGBA16F"),
     }
     flip = np.diag([1.0, -1, -1, 1])
     small = camera.resized(camera.width // reduction, camera.height // reduction)
     near, far = bridge_gpu.NEAR, 100.0
+    scale, shift = (-2 / (far - near), -(far + near) / (far - near)) if camera.orthographic else (-(far + near) / (far - near), -2 * far * near / (far - near))
     constants = {
         "modelview": Matrix(flip @ camera.viewmat), "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]),
-        "size": (small.width, small.height), "depth_scale": -(far + near) / (far - near), "depth_shift": -2 * far * near / (far - near),
+        "size": (small.width, small.height), "parallel": float(camera.orthographic), "depth_scale": scale, "depth_shift": shift,
         "near": near, "enlarge": 1.0, "antialiased": float(scene.antialiased), "reduction": reduction,
     }  # fmt: skip
     values = np.full(camera.width * camera.height, hidden, np.float32)
@@ -49,11 +50,14 @@ def quads_picture(shaders, scene, camera, hidden: float = 1.0, reduction: int = 
     return np.array(values, np.float32).reshape(small.height, small.width, 4)[::-1]
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_all_quads_are_the_rasterizers_picture(shaders, antialiased):
+def test_all_quads_are_the_rasterizers_picture(shaders, antialiased, orthographic):
     """To the 11 bits of the half floats they are blended in."""
     scenes, native = part("svrgs_addon.bench.scenes"), part("svrgs_addon.native")
     scene, camera = replace(scenes.room(2000), antialiased=antialiased), scenes.orbit_camera(SIDE, SIDE // 2)
+    if orthographic:
+        camera = replace(camera, K=camera.K @ np.diag([0.15, 0.15, 1]), orthographic=True)
     expected = native.Rasterizer().forward(scene, camera, native.RenderOptions(antialiased=antialiased), outputs=("rgb", "alpha"))
     drawn = quads_picture(shaders, scene, camera)
     assert expected["alpha"].mean() > 0.3

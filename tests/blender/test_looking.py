@@ -93,7 +93,7 @@ def test_f12_is_svrgs_render(tmp_path, stage):
         assert np.abs(rendered[..., :3] - expected[..., :3]).max() <= LEVEL
 
 
-@pytest.mark.parametrize("change", ["plain", "percentage", "aspect", "portrait", "background", "scaled"])
+@pytest.mark.parametrize("change", ["plain", "percentage", "aspect", "portrait", "background", "scaled", "orthographic"])
 def test_f12_is_the_rasterizers_picture(tmp_path, stage, bridge, gaussians, splat, camera, change):
     background = (0.0, 0.0, 0.0)
     if change == "percentage":
@@ -104,6 +104,9 @@ def test_f12_is_the_rasterizers_picture(tmp_path, stage, bridge, gaussians, spla
         stage.render.resolution_x, stage.render.resolution_y = 61, 101
     elif change == "background":
         background = stage.svrgs_looking.background = (0.25, 0.5, 0.75)
+    elif change == "orthographic":
+        stage.render.pixel_aspect_x, camera.data.type, camera.data.ortho_scale = 1.3, "ORTHO", 4.0
+        splat.matrix_world = splat.matrix_world @ Matrix.Scale(0.7, 4)
     elif change == "scaled":
         splat.matrix_world = Matrix.Translation((0, 1, 0)) @ Matrix.Rotation(0.4, 4, "Z") @ splat.matrix_world @ Matrix.Scale(0.7, 4)
     expected = drawn(bridge, gaussians, camera, splat.matrix_world, background=tuple(background))["rgb"]
@@ -114,7 +117,7 @@ def test_dither_stays_as_it_was(tmp_path, stage, splat, camera):
     stage.render.dither_intensity = 0.75
     f12(tmp_path / "f12.png")
     assert stage.render.dither_intensity == 0.75
-    camera.data.type = "ORTHO"
+    camera.data.type = "PANO"
     with pytest.raises(RuntimeError):
         bpy.ops.render.render()
     assert stage.render.dither_intensity == 0.75
@@ -162,8 +165,10 @@ def test_several_splats_are_one_picture(tmp_path, stage, bridge, gaussians, spla
     assert np.abs(f12(tmp_path / "one.png")[..., :3] - expected).max() <= LEVEL
 
 
-def test_what_meshes_hide_is_hidden(tmp_path, stage, bridge, gaussians, splat, camera):
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_what_meshes_hide_is_hidden(tmp_path, stage, bridge, gaussians, splat, camera, kind):
     """A wall across the view: the Gaussians before it over its colour. Hidden for the render, it is not there."""
+    camera.data.type = kind
     without = f12(tmp_path / "without.png")
     mesh = bpy.data.meshes.new("wall")
     mesh.from_pydata([(-99, -99, -3), (99, -99, -3), (99, 99, -3), (-99, 99, -3)], [], [(0, 1, 2, 3)])
@@ -230,10 +235,9 @@ def test_passes_are_saved(tmp_path, stage, splat, camera):
     assert names >= {"Combined.R", "Combined.A", "Depth.Z", "Alpha.A", "SpatialMask.X", "Count.X"}
 
 
-@pytest.mark.parametrize("kind", ["ORTHO", "PANO"])
-def test_other_cameras_are_refused_in_one_sentence(splat, camera, kind):
-    camera.data.type = kind
-    with pytest.raises(RuntimeError, match="not a perspective camera"):
+def test_panoramas_are_refused_in_one_sentence(splat, camera):
+    camera.data.type = "PANO"
+    with pytest.raises(RuntimeError, match="neither perspective nor orthographic"):
         bpy.ops.render.render()
 
 

@@ -45,9 +45,10 @@ def ply_seeds(folder: Path) -> list[bytes]:
 
 
 def camera_entries(count: int = 2) -> list[dict]:
-    """What 3DGS training writes for each view."""
+    """What 3DGS training writes for each view, and that it is perspective."""
     turn = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    return [{"id": i, "img_name": f"{i:02}", "width": 64, "height": 48, "position": [0.1 * i, 0.0, -3.0], "rotation": turn, "fx": 60.0, "fy": 60.0} for i in range(count)]
+    sizes = {"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "orthographic": False}
+    return [{"id": i, "img_name": f"{i:02}", "position": [0.1 * i, 0.0, -3.0], "rotation": turn, **sizes} for i in range(count)]
 
 
 def colmap_folder(folder: Path, text: bool) -> Path:

@@ -96,10 +96,13 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
     return torch.stack(basis, 1)
 
 
-def view_colours(means: Tensor, sh: Tensor, viewmat: Tensor, degree: int) -> Tensor:
-    """Colour (N, 3) seen from the camera centre, before the clamp at 0; depends on the means through the direction."""
+def view_colours(means: Tensor, sh: Tensor, viewmat: Tensor, degree: int, orthographic: bool = False) -> Tensor:
+    """Colour (N, 3) seen from the camera centre, before the clamp at 0; depends on the means through the direction.
+
+    Orthographic: every Gaussian is seen along the camera's axis.
+    """
     centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
-    rays = means - centre
+    rays = viewmat[2, :3].expand_as(means) if orthographic else means - centre
     basis = sh_basis(rays / rays.norm(dim=1, keepdim=True), degree)
     return 0.5 + (basis[:, :, None] * sh[:, : basis.shape[1]]).sum(1)
 
@@ -112,23 +115,26 @@ def frustum_limits(K: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
     return -(principal / focal + margin), (size - principal) / focal + margin
 
 
-def projection_jacobian(means_c: Tensor, K: Tensor, width: int, height: int) -> Tensor:
+def projection_jacobian(means_c: Tensor, K: Tensor, width: int, height: int, orthographic: bool = False) -> Tensor:
     """d(pixel)/d(camera point) (V, 2, 3) at the centres (V, 3), directions outside the enlarged view clamped to it."""
+    if orthographic:
+        return (K.diagonal()[:2, None] * torch.eye(2, 3, dtype=K.dtype)).expand(len(means_c), 2, 3)
     z = means_c[:, 2:]
     slopes = torch.clamp(means_c[:, :2] / z, *frustum_limits(K, width, height))
     focal = K.diagonal()[:2]
     return torch.cat([torch.diag_embed(focal / z), (-focal * slopes / z)[:, :, None]], 2)
 
 
-def project(means, log_scales, quats, opacity_logits, sh, viewmat, K, width, height, degree, antialiased) -> Splats:
+def project(means, log_scales, quats, opacity_logits, sh, viewmat, K, width, height, degree, antialiased, orthographic=False) -> Splats:
     """Centres in front of the near plane, sorted by (float32 z, index), as splats in the image."""
     means_c = means @ viewmat[:3, :3].T + viewmat[:3, 3]
     index = torch.nonzero(means_c[:, 2].detach() > NEAR).flatten()
     index = index[torch.argsort(means_c[index, 2].detach().float(), stable=True)]
 
     means_c = means_c[index]
-    mean = means_c[:, :2] / means_c[:, 2:] * K.diagonal()[:2] + K[:2, 2]
-    to_px = projection_jacobian(means_c, K, width, height) @ viewmat[:3, :3]
+    plane = means_c[:, :2] if orthographic else means_c[:, :2] / means_c[:, 2:]
+    mean = plane * K.diagonal()[:2] + K[:2, 2]
+    to_px = projection_jacobian(means_c, K, width, height, orthographic) @ viewmat[:3, :3]
     axes = to_px @ rotations(quats[index]) * torch.exp(log_scales[index])[:, None, :]  # (V, 2, 3) half axes, px
     u, v = axes.unbind(1)
     xx, xy, yy = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)  # Σ₂ = axes axesᵀ
@@ -140,7 +146,7 @@ def project(means, log_scales, quats, opacity_logits, sh, viewmat, K, width, hei
     det_ratio = det_sharp / det
     if antialiased:
         opacity = opacity * torch.sqrt(det_ratio.clamp(min=DET_RATIO_MIN))
-    colour = view_colours(means[index], sh[index], viewmat, degree).clamp(min=0)
+    colour = view_colours(means[index], sh[index], viewmat, degree, orthographic).clamp(min=0)
     return Splats(index, mean, conic, det_ratio, opacity, colour, means_c[:, 2])
 
 
@@ -215,22 +221,27 @@ def rasterize(
     sh: Tensor,  # (N, C, 3), C ≥ (sh_degree + 1)²
     masks: Tensor,  # (N,) 0 or 1, this step's sample M
     viewmat: Tensor,  # (4, 4) world to camera, rigid
-    K: Tensor,  # (3, 3) pinhole, px; skew ignored
+    K: Tensor,  # (3, 3) px; skew ignored
     width: int,
     height: int,
     background: Tensor,  # (3,)
     *,
     sh_degree: int | None = None,  # active degree; None: all that is stored
     antialiased: bool = False,
+    orthographic: bool = False,  # parallel rays: no division by z; fx and fy are px per world unit
     mode: str = "full",  # 'full': F counts every hit; 'visible': F stops with the colour
     mask_kind: str = "svr",  # 'svr', 'a', 'b'
     eps_a: float = 1e-3,  # ε of scenario A
     mask_gradient: str = "exact",  # 'self': T constant within F, leaving only the self term
+    depth_limit: Tensor | None = None,  # (H, W): only centres nearer than this hit a pixel
 ) -> Render:
     """Render one view. The order of the splats, the hits, the stop and N are constants of the gradient."""
     degree = round(sh.shape[1] ** 0.5) - 1 if sh_degree is None else sh_degree
-    splats = project(means, log_scales, quats, opacity_logits, sh, viewmat, K, width, height, degree, antialiased)
+    splats = project(means, log_scales, quats, opacity_logits, sh, viewmat, K, width, height, degree, antialiased, orthographic)
     alpha, hit = alphas(splats, pixel_centres(width, height))
+    if depth_limit is not None:
+        hit = hit & (splats.z < depth_limit.reshape(-1, 1))
+        alpha = torch.where(hit, alpha, 0.0)
     M = masks[splats.index]
     images = blend(alpha, hit, M, splats.colour, splats.z, background, mode, mask_kind, eps_a, mask_gradient)
     return Render(*(image.reshape(height, width, *image.shape[1:]) for image in images))

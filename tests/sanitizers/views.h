@@ -49,6 +49,7 @@ struct Case {
   int32_t k, width, height;
   std::vector<float> means, log_scales, quats, logits, sh;
   std::vector<uint8_t> masks;
+  std::vector<float> depth_limit;
   svrgs_camera camera = {};
   svrgs_options options = {};
 
@@ -62,10 +63,12 @@ struct Case {
     const double view[16] = {c, 0, s, b.value(), 0, 1, 0, b.value(), -s, 0, c, b.value(), 0, 0, 0, 1};
     std::memcpy(camera.viewmat, view, sizeof view);
     camera.fx = b.focal(), camera.fy = b.focal(), camera.cx = width / 2.0 + b.value(4), camera.cy = height / 2.0 + b.value(4);
-    camera.width = width, camera.height = height;
+    camera.width = width, camera.height = height, camera.orthographic = b.below(2);
     fill(b, means, 3, 0.5f), fill(b, log_scales, 3, 0.5f), fill(b, quats, 4, 1), fill(b, logits, 1, 2), fill(b, sh, 3 * k, 0.3f);
     masks.resize(count);
     for (auto& m : masks) m = b.below(4) > 0;
+    depth_limit.resize(size_t(width) * height);
+    for (auto& z : depth_limit) z = b.value();
   }
 
   svrgs_scene scene() const {
@@ -124,6 +127,12 @@ inline Results run(const Case& c, svrgs_context* context, int32_t level) {
   svrgs_work work;
   require(svrgs_count_work(context, 1, &work) == SVRGS_OK && work.contributing <= work.hits, "work");
   for (const auto& part : {rgb, depth, alpha, mask, left, d_rgb, means, scales, quats, logits, sh, d_masks, means2d}) append(r, part);
+
+  svrgs_options limited = c.options;
+  limited.depth_limit = c.depth_limit.data();
+  require(svrgs_forward(context, &scene, &c.camera, &limited, &images) == SVRGS_OK, "a view with depth limits");
+  require(svrgs_backward(context, &in, &out) == SVRGS_INVALID, "no gradients of it");
+  for (const auto& part : {rgb, depth, alpha, mask, left}) append(r, part);
 
   const std::vector<double> rates(3 * c.k, 1e-3);
   const svrgs_adam_settings adam = {rates.data(), 0.9, 0.999, 1e-15, 0.1, 0.001};

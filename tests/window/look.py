@@ -1,9 +1,14 @@
-"""Look at a splat in every way there is: overlay, Rendered viewport, spatial mask, comparison, F12. Writes what it saw to OUT/seen.json."""
+"""Look at a splat in every way there is: overlay (along parallel rays, too), Rendered viewport, spatial mask, comparison, F12.
+
+Writes what it saw to OUT/seen.json.
+"""
 
 from __future__ import annotations
 
 import importlib
+import itertools
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -11,7 +16,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import bpy
 import driver
+import numpy as np
+from bpy_extras.view3d_utils import location_3d_to_region_2d
 from driver import DATA, OUT, click, key, shot, until
+from mathutils import Vector
 
 PACKAGE = "bl_ext.user_default.svrgs"
 VIEW = (400, 600)  # somewhere in the 3D view
@@ -25,6 +33,16 @@ def part(name: str):
 
 def area(kind: str) -> bpy.types.Area:
     return next(area for area in driver.window().screen.areas if area.type == kind)
+
+
+def apart(space: bpy.types.SpaceView3D) -> float:
+    """Pixels between where Blender and the extension show the corners of a small cube before the viewport."""
+    region = next(region for region in area("VIEW_3D").regions if region.type == "WINDOW")
+    camera, centre = part("operators.bridge_graph").region_camera(region, space.region_3d), space.region_3d.view_matrix.inverted() @ Vector((0, 0, -3))
+    corners = [centre + Vector(corner) for corner in itertools.product((-0.5, 0.5), repeat=3)]
+    shown = [location_3d_to_region_2d(region, space.region_3d, corner) for corner in corners]
+    pixels = camera.pixels(np.array(corners) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3])
+    return max(math.dist((x, region.height - y), pixel) for (x, y), pixel in zip(shown, pixels, strict=True))
 
 
 def rest(views, seconds: float = 60):
@@ -55,6 +73,14 @@ def steps():
     seen["region"] = next([region.height, region.width] for region in area("VIEW_3D").regions if region.type == "WINDOW")
     seen["overlay"] = [list(view.live.picture().result[0].shape[:2]) for view in overlay._overlay[0].views.values()]
     shot("overlay")
+
+    seen["apart"] = {"CAMERA": apart(space)}
+    space.region_3d.view_perspective = "ORTHO"
+    yield from rest(lambda: [view.live for view in overlay._overlay[0].views.values()])
+    seen["parallel"] = [float(view.live.picture().result[0][..., 3].mean()) for view in overlay._overlay[0].views.values()]
+    seen["apart"]["ORTHO"] = apart(space)
+    shot("parallel")
+    space.region_3d.view_perspective = "CAMERA"
 
     scene.render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
     space.shading.type = "RENDERED"
