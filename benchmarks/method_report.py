@@ -81,11 +81,11 @@ def table_part(rows: list[dict]) -> str:
     lines = ["## From the sparse points", ""]
     for (schedule,), those in groups((r for r in rows if r["study"] == "table"), "schedule").items():
         lines += [f"Schedule {schedule:g}.", ""]
-        by_scene = groups(those, "scene")
+        by_scene = groups(those, "scene", "shrink")
         runs = max((list(groups(scene_rows, "run")) for scene_rows in by_scene.values()), key=len)
-        for (scene,), scene_rows in by_scene.items():
-            lines += [*table(scene_rows, f"{scene}, photographs 1/{scene_rows[0]['shrink']}", [run for (run,) in runs]), ""]
-        whole = [row for (scene,), scene_rows in by_scene.items() if len(groups(scene_rows, "run")) == len(runs) for row in scene_rows]
+        for (scene, shrink), scene_rows in by_scene.items():
+            lines += [*table(scene_rows, f"{scene}, photographs 1/{shrink}", [run for (run,) in runs]), ""]
+        whole = [row for scene_rows in by_scene.values() if len(groups(scene_rows, "run")) == len(runs) for row in scene_rows]
         if len(groups(whole, "scene")) > 1:
             lines += [*table(whole, f"mean of {len(groups(whole, 'scene'))} scenes", [run for (run,) in runs]), "", ratios(whole), ""]
     return "\n".join(lines)
@@ -106,7 +106,8 @@ def ratios(rows: list[dict]) -> str:
 
 def scenario_part(rows: list[dict]) -> str:
     """Table 2: the paper's scenarios."""
-    found = [r for r in rows if r["study"] == "table" and r["run"] in SCENARIOS]
+    found = [r for r in rows if r["study"] == "table"]
+    found = [r for those in groups(found, "scene", "shrink", "schedule").values() if set(SCENARIOS) <= {x["run"] for x in those} for r in those if r["run"] in SCENARIOS]
     lines = ["## Scenarios A and B", ""]
     for (schedule,), those in groups(found, "schedule").items():
         scenes = len(groups(those, "scene"))

@@ -63,6 +63,7 @@ ABLATION = {  # what is changed in the program before it runs
     "pressure alike for all": SELECTION + "selection.POWER = 0",
     "nobody absent in recovery": SELECTION + "selection.ABSENT = 0",
     "neither (gns)": SELECTION + "selection.POWER = selection.ABSENT = 0",
+    "absent while pressed too": SELECTION + "selection.ABSENT_IN = ('press', 'recover')",
     "pressed harder, share up to 10": SELECTION + "selection.POWER, selection.LARGEST = 0.5, 10.0",
     "a fifth absent": SELECTION + "selection.ABSENT = 0.2",
 }

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 LOOK_EVERY = 16  # pushes between two looks at the costs
 POWER, LARGEST = 0.25, 3.0  # a share is (cost at the budget's rank / cost)^POWER, within 1/LARGEST and LARGEST
-ABSENT = 0.1
+ABSENT, ABSENT_IN = 0.1, ("recover",)  # share of the Gaussians; phases
 SHARES = "pressure_shares"  # of the model's values: moves with the rows, is stored with them, is not learned
 
 
@@ -63,4 +63,4 @@ def pressure_shares(cost: np.ndarray, budget: int) -> np.ndarray:
 
 
 def _with_absence(phases: list[Phase]) -> list[Phase]:
-    return [replace(phase, absent=ABSENT) if phase.name == "recover" else phase for phase in phases]
+    return [replace(phase, absent=ABSENT) if phase.name in ABSENT_IN else phase for phase in phases]
