@@ -64,7 +64,8 @@ ABLATION = {  # what is changed in the program before it runs
     "nobody absent in recovery": SELECTION + "selection.ABSENT = 0",
     "neither (gns)": SELECTION + "selection.POWER = selection.ABSENT = 0",
     "absent while pressed too": SELECTION + "selection.ABSENT_IN = ('press', 'recover')",
-    "pressed harder, share up to 10": SELECTION + "selection.POWER, selection.LARGEST = 0.5, 10.0",
+    "by the fourth root, within 3": SELECTION + "selection.POWER, selection.LARGEST = 0.25, 3.0",
+    "by the cost itself, within 1000": SELECTION + "selection.POWER, selection.LARGEST = 1.0, 1000.0",
     "a fifth absent": SELECTION + "selection.ABSENT = 0.2",
 }
 STUDIES = {

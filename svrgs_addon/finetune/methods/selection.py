@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..loop import Run
 
 LOOK_EVERY = 16  # pushes between two looks at the costs
-POWER, LARGEST = 0.25, 3.0  # a share is (cost at the budget's rank / cost)^POWER, within 1/LARGEST and LARGEST
+POWER, LARGEST = 0.5, 100.0  # a share is (cost at the budget's rank / cost)^POWER, within 1/LARGEST and LARGEST
 ABSENT, ABSENT_IN = 0.1, ("recover",)  # share of the Gaussians; phases
 SHARES = "pressure_shares"  # of the model's values: moves with the rows, is stored with them, is not learned
 
