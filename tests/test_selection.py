@@ -51,7 +51,7 @@ def test_what_would_be_missed_least_is_pressed_hardest():
     cost = np.array([4.0, 1.0, 0.25, 1e-9, 0.0])
     shares = pressure_shares(cost, 2)
     assert shares.mean() == pytest.approx(1) and (np.diff(shares[:4]) > 0).all() and shares[4] == shares[3]
-    np.testing.assert_allclose(shares / shares[1], [4**-0.25, 1, 4**0.25, LARGEST, LARGEST])
+    np.testing.assert_allclose(shares / shares[1], [0.5, 1, 2, LARGEST, LARGEST])
 
 
 def test_shares_follow_their_gaussians():
