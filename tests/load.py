@@ -45,7 +45,7 @@ def stages(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], 
 
 def generate(folder: Path, options: argparse.Namespace):
     """The scene, and photographs of it with their COLMAP model."""
-    import tiny_dataset
+    from colmap_model import write_colmap
     from svrgs_addon import native
     from svrgs_addon.bench.scenes import orbit_camera, room
     from svrgs_addon.formats import write_ply
@@ -57,7 +57,7 @@ def generate(folder: Path, options: argparse.Namespace):
     cameras = [replace(orbit_camera(*options.size, turn=360 * i / VIEWS), name=f"{i:02}.png") for i in range(VIEWS)]
     for camera in cameras:
         write_image(folder / "images" / camera.name, rasterizer.forward(scene, camera)["rgb"])
-    tiny_dataset.write_colmap(folder / "sparse" / "0", cameras, scene.means[:100])
+    write_colmap(folder / "sparse" / "0", cameras, scene.means[:100])
 
 
 def command(*words, **expected) -> Callable[[], object]:

@@ -29,7 +29,7 @@ def test_a_scene_goes_through_every_command():
 
 def test_a_scene_that_takes_more_than_it_may():
     done = run("-m", "tests.load", "--count", "400000", "--size", "64", "48", "--gigabytes", "0.5")
-    assert done.returncode == 1 and "generate failed" in done.stderr
+    assert done.returncode == 1 and "MemoryError" in done.stderr and "generate failed" in done.stderr
 
 
 def test_renders_take_no_more_memory():

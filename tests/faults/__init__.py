@@ -12,6 +12,7 @@ import random
 import re
 import signal
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -46,6 +47,8 @@ def forked(work: Callable[[], object]) -> int:
     try:
         work()
         status = 0
+    except Exception:
+        traceback.print_exc()
     finally:
         os._exit(status)
 
