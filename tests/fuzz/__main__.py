@@ -61,7 +61,8 @@ def _with_atheris(options: argparse.Namespace, folder: Path) -> int:
     corpus.mkdir()
     for number, data in enumerate(seeds):
         (corpus / str(number)).write_bytes(data)
-    words = [sys.argv[0], f"-max_total_time={int(options.seconds)}", f"-seed={options.seed + 1}", "-max_len=65536", "-print_final_stats=1", str(corpus)]
+    words = [sys.argv[0], f"-max_total_time={int(options.seconds)}", f"-seed={options.seed + 1}", "-max_len=65536", "-print_final_stats=1"]
+    words += [f"-artifact_prefix=broken-{options.target}-", str(corpus)]
     atheris.Setup(words, lambda data: check(bytes(data)) and None)
     atheris.Fuzz()
     return 0
