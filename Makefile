@@ -48,6 +48,7 @@ test: setup $(WHEELS)
 SAFE := build/sanitize
 SANITIZED := tests/test_native_stress.py tests/test_native_invariants.py tests/test_native_update.py tests/test_native_removal.py
 ASAN_RUNTIME = $(shell $(CXX) -print-file-name=libasan.so) $(shell $(CXX) -print-file-name=libstdc++.so)
+CORPUS := tests/fuzz/corpus
 CLANG ?= clang++-16
 FUZZ_SECONDS ?= 300
 SAFE_NATIVE = $(MAKE) --no-print-directory -C native
@@ -56,6 +57,8 @@ sanitize: setup
 	mkdir -p $(SAFE)
 	$(SAFE_NATIVE) BUILD=build/asan OUT=../$(SAFE)/libsvrgs-asan.so EXTRA="-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all"
 	SVRGS_LIBRARY=$(CURDIR)/$(SAFE)/libsvrgs-asan.so LD_PRELOAD="$(ASAN_RUNTIME)" ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONMALLOC=malloc $(PY) -m pytest $(SANITIZED)
+	$(CXX) -std=c++20 $(FUZZ_FLAGS) -pthread -Inative/include tests/sanitizers/fuzz.cc tests/sanitizers/replay.cc $(SAFE)/libsvrgs-asan.so -Wl,-rpath,$(CURDIR)/$(SAFE) -o $(SAFE)/replay
+	$(SAFE)/replay $(CORPUS)/*
 	$(SAFE_NATIVE) BUILD=build/tsan OUT=../$(SAFE)/libsvrgs-tsan.so EXTRA="-O1 -g -fsanitize=thread"
 	$(CXX) -std=c++20 -O1 -g -fsanitize=thread -pthread -Inative/include tests/sanitizers/threads.cc $(SAFE)/libsvrgs-tsan.so -Wl,-rpath,$(CURDIR)/$(SAFE) -o $(SAFE)/threads
 	TSAN_OPTIONS=halt_on_error=1 $(SAFE)/threads
@@ -65,7 +68,7 @@ fuzz:
 	mkdir -p $(SAFE)/corpus
 	$(SAFE_NATIVE) CXX=$(CLANG) BUILD=build/fuzz OUT=../$(SAFE)/libsvrgs-fuzz.so LINK="-shared -pthread" EXTRA="$(FUZZ_FLAGS) -fsanitize=fuzzer-no-link"
 	$(CLANG) -std=c++20 $(FUZZ_FLAGS) -fsanitize=fuzzer -pthread -Inative/include tests/sanitizers/fuzz.cc $(SAFE)/libsvrgs-fuzz.so -Wl,-rpath,$(CURDIR)/$(SAFE) -o $(SAFE)/fuzz
-	$(SAFE)/fuzz -max_total_time=$(FUZZ_SECONDS) -max_len=8192 -len_control=0 -print_final_stats=1 -artifact_prefix=$(SAFE)/ $(SAFE)/corpus
+	$(SAFE)/fuzz -max_total_time=$(FUZZ_SECONDS) -max_len=8192 -len_control=0 -print_final_stats=1 -artifact_prefix=$(SAFE)/ $(SAFE)/corpus $(CORPUS)
 
 # Blender's builder is a script inside the bpy package; it runs without starting Blender.
 EXTENSION = $(PY) $(shell $(PY) -c "import importlib.util as u, pathlib as p; print(next(p.Path(u.find_spec('bpy').origin).parent.glob('*/scripts/addons_core/bl_pkg/cli/blender_ext.py')))")

@@ -73,12 +73,12 @@ def settings_of(request: dict):
 
 def run_job(request: dict) -> dict:
     """The job's own result with figures of memory and time beside it."""
-    from svrgs_addon import jobs
+    from svrgs_addon import jobs, memory
     from svrgs_addon.dataset import load_dataset
 
     native = time_native_calls()
     dataset = load_dataset(Path(request["colmap"]), need_points=request["kind"] == "train")
-    base, counts = jobs.peak_memory(), [0]
+    base, counts = memory.peak(), [0]
     options = jobs.JobOptions(Path(request["out"]), observe=lambda progress: counts.append(progress.count))
     profile = cProfile.Profile()
     if request["profile"]:

@@ -211,6 +211,8 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
     lines = ([f"before  {_figures(before)}"] if before else []) + [("after   " if before else "") + ", ".join(parts)]
     if before:
         lines.append(f"kept {result['count'] / before['count']:.1%} of the Gaussians at {result['psnr'] - before['psnr']:+.2f} dB")
+    if result.get("densifications_held_back"):
+        lines.append(f"{result['densifications_held_back']} densifications added nothing: memory was too short")
     if "seconds" in result:
         lines.append(f"{result['seconds']:.0f} s; saved {result['out']}")
     return "\n".join(lines + ([f"LPIPS left out: {lpips_missing}"] if lpips_missing else []))

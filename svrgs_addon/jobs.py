@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import platform
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -240,21 +239,12 @@ def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
         "seconds_by_phase": clock.phases,
         "iterations": run.iteration,
         "iterations_per_second": run.iteration / tuned if tuned else None,
-        "peak_memory_bytes": peak_memory(),
+        "peak_memory_bytes": memory.peak(),
         "nonfinite_gradients": run.nonfinite,
+        "densifications_held_back": run.held_back,
         "seed": settings.seed,
         "curves": vars(run.curves),
     }
-
-
-def peak_memory() -> int | None:
-    """Largest resident size of this process so far, bytes; None where the system does not tell."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
 
 
 def write_report(options: JobOptions, name: str, before: list, after: Scene, dataset: Dataset, run: loop.Run, result: dict):

@@ -175,8 +175,30 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tiny, data, t
             jobs.prune(tiny.splat, data, SETTINGS, jobs.JobOptions(out, observe=at(8, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard)))))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    whole = [folder for folder in (tmp_path / "o.ply.job").iterdir() if checkpoint.read_manifest(folder)]
-    assert sorted(folder.name for folder in whole) == ["0000006", "0000007"]
+    left = sorted((tmp_path / "o.ply.job").rglob("*.*"))
+    assert [str(path.relative_to(tmp_path / "o.ply.job")) for path in left] == [
+        f"{folder}/{name}" for folder in ("0000006", "0000007") for name in ("arrays.npz", "manifest.json")
+    ]
+    assert all(checkpoint.read_manifest(folder) for folder in {path.parent for path in left})
+
+
+FULL_DISK = """
+import resource, sys
+from svrgs_addon import cli, jobs
+jobs.CHECKPOINT_SECONDS = 0
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("size", [3_000, 20_000, 60_000])
+def test_a_first_checkpoint_that_cannot_be_written_is_one_sentence(tiny, tmp_path, size):
+    """Nothing else on the terminal, and no file or folder of it."""
+    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--iterations", "4", "--recovery", "0", "--quiet", "--out", tmp_path / "o.ply"]
+    done = subprocess.run([sys.executable, "-c", FULL_DISK, str(size), *words], cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
+    assert done.stderr.startswith("svrgs: ") and "cannot be written (File too large)" in done.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_splat_that_vanishes(svrgs, tiny, tmp_path):

@@ -1,6 +1,9 @@
 """Hostile scenes, poisoned values, absurd sizes and wrong arguments: finite or refused, and nobody else is harmed."""
 
 import math
+import os
+import subprocess
+import sys
 import time
 import weakref
 from dataclasses import replace
@@ -448,6 +451,32 @@ def test_a_thousand_renderers_come_and_go():
         r = Rasterizer()
         r.forward(typed(scene, r.dtype), frontal(20, 20), outputs=())
     assert r.visible().size
+
+
+COMING_AND_GOING = """
+import _ctypes, gc, hashlib, os, sys
+from svrgs_addon.bench.scenes import orbit_camera, room
+scene, camera, found = room(500, 1), orbit_camera(64, 48), set()
+before = len(os.listdir("/proc/self/task")) if os.path.exists("/proc/self/task") else 0
+for _ in range(20):
+    from svrgs_addon import native
+    native.set_threads(3)
+    found.add(hashlib.sha256(native.Rasterizer().forward(scene, camera)["rgb"]).hexdigest())
+    native.set_threads(1)
+    gc.collect()
+    handle = native._library()._handle
+    sys.modules["svrgs_addon"].__dict__.pop("native")
+    del native, sys.modules["svrgs_addon.native"]
+    _ctypes.dlclose(handle)
+assert not before or len(os.listdir("/proc/self/task")) == before, "threads are left"
+print(len(found))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="its libraries are let go of by another call")
+def test_the_library_comes_and_goes_and_comes():
+    done = subprocess.run([sys.executable, "-c", COMING_AND_GOING], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "1\n"), done.stderr
 
 
 # --- the layer that checks arguments

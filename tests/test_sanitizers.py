@@ -1,4 +1,4 @@
-"""Pool and kernels run without a data race. The address and undefined-behaviour sanitizers: `make sanitize`."""
+"""Pool and kernels run without a data race, and what the fuzzer has found is kept. More: `make sanitize`, `make fuzz`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+CORPUS = sorted((ROOT / "tests/fuzz/corpus").iterdir())
 CXX = os.environ.get("CXX", "g++")
 
 
@@ -22,14 +23,20 @@ def runtime() -> str:
     return found if os.path.isabs(found) else ""
 
 
+def program(out: Path, library: Path, *words: str):
+    """Compiles sources of tests/sanitizers/ with the library."""
+    words = [ROOT / "tests/sanitizers" / word if word.endswith(".cc") else word for word in words]
+    command = [CXX, "-std=c++20", "-O1", "-g", "-pthread", f"-I{ROOT / 'native/include'}", *words, library, f"-Wl,-rpath,{library.parent}", "-o", out]
+    subprocess.run(command, check=True)
+
+
 @pytest.mark.skipif(not runtime(), reason="the compiler has no thread sanitizer")
 def test_no_data_races(tmp_path):
     library = ROOT / "build" / "sanitize" / "libsvrgs-tsan.so"  # kept: built anew only after a change
     library.parent.mkdir(parents=True, exist_ok=True)
     make = ["make", "-C", ROOT / "native", "BUILD=build/tsan", f"OUT={library}", "EXTRA=-O1 -g -fsanitize=thread", f"CXX={CXX}"]
     subprocess.run(make, check=True, capture_output=True)
-    command = [CXX, "-std=c++20", "-O1", "-g", "-fsanitize=thread", "-pthread", f"-I{ROOT / 'native/include'}", ROOT / "tests/sanitizers/threads.cc", library]
-    subprocess.run([*command, f"-Wl,-rpath,{library.parent}", "-o", tmp_path / "threads"], check=True)
+    program(tmp_path / "threads", library, "threads.cc", "-fsanitize=thread")
     done = subprocess.run([tmp_path / "threads"], env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"}, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "clean\n"), done.stderr[-3000:]
 
@@ -38,3 +45,11 @@ def test_no_data_races(tmp_path):
 def test_no_warnings():
     done = subprocess.run(["make", "-C", ROOT / "native", "check", f"CXX={CXX}"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
+
+
+@pytest.mark.skipif(not shutil.which(CXX) or platform.system() != "Linux", reason="there is no compiler")
+def test_what_the_fuzzer_has_found(tmp_path):
+    """Each input is refused, or drawn finite and alike at one and at three threads; coverage led to them (make fuzz)."""
+    program(tmp_path / "replay", ROOT / "svrgs_addon" / "libsvrgs.so", "fuzz.cc", "replay.cc")
+    done = subprocess.run([tmp_path / "replay", *CORPUS], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, f"{len(CORPUS)}\n"), done.stderr

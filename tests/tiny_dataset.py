@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 import scenes
+from colmap_model import write_colmap
 from svrgs_addon.camera import Camera
 from svrgs_addon.formats import write_ply
 from svrgs_addon.images import write_image
@@ -50,22 +50,6 @@ def views(count: int = VIEWS) -> list[Camera]:
     angles = 2 * np.pi * np.arange(count) / count
     eyes = [(3 * np.sin(angle), -0.8 * (i % 2), -3 * np.cos(angle)) for i, angle in enumerate(angles)]
     return [replace(scenes.camera(WIDTH, HEIGHT, eye=eye), name=f"{i:02}.png") for i, eye in enumerate(eyes)]
-
-
-def write_colmap(folder: Path, cameras: list[Camera], points: np.ndarray, model: str = "PINHOLE"):
-    """A binary COLMAP model of views that share one camera."""
-    result = pycolmap.Reconstruction()
-    first = cameras[0]
-    params = [first.K[0, 0], first.K[1, 1], first.K[0, 2], first.K[1, 2]] if model == "PINHOLE" else [first.width, first.height]
-    camera = pycolmap.Camera(camera_id=1, model=model, width=first.width, height=first.height, params=params)
-    result.add_camera_with_trivial_rig(camera)
-    for number, view in enumerate(cameras, 1):
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(view.viewmat[:3, :3]), view.viewmat[:3, 3])
-        result.add_image_with_trivial_frame(pycolmap.Image(name=view.name, camera_id=1, image_id=number), pose)
-    for point in points.astype(np.float64):
-        result.add_point3D(point, pycolmap.Track(), np.array([200, 150, 100], np.uint8))
-    folder.mkdir(parents=True, exist_ok=True)
-    result.write_binary(folder)
 
 
 def redundant(scene: Scene, seed: int) -> Scene:

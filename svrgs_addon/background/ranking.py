@@ -8,7 +8,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ..activation import opacities as sigmoid
-from ..atomic import atomic_write
+from ..arrays import write_arrays
 from ..errors import FormatError
 from ..finetune import loop, scores
 from ..finetune.model import MASK
@@ -43,8 +43,7 @@ class Ranking:
         judged = self._logits is not None and not run.model.learns_masks
         if judged or run.model.count != len(self._origin):
             self._write_down(run)
-            with atomic_write(self.file) as file:
-                np.savez(file, dropped=self.dropped, probability=self.probability)
+            write_arrays(self.file, {"dropped": self.dropped, "probability": self.probability})
         self._remember(run)
 
     def _load(self):

@@ -12,26 +12,42 @@ from pathlib import Path
 
 import numpy as np
 
+from ..arrays import write_arrays
 from ..atomic import atomic_write, check_writable
-from ..errors import FormatError
+from ..errors import FormatError, SceneError
 from .control import Control
 from .densify import Statistics
 from .loop import Curves, Run
 
-SCHEMA = 5
+SCHEMA = 6
 KEPT = 2  # newest checkpoints kept
 _PARTS = ("values", "first", "second")
 
 
 def save(run: Run, folder: Path, identity: str) -> Path:
-    """Writes the run's state to folder/<iteration>, then forgets all but the newest two. identity: settings and inputs."""
+    """Writes the run's state to folder/<iteration>, then forgets all but the newest two. identity: settings and inputs.
+
+    Raises SceneError where it cannot be written; what there was before stays.
+    """
     target = folder / f"{run.iteration:07d}"
+    try:
+        _write(run, target, identity)
+    except SceneError:
+        if read_manifest(target) is None:
+            shutil.rmtree(target, ignore_errors=True)
+            _forget_if_empty(folder)
+        raise
+    for old in _folders(folder)[:-KEPT]:
+        shutil.rmtree(old, ignore_errors=True)
+    return target
+
+
+def _write(run: Run, target: Path, identity: str):
     arrays = {f"{part}.{name}": array for part in _PARTS for name, array in getattr(run.model, part).items()}
     arrays |= {"origin": run.model.origin, "statistics.total": run.statistics.total, "statistics.views": run.statistics.views}
     arrays |= {"views.losses": run.views.losses, "views.left_out": run.views.left_out}
     check_writable(target / "arrays.npz", sum(array.nbytes for array in arrays.values()))
-    with atomic_write(target / "arrays.npz") as file:
-        np.savez(file, **arrays)
+    write_arrays(target / "arrays.npz", arrays)
     manifest = {
         "schema": SCHEMA,
         "identity": identity,
@@ -45,15 +61,13 @@ def save(run: Run, folder: Path, identity: str) -> Path:
         "control": asdict(run.control) if run.control else None,
         "loss": run.loss,
         "nonfinite": run.nonfinite,
+        "held_back": run.held_back,
         "seconds": run.seconds,
         "curves": asdict(run.curves),
     }
     manifest["digest"] = text_digest(manifest)
     with atomic_write(target / "manifest.json") as file:
         file.write(json.dumps(manifest).encode())
-    for old in _folders(folder)[:-KEPT]:
-        shutil.rmtree(old, ignore_errors=True)
-    return target
 
 
 def restore(run: Run, folder: Path, identity: str) -> bool:
@@ -75,6 +89,10 @@ def forget(folder: Path):
     """Removes every checkpoint, and the folder if nothing else is in it."""
     for old in _folders(folder):
         shutil.rmtree(old, ignore_errors=True)
+    _forget_if_empty(folder)
+
+
+def _forget_if_empty(folder: Path):
     with contextlib.suppress(OSError):
         folder.rmdir()
 
@@ -93,7 +111,8 @@ def _apply(run: Run, folder: Path, manifest: dict):
     run.target = manifest["target"]
     run.method.restore(manifest["method"])
     run.control = Control(**manifest["control"]) if manifest["control"] else None
-    run.loss, run.nonfinite, run.seconds = manifest["loss"], manifest["nonfinite"], manifest["seconds"]
+    run.loss, run.seconds = manifest["loss"], manifest["seconds"]
+    run.nonfinite, run.held_back = manifest["nonfinite"], manifest["held_back"]
     run.curves = Curves(**manifest["curves"])
 
 

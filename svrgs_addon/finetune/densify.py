@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from .model import Model
@@ -27,13 +29,17 @@ class Statistics:
         return self.total / np.maximum(self.views, 1)  # never seen: 0
 
 
-def densify(model: Model, statistics: Statistics, rule: Densify, extent: float, rng: np.random.Generator) -> np.ndarray:
-    """Adds clones and the children of splits to the model; returns (N,) bool, False for the parents to be removed."""
+def densify(
+    model: Model, statistics: Statistics, rule: Densify, extent: float, rng: np.random.Generator, fits: Callable[[int], bool] = lambda _: True
+) -> np.ndarray:
+    """Adds clones and the children of splits to the model, if so many fit; returns (N,) bool, False for the parents to be removed."""
     largest = np.exp(model.log_scales.max(axis=1))
     pulled = statistics.mean() >= rule.gradient
     small = largest <= rule.small * extent
     clone, split = np.flatnonzero(pulled & small), np.flatnonzero(pulled & ~small)
     born = np.concatenate([clone, np.repeat(split, rule.split_into)])
+    if not len(born) or not fits(len(born)):
+        return np.ones(model.count, bool)
     rows = {name: value[born] for name, value in model.values.items()}
     _place_children(rows, len(clone), rule, rng)
     model.append(rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from .. import memory
 from ..camera import Camera
 from ..dataset import Dataset
 from ..errors import Cancelled, SceneError, SplatError
@@ -70,6 +72,7 @@ class Run:
         self.curves = Curves()
         self.loss = math.nan
         self.nonfinite = 0  # Gaussian rows whose gradient was not finite and was left out
+        self.held_back = 0  # densifications that added nothing, for want of memory
         self.seconds: dict[str, float] = {}  # by phase
         self.whole = True  # no step is half done
         self._photographs: Iterator | None = None  # of this epoch
@@ -206,7 +209,7 @@ class Run:
     def _densify(self, phase: Phase, number: int, rule: Densify):
         before = self.model.count
         rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
-        keep = densify.densify(self.model, self.statistics, rule, self.extent, rng)
+        keep = densify.densify(self.model, self.statistics, rule, self.extent, rng, self._fits)
         self.unordered += self.model.count - before
         keep &= densify.worth_keeping(self.model, rule, self.extent, number > rule.reset_every)
         survivors = self.method.survivors(self) if phase.active else None
@@ -215,6 +218,15 @@ class Run:
         if self.unordered > (0 if last else UNORDERED * self.model.count):
             self._into_order()
         self.statistics = densify.Statistics(self.model.count)
+
+    def _fits(self, born: int) -> bool:
+        """Whether memory holds so many more Gaussians; said once if not, and training goes on with those there are."""
+        count, coefficients, _ = self.model.sh.shape
+        sentence = memory.shortage(f"growing beyond {count:,} Gaussians", memory.growing(count, born, coefficients, self.dataset.cameras))
+        if sentence and not self.held_back:
+            logging.warning("iteration %d: %s; training goes on without growing", self.iteration, sentence)
+        self.held_back += bool(sentence)
+        return not sentence
 
     def _into_order(self):
         """Puts near Gaussians into near rows (order.py), where statistics are empty or about to be: they are not moved along."""

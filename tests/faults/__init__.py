@@ -12,6 +12,7 @@ import random
 import re
 import signal
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from svrgs_addon import jobs
+from svrgs_addon.arrays import write_arrays
 from svrgs_addon.background.folder import JobFolder
 from svrgs_addon.dataset import Dataset
 from svrgs_addon.finetune.plan import prune_settings
@@ -45,6 +47,8 @@ def forked(work: Callable[[], object]) -> int:
     try:
         work()
         status = 0
+    except Exception:
+        traceback.print_exc()
     finally:
         os._exit(status)
 
@@ -86,11 +90,16 @@ def write_npy(path: Path, version: int):
         np.save(file, np.full(200_000, version))
 
 
+def write_npz(path: Path, version: int):
+    write_arrays(path, {"a": np.full(100_000, version), "b": np.full((3, 50_000), version, np.float32)})
+
+
 WRITERS: dict[str, Callable[[Path, int], object]] = {
     "scene.ply": lambda path, version: write_ply(path, scene_of(20_000, version)),
     "view.png": lambda path, version: write_image(path, np.full((300, 400, 3), 0.25 + version / 2, np.float32)),
     "view.exr": lambda path, version: write_image(path, np.full((300, 400, 3), 0.25 + version / 2, np.float32)),
     "array.npy": write_npy,
+    "arrays.npz": write_npz,
     "state.json": lambda path, version: JobFolder(path.parent).write_json(path.name, {"version": version, "text": "x" * 50_000}),
 }
 

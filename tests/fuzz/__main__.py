@@ -36,8 +36,8 @@ def _with_mutations(options: argparse.Namespace, folder: Path) -> int:
     check, seeds = target(options.target, folder)
     chance, tried, accepted, slowest = random.Random(options.seed), 0, 0, 0.0
     end = time.monotonic() + options.seconds
-    while (started := time.monotonic()) < end:
-        data = mutated(chance.choice(seeds), chance)
+    while time.monotonic() < end:
+        data, started = mutated(chance.choice(seeds), chance), time.process_time()
         try:
             accepted += check(data)
         except Exception:
@@ -45,7 +45,7 @@ def _with_mutations(options: argparse.Namespace, folder: Path) -> int:
             broken.write_bytes(data)
             print(f"{options.target}: a promise is broken by {broken.resolve()} ({tried} tried before)", file=sys.stderr)
             raise
-        tried, slowest = tried + 1, max(slowest, time.monotonic() - started)
+        tried, slowest = tried + 1, max(slowest, time.process_time() - started)
     print(f"{options.target}: {tried} inputs, {accepted} accepted, slowest {slowest:.3f} s, nothing broken")
     return 0
 
@@ -61,7 +61,8 @@ def _with_atheris(options: argparse.Namespace, folder: Path) -> int:
     corpus.mkdir()
     for number, data in enumerate(seeds):
         (corpus / str(number)).write_bytes(data)
-    words = [sys.argv[0], f"-max_total_time={int(options.seconds)}", f"-seed={options.seed + 1}", "-max_len=65536", "-print_final_stats=1", str(corpus)]
+    words = [sys.argv[0], f"-max_total_time={int(options.seconds)}", f"-seed={options.seed + 1}", "-max_len=65536", "-print_final_stats=1"]
+    words += [f"-artifact_prefix=broken-{options.target}-", str(corpus)]
     atheris.Setup(words, lambda data: check(bytes(data)) and None)
     atheris.Fuzz()
     return 0
