@@ -106,7 +106,7 @@ class Worker:
         os._exit(0)
 
     def _wait_for_orphanhood(self):
-        while sys.stdin.buffer.read(1):
+        while os.read(sys.stdin.fileno(), 1):  # not sys.stdin, which this thread would hold: Python then aborts when it ends
             pass
         self._parent_gone.set()
 
