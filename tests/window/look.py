@@ -76,6 +76,7 @@ def steps():
 
     seen["apart"] = {"CAMERA": apart(space)}
     space.region_3d.view_perspective = "ORTHO"
+    space.region_3d.view_distance, space.region_3d.view_location = 8, (0, 0, 0)  # else as far away as Blender happens to have been
     yield from rest(lambda: [view.live for view in overlay._overlay[0].views.values()])
     seen["parallel"] = [float(view.live.picture().result[0][..., 3].mean()) for view in overlay._overlay[0].views.values()]
     seen["apart"]["ORTHO"] = apart(space)
