@@ -62,11 +62,11 @@ ABLATION = {  # what is changed in the program before it runs
     "svr": "",
     "pressure alike for all": SELECTION + "selection.POWER = 0",
     "nobody absent in recovery": SELECTION + "selection.ABSENT = 0",
-    "neither (gns)": SELECTION + "selection.POWER = selection.ABSENT = 0",
-    "absent while pressed too": SELECTION + "selection.ABSENT_IN = ('press', 'recover')",
+    "neither": SELECTION + "selection.POWER = selection.ABSENT = 0",
+    "no opacity left after 7/8, as gns": "from svrgs_addon.finetune.methods import METHODS; METHODS['svr'].goal_zero = 7 / 8",
     "by the fourth root, within 3": SELECTION + "selection.POWER, selection.LARGEST = 0.25, 3.0",
     "by the cost itself, within 1000": SELECTION + "selection.POWER, selection.LARGEST = 1.0, 1000.0",
-    "a fifth absent": SELECTION + "selection.ABSENT = 0.2",
+    "three times as many absent": SELECTION + "selection.ABSENT = 18",
 }
 STUDIES = {
     "table": TABLE,

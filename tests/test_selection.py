@@ -11,10 +11,11 @@ from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import masks
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.loop import Run
-from svrgs_addon.finetune.methods.selection import ABSENT, LARGEST, SHARES, pressure_shares
+from svrgs_addon.finetune.methods.selection import LARGEST, SHARES, pressure_shares
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.penalties import OpacityPressure
 from svrgs_addon.finetune.plan import prune_settings, train_settings
+from svrgs_addon.finetune.settings import MOST_ABSENT
 from svrgs_addon.finetune.worth import worth
 
 COUNT = 60
@@ -78,16 +79,23 @@ def test_gradient_of_an_uneven_pressure(by_faintness):
 def test_some_are_absent_from_most_of_the_recovery_and_none_at_its_end():
     for settings in (prune_settings("svr", 10, 50), train_settings("svr", 30, 50)):
         recovery = settings.phases[-1]
-        assert [recovery.leaves_out(number) for number in (1, 40, 41, 50)] == [True, True, False, False]
+        assert [recovery.left_out(number, 60) for number in (1, 40, 41, 50)] == [0.1, 0.1, 0, 0]
         assert not any(phase.absent for phase in settings.phases[:-1])
-    absent = [1 - masks.some_absent(10_000, ABSENT, 3, step).mean() for step in range(20)]
-    assert np.mean(absent) == pytest.approx(ABSENT, abs=0.002) and len(set(absent)) > 10
+    absent = [1 - masks.some_absent(10_000, 0.1, 3, step).mean() for step in range(20)]
+    assert np.mean(absent) == pytest.approx(0.1, abs=0.002) and len(set(absent)) > 10
+
+
+def test_the_fewer_views_the_more_are_absent():
+    recovery = prune_settings("svr", 10, 50).phases[-1]
+    shares = [recovery.left_out(1, views) for views in (1, 20, 30, 60, 600)]
+    assert shares == [MOST_ABSENT, MOST_ABSENT, 0.2, 0.1, 0.01]
+    assert prune_settings("maskgs", 10, 50).phases[-1].left_out(1, 20) == 0
 
 
 def test_who_is_absent_does_not_change_in_that_step():
     run = run_of(prune_settings("3dgs", 0, 5))
-    run.settings = replace(run.settings, phases=(replace(run.settings.phases[0], absent=0.5),))
-    here = masks.some_absent(COUNT, 0.5, run.settings.seed, 0)
+    run.settings = replace(run.settings, phases=(replace(run.settings.phases[0], absent=1e9),))
+    here = masks.some_absent(COUNT, MOST_ABSENT, run.settings.seed, 0)
     run._into_order()
     before = {name: value.copy() for name, value in run.model.values.items()}
     run.advance()

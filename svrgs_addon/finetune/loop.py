@@ -159,8 +159,8 @@ class Run:
             update=not self._densifies(phase, number),
             want_means2d=phase.densify is not None and number < phase.densify.until,
         )
-        if phase.leaves_out(number):
-            step.masks = masks.some_absent(self.model.count, phase.absent, s.seed, self.iteration)
+        if left_out := phase.left_out(number, len(self.dataset.train_indices)):
+            step.masks = masks.some_absent(self.model.count, left_out, s.seed, self.iteration)
         return replace(step, **self.method.terms(self, phase, number)) if phase.active else step
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:

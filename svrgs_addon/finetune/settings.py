@@ -58,6 +58,9 @@ class Densify:
         return cls(until=min(cls.until, iterations // 2) if until is None else until)
 
 
+MOST_ABSENT = 0.3  # of the Gaussians, however few the views
+
+
 @dataclass(frozen=True)
 class Phase:
     """A stretch of iterations under one set of rules."""
@@ -69,13 +72,14 @@ class Phase:
     active: bool = False  # the method is at work: masks are learned, opacities pressed, and at the end it decides what stays
     prune_every: int = 1_000  # its pruning events, outside densification; 0: none
     sh_every: int = 0  # raise the SH degree every so many steps; 0: all bands from the start
-    absent: float = 0.0  # share of the Gaussians left out of each of the first 4/5 of the steps, by chance: none comes to lean on another
+    absent: float = 0.0  # over the number of training views: share of the Gaussians left out of each of the first 4/5 of the steps
     coarse_until: int = 0  # steps up to this one look at reduced photographs
     coarse_factor: int = 2  # pixels a side that become one at first, a power of 2; halved in equal stretches
 
-    def leaves_out(self, number: int) -> bool:
-        """Whether step `number` (from 1) does without some Gaussians."""
-        return self.absent > 0 and 5 * number <= 4 * self.steps
+    def left_out(self, number: int, views: int) -> float:
+        """The probability with which step `number` (from 1) does without a Gaussian, of `views` training views: dropout, so that a
+        scene that few photographs show does not fit those alone."""
+        return min(MOST_ABSENT, self.absent / views) if 5 * number <= 4 * self.steps else 0.0
 
     def reduction(self, number: int) -> int:
         """Pixels a side that step `number` (from 1) sees as one."""
@@ -122,6 +126,6 @@ class Settings:
         raise IndexError("the run is finished")
 
 
-def recovery_phase(steps: int, position_first: float = 5e-6, absent: float = 0.0) -> Phase:
+def recovery_phase(steps: int, position_first: float = 5e-6) -> Phase:
     """LightGaussian's recovery: the plain 3DGS loss, nothing added, nothing pruned, rates fading."""
-    return Phase("recover", steps, Rates(position_first=position_first, position_steps=max(steps, 1), decay=0.95), absent=absent)
+    return Phase("recover", steps, Rates(position_first=position_first, position_steps=max(steps, 1), decay=0.95))

@@ -4,7 +4,7 @@
 
 r is adapted so that the opacity at the rank of the budget falls linearly to 0. Published: 8000 steps, a push every 50, r looked at
 every 100, pruning of o < 0.001 after 1000, the goal at 0 after 7000; all scale with the length of the phase, but pushes never come
-closer than LEAST_BETWEEN, or the photographs would have no say in who withstands them.
+closer than LEAST_BETWEEN, or the photographs would have too little say in who withstands them.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from .base import Keep, Method
 if TYPE_CHECKING:
     from ..loop import Run
 
-STEPS, PUSH_EVERY, EASE, GOAL_ZERO = 8_000, 50, 1_000, 7_000  # published; EASE: of the first form, and of the opacity rate after the trim
-LEAST_BETWEEN = 8  # steps from one push to the next
+STEPS, PUSH_EVERY, EASE, GOAL_ZERO = 8_000, 50, 1_000, 7_000  # published; EASE: end of the first form, and of the opacity rate after the trim
+LEAST_BETWEEN = 4  # steps from one push to the next
 SHARE_OF_TRAINING = 8 / 23  # published: pressure from 15 000 to 23 000
 OPACITY_RATE = 4 * 0.025
 CALM_OPACITY_RATE = 0.025
@@ -39,6 +39,7 @@ class GNS(Method):
 
     lambda_m: float = 2e-4  # r at first
     share: float = 0.25
+    goal_zero: float = GOAL_ZERO / STEPS  # share of the phase after which the opacity at the budget's rank should be 0
     factor: float = 1.0
     first_goal: float = 0.0
     trimmed: int = 0
@@ -75,7 +76,7 @@ class GNS(Method):
         if not self.first_goal:
             self.first_goal = FIRST_GOAL * reached
         elif (number - 1) % (2 * push_every(phase)) == 0:
-            goal = max(0.0, 1 - (number - 1) / (phase.steps * GOAL_ZERO / STEPS)) * self.first_goal
+            goal = max(0.0, 1 - (number - 1) / (phase.steps * self.goal_zero)) * self.first_goal
             self.factor *= LOWER if reached < (1 - TOLERANCE) * goal else RAISE if reached > (1 + TOLERANCE) * goal else 1
 
     def after_step(self, run: Run, phase: Phase, number: int) -> Keep:

@@ -2,7 +2,8 @@
 
 How many: as many as are worth more than lambda_F to the objective when pruning starts (worth.py), or the target. Which: those whose
 gradient withstands the pressure of GNS on opacity logits, the rest fading while the others take over; what would be missed least
-(the cost of worth.py) is pressed hardest. In the recovery a tenth of the Gaussians is absent from each step, as masks had it.
+(the cost of worth.py) is pressed hardest, and the pressure takes the whole phase. In the recovery some Gaussians are absent from
+each step, as masks had it: the more, the fewer photographs there are to lean on.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 LOOK_EVERY = 16  # pushes between two looks at the costs
 POWER, LARGEST = 0.5, 100.0  # a share is (cost at the budget's rank / cost)^POWER, within 1/LARGEST and LARGEST
-ABSENT, ABSENT_IN = 0.1, ("recover",)  # share of the Gaussians; phases
+ABSENT = 6.0  # of as many training views; settings.Phase.absent
 SHARES = "pressure_shares"  # of the model's values: moves with the rows, is stored with them, is not learned
 
 
@@ -30,6 +31,7 @@ SHARES = "pressure_shares"  # of the model's values: moves with the rows, is sto
 class Selection(GNS):
     lambda_f: float = 1e-4
     share: float = 0.0
+    goal_zero: float = 1.0
     holds_drop: bool = True
     drop_held_by: str = "svr-worth"  # a budget must be known when pressure begins
 
@@ -63,4 +65,4 @@ def pressure_shares(cost: np.ndarray, budget: int) -> np.ndarray:
 
 
 def _with_absence(phases: list[Phase]) -> list[Phase]:
-    return [replace(phase, absent=ABSENT) if phase.name in ABSENT_IN else phase for phase in phases]
+    return [replace(phase, absent=ABSENT) if phase.name == "recover" else phase for phase in phases]
