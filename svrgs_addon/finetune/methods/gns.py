@@ -4,7 +4,7 @@
 
 r is adapted so that the opacity at the rank of the budget falls linearly to 0. Published: 8000 steps, a push every 50, r looked at
 every 100, pruning of o < 0.001 after 1000, the goal at 0 after 7000; all scale with the length of the phase, but pushes never come
-closer than LEAST_BETWEEN, or the photographs would have too little say in who withstands them.
+closer than `least_between`, or the photographs would have too little say in who withstands them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ..loop import Run
 
 STEPS, PUSH_EVERY, EASE, GOAL_ZERO = 8_000, 50, 1_000, 7_000  # published; EASE: end of the first form, and of the opacity rate after the trim
-LEAST_BETWEEN = 4  # steps from one push to the next
 SHARE_OF_TRAINING = 8 / 23  # published: pressure from 15 000 to 23 000
 OPACITY_RATE = 4 * 0.025
 CALM_OPACITY_RATE = 0.025
@@ -40,6 +39,7 @@ class GNS(Method):
     lambda_m: float = 2e-4  # r at first
     share: float = 0.25
     goal_zero: float = GOAL_ZERO / STEPS  # share of the phase after which the opacity at the budget's rank should be 0
+    least_between: int = 8  # steps from one push to the next
     factor: float = 1.0
     first_goal: float = 0.0
     trimmed: int = 0
@@ -59,7 +59,7 @@ class GNS(Method):
         if self.trimmed:
             calm = number > self.trimmed + phase.steps * EASE / STEPS
             return {"rates": rates | {"opacity_logits": CALM_OPACITY_RATE}} if calm else {}
-        if (number - 1) % push_every(phase):
+        if (number - 1) % self.push_every(phase):
             return {}
         self._adapt(run, phase, number)
         early = number <= phase.steps * EASE / STEPS
@@ -75,7 +75,7 @@ class GNS(Method):
         reached = opacity_at(run.model.opacity_logits, run.target)
         if not self.first_goal:
             self.first_goal = FIRST_GOAL * reached
-        elif (number - 1) % (2 * push_every(phase)) == 0:
+        elif (number - 1) % (2 * self.push_every(phase)) == 0:
             goal = max(0.0, 1 - (number - 1) / (phase.steps * self.goal_zero)) * self.first_goal
             self.factor *= LOWER if reached < (1 - TOLERANCE) * goal else RAISE if reached > (1 + TOLERANCE) * goal else 1
 
@@ -85,20 +85,19 @@ class GNS(Method):
         if run.model.count < NEAR * run.target or number == phase.steps:
             self.trimmed = number
             return drawn_by_opacity(run.model, run.target, [run.settings.seed, 2, run.iteration])
-        if number % push_every(phase) or number < phase.steps * EASE / STEPS:
+        if number % self.push_every(phase) or number < phase.steps * EASE / STEPS:
             return None
         return (run.model.opacity_logits >= logit(MIN_OPACITY)) | top(run.model.opacity_logits, run.target)
+
+    def push_every(self, phase: Phase) -> int:
+        """Steps between two pushes."""
+        return max(self.least_between, round(phase.steps * PUSH_EVERY / STEPS))
 
     def state(self) -> dict:
         return {"factor": self.factor, "first_goal": self.first_goal, "trimmed": self.trimmed}
 
     def restore(self, state: dict):
         self.factor, self.first_goal, self.trimmed = state["factor"], state["first_goal"], state["trimmed"]
-
-
-def push_every(phase: Phase) -> int:
-    """Steps between two pushes."""
-    return max(LEAST_BETWEEN, round(phase.steps * PUSH_EVERY / STEPS))
 
 
 def opacity_at(logits: np.ndarray, rank: int) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from .. import masks
 from ..settings import Densify, Phase
 from ..worth import costs, worth
-from .gns import GNS, push_every
+from .gns import GNS
 
 if TYPE_CHECKING:
     from ..loop import Run
@@ -32,6 +32,7 @@ class Selection(GNS):
     lambda_f: float = 1e-4
     share: float = 0.0
     goal_zero: float = 1.0
+    least_between: int = 4
     holds_drop: bool = True
     drop_held_by: str = "svr-worth"  # a budget must be known when pressure begins
 
@@ -50,7 +51,7 @@ class Selection(GNS):
 
     def shares(self, run: Run, phase: Phase, number: int) -> np.ndarray:
         model = run.model
-        if SHARES not in model.values or (number - 1) % (LOOK_EVERY * push_every(phase)) == 0:
+        if SHARES not in model.values or (number - 1) % (LOOK_EVERY * self.push_every(phase)) == 0:
             cost = costs(model, run.training_cameras, run.engine.rasterizer, run.score_options)
             model.add(SHARES, pressure_shares(cost, run.target).astype(model.dtype))
         return model.values[SHARES]
