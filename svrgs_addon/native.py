@@ -112,7 +112,7 @@ def peaks(level: str) -> dict[str, float]:
 
 
 def set_threads(count: int):
-    """Size of the thread pool; 0: one per core. Results do not depend on it."""
+    """Size of the thread pool; 0: one per core that this process may use. Results do not depend on it."""
     _library().svrgs_set_threads(c.c_int32(count))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -66,3 +67,16 @@ def test_one_hash_for_any_number_of_threads(tiny):
         native.set_threads(threads)
         found[threads] = (*one_view(), *hundred_steps(tiny, data))
     assert len(set(found.values())) == 1, found
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system does not bind processes to cores")
+def test_as_many_threads_as_the_process_may_use():
+    allowed = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {min(allowed)})
+        native.set_threads(0)
+        assert native.threads() == 1
+    finally:
+        os.sched_setaffinity(0, allowed)
+    native.set_threads(0)
+    assert native.threads() == len(allowed)
