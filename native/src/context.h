@@ -4,10 +4,6 @@
 #include <string>
 #include <vector>
 
-#if defined(__linux__)
-#include <sys/mman.h>
-#endif
-
 #include "frame.h"
 #include "kernels.h"
 #include "svrgs.h"
@@ -23,22 +19,14 @@ class Buffer {
     const size_t bytes = static_cast<size_t>(count) * sizeof(T) + 64;
     if (bytes > size_) {
       data_.reset();
-      size_ = bytes + bytes / 4;
-      data_.reset(static_cast<char*>(::operator new(size_, std::align_val_t{128})));
-      use_large_pages();
+      const size_t grown = bytes + bytes / 4;
+      data_.reset(static_cast<char*>(::operator new(grown, std::align_val_t{128})));
+      size_ = grown;
     }
     return reinterpret_cast<T*>(data_.get());
   }
 
  private:
-  // Gaussians are visited in no order of memory: of pages of 2 MB the processor still knows where all of them are.
-  void use_large_pages() {
-#if defined(MADV_HUGEPAGE)
-    constexpr uintptr_t page = 2 << 20;
-    const uintptr_t at = reinterpret_cast<uintptr_t>(data_.get()), first = (at + page - 1) / page * page, end = (at + size_) / page * page;
-    if (first < end) madvise(reinterpret_cast<void*>(first), end - first, MADV_HUGEPAGE);
-#endif
-  }
   struct Free {
     void operator()(char* p) const { ::operator delete(p, std::align_val_t{128}); }
   };

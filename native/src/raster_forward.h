@@ -22,7 +22,7 @@ inline Local localise(const Splat<R>& s, TileOrigin o) {
           {s.rgb[0], s.rgb[1], s.rgb[2]}, s.depth, s.mask};
 }
 
-constexpr int kAhead = 64;  // list entries fetched before they are needed: the list is in order, the splats are not
+constexpr int kAhead = 16;  // list entries fetched before they are needed: the list is in order, the splats are not
 
 inline void prefetch_splat(const Frame& f, const TileEntry* entry, const TileEntry* end) {
   if (entry < end) __builtin_prefetch(&splat_of(f, *entry));
