@@ -11,6 +11,7 @@ from method_charts import curve_chart, pareto_chart
 
 SCENARIOS = ("Scenario A", "Scenario B", "SVR-GS (paper)")  # the paper's Table 2
 PAPER, BASE, RIVAL = "SVR-GS (paper)", "3DGS", "MaskGS alpha"
+FIGURES = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame")
 HEAD = "| {} | PSNR | SSIM | LPIPS | FLIP | Gaussians | 3DGS over it | MB | seconds | ms a frame |"
 INTRO = """# Every method in the same trainer
 
@@ -26,12 +27,12 @@ are about how many views have been seen; masks learn faster by as much as they h
 
 def write_report(rows: list[dict], folder: Path):
     """results.md in `folder` and its charts in `folder`/results, from the rows that have figures."""
-    rows = [row for row in rows if "error" not in row]
+    rows = averaged(row for row in rows if "error" not in row)
     charts = folder / "results"
     charts.mkdir(parents=True, exist_ok=True)
     findings = charts / "findings.md"  # written by people
     parts = [INTRO.format(commands=commands(rows)), findings.read_text() if findings.exists() else "", table_part(rows), scenario_part(rows)]
-    parts += [lambda_part(rows, charts), pareto_part(rows, charts), ablation_part(rows)]
+    parts += [schedule_part(rows), lambda_part(rows, charts), pareto_part(rows, charts), ablation_part(rows)]
     (folder / "results.md").write_text("\n".join(part for part in parts if part))
 
 
@@ -54,19 +55,35 @@ def groups(rows: Iterable[dict], *names: str) -> dict[tuple, list[dict]]:
     return dict(found)
 
 
+def averaged(rows: Iterable[dict]) -> list[dict]:
+    """One row for the seeds of each run: their mean figures, curves and `before` of the first, and `spread`, half the range of PSNR."""
+    means = []
+    for group in groups(rows, "study", "scene", "run", "schedule", "trained", "shrink").values():
+        psnr = [row["psnr"] for row in group]
+        figures = {name: mean(group, name) for name in FIGURES} | {"count": round(mean(group, "count"))}
+        means.append({**group[0], **figures, "spread": (max(psnr) - min(psnr)) / 2, "seeds": len(group)})
+    return means
+
+
 def mean(rows: list[dict], name: str) -> float | None:
     values = [row[name] for row in rows if row.get(name) is not None]
     return fmean(values) if values else None
 
 
 def line(label: str, rows: list[dict], base: list[dict]) -> str:
-    """One table line: means over seeds (and scenes, of the ratio of counts the ratio of sums, as the paper has it)."""
+    """One table line: means over scenes, of the ratio of counts the ratio of sums, as the paper has it."""
     lpips, count = mean(rows, "lpips"), mean(rows, "count")
     ratio = f"{mean(base, 'count') / count:.2f}" if base else ""
     return (
-        f"| {label} | {mean(rows, 'psnr'):.2f} | {mean(rows, 'ssim'):.4f} | {'no weights' if lpips is None else f'{lpips:.4f}'} | {mean(rows, 'flip'):.4f} "
+        f"| {label} | {psnr_of(rows)} | {mean(rows, 'ssim'):.4f} | {'no weights' if lpips is None else f'{lpips:.4f}'} | {mean(rows, 'flip'):.4f} "
         f"| {count:,.0f} | {ratio} | {mean(rows, 'bytes') / 1e6:.1f} | {mean(rows, 'seconds'):.0f} | {mean(rows, 'ms_per_frame'):.1f} |"
     )
+
+
+def psnr_of(rows: list[dict]) -> str:
+    """In dB; of one run of several seeds with half its range."""
+    several = len(rows) == 1 and rows[0]["seeds"] > 1
+    return f"{mean(rows, 'psnr'):.2f}" + (f" ± {rows[0]['spread']:.2f}" if several else "")
 
 
 def table(rows: list[dict], title: str, labels: Iterable[str] | None = None) -> list[str]:
@@ -85,10 +102,17 @@ def table_part(rows: list[dict]) -> str:
         runs = max((list(groups(scene_rows, "run")) for scene_rows in by_scene.values()), key=len)
         for (scene, shrink), scene_rows in by_scene.items():
             lines += [*table(scene_rows, f"{scene}, photographs 1/{shrink}", [run for (run,) in runs]), ""]
-        whole = [row for scene_rows in by_scene.values() if len(groups(scene_rows, "run")) == len(runs) for row in scene_rows]
+        whole = complete(those)
         if len(groups(whole, "scene")) > 1:
             lines += [*table(whole, f"mean of {len(groups(whole, 'scene'))} scenes", [run for (run,) in runs]), "", ratios(whole), ""]
     return "\n".join(lines)
+
+
+def complete(rows: list[dict]) -> list[dict]:
+    """Rows of the scenes that have every run that any of them has."""
+    by_scene = groups(rows, "scene", "shrink")
+    runs = len(groups(rows, "run"))
+    return [row for those in by_scene.values() if len(groups(those, "run")) == runs for row in those]
 
 
 def ratios(rows: list[dict]) -> str:
@@ -106,13 +130,35 @@ def ratios(rows: list[dict]) -> str:
 
 def scenario_part(rows: list[dict]) -> str:
     """Table 2: the paper's scenarios."""
-    found = [r for r in rows if r["study"] == "table"]
-    found = [r for those in groups(found, "scene", "shrink", "schedule").values() if set(SCENARIOS) <= {x["run"] for x in those} for r in those if r["run"] in SCENARIOS]
     lines = ["## Scenarios A and B", ""]
-    for (schedule,), those in groups(found, "schedule").items():
-        scenes = len(groups(those, "scene"))
-        lines += [*table(those, f"mean of {scenes} scenes, schedule {schedule:g}", SCENARIOS), ""]
-    return "\n".join(lines) if found else ""
+    for (schedule,), those in groups((r for r in rows if r["study"] == "table"), "schedule").items():
+        whole = [row for row in complete(those) if row["run"] in SCENARIOS]
+        if set(SCENARIOS) == {row["run"] for row in whole}:
+            lines += [*table(whole, f"mean over {len(groups(whole, 'scene'))} scenes, schedule {schedule:g}", SCENARIOS), ""]
+    return "\n".join(lines) if len(lines) > 2 else ""
+
+
+def schedule_part(rows: list[dict]) -> str:
+    """Whether a shortened schedule ranks methods as a longer one: runs of one scene side by side."""
+    lines = ["## One scene, several schedules", ""]
+    for (scene, shrink), those in groups((r for r in rows if r["study"] == "table"), "scene", "shrink").items():
+        schedules = sorted(groups(those, "schedule"))
+        if len(schedules) < 2:
+            continue
+        by_run = {run: {row["schedule"]: row for row in group} for (run,), group in groups(those, "run").items()}
+        shared = {run: found for run, found in by_run.items() if len(found) == len(schedules)}
+        heads = "".join(f" schedule {s:g}: Gaussians | PSNR | place by PSNR, by count |" for (s,) in schedules)
+        lines += [f"| {scene}, photographs 1/{shrink} |{heads}", "|---" * (1 + 3 * len(schedules)) + "|"]
+        for run, found in shared.items():
+            cells = [f"{found[s]['count']:,} | {psnr_of([found[s]])} | {place(run, shared, s, 'psnr', -1)}, {place(run, shared, s, 'count', 1)}" for (s,) in schedules]
+            lines.append(f"| {run} | {' | '.join(cells)} |")
+        lines.append("")
+    return "\n".join(lines) if len(lines) > 2 else ""
+
+
+def place(run: str, runs: dict[str, dict], schedule: float, figure: str, sign: int) -> int:
+    """1 for the run with the largest (sign -1) or smallest (sign 1) figure of a schedule."""
+    return 1 + sum(sign * found[schedule][figure] < sign * runs[run][schedule][figure] for found in runs.values())
 
 
 def lambda_part(rows: list[dict], charts: Path) -> str:
@@ -135,7 +181,7 @@ def pareto_part(rows: list[dict], charts: Path) -> str:
         pareto_chart(curves, (before["count"], before["psnr"]), f"{scene}, schedule {schedule:g}, photographs 1/{shrink}", charts / f"{name}.svg")
         lines += [f"![{scene}](results/{name}.svg)", "", "| method and strength | Gaussians | PSNR | seconds |", "|---|---|---|---|"]
         ordered = sorted(those, key=lambda row: (row["run"].split()[0], -row["count"]))
-        lines += [f"| {row['run']} | {row['count']:,} | {row['psnr']:.2f} | {row['seconds']:.0f} |" for row in ordered]
+        lines += [f"| {row['run']} | {row['count']:,} | {psnr_of([row])} | {row['seconds']:.0f} |" for row in ordered]
         lines += [f"| before | {before['count']:,} | {before['psnr']:.2f} | |", ""]
     return "\n".join(lines) if len(lines) > 2 else ""
 
