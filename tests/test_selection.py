@@ -11,6 +11,7 @@ from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import masks
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.loop import Run
+from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.finetune.methods.selection import LARGEST, SHARES, pressure_shares
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.penalties import OpacityPressure
@@ -108,3 +109,11 @@ def test_who_is_absent_does_not_change_in_that_step():
 def test_a_loss_in_db_is_held_by_worth():
     assert prune_settings("svr", 10, 5, max_drop=0.5).method == "svr-worth"
     assert prune_settings("maskgs", 10, 5, max_drop=0.5).method == "maskgs"
+
+
+def test_pushes_keep_their_distance_in_a_short_phase():
+    def spacing(method: str, steps: int) -> int:
+        return METHODS[method].push_every(prune_settings(method, steps, 0).phases[0])
+
+    assert [spacing("svr", steps) for steps in (8000, 800, 80)] == [50, 5, 4]
+    assert [spacing("gns", steps) for steps in (8000, 800, 80)] == [50, 8, 8]

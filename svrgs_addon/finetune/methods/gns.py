@@ -4,7 +4,7 @@
 
 r is adapted so that the opacity at the rank of the budget falls linearly to 0. Published: 8000 steps, a push every 50, r looked at
 every 100, pruning of o < 0.001 after 1000, the goal at 0 after 7000; all scale with the length of the phase, but pushes never come
-closer than `least_between`, or the photographs would have too little say in who withstands them.
+closer than `least_between`: what withstands them must be up to the photographs.
 """
 
 from __future__ import annotations
