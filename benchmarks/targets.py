@@ -1,6 +1,6 @@
 """How near learned methods come to a target by themselves: Gaussians that masks alone would leave against those asked for.
 
-    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr,maskgs] [--shares 0.5,0.25] [--iterations N] [--json]
+    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr-mask,maskgs] [--shares 0.5,0.25] [--iterations N] [--json]
 
 `make demo` leaves such a pair: build/demo/scene and build/demo/trained.ply. The final ranking, which meets the target exactly, is
 not part of the figure. A row of JSON or of the table for each method and share.
@@ -29,6 +29,8 @@ def row(options: argparse.Namespace, method: str, share: float, folder: Path) ->
         sys.exit(f"{method} at {share}: {done.stderr.strip().splitlines()[-1]}")
     result = json.loads(done.stdout)
     figures = {name: result[name] for name in ("target", "reached", "strength", "psnr")}
+    if result["reached"] is None:
+        sys.exit(f"{method} learns no masks: there is nothing to compare")
     error = result["reached"] / result["target"] - 1
     return {"method": method, "share": share, **figures, "error": error, "psnr before": result["before"]["psnr"]}
 

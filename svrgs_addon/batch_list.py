@@ -27,7 +27,7 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
     A folder with a splat is one scene, its dataset the folder itself; a folder without is searched one level down.
     colmap: the dataset of every scene, instead. out: a folder, or for a single scene a file; default: beside each.
     report: the folder of the reports, which have the scenes' names too.
-    Raises SceneError if a path does not exist or holds no scene.
+    Raises SceneError if a path does not exist, or is a folder without a scene.
     """
     found = [pair for path in paths for pair in _scenes(path, out)]
     names = [name for name, _ in found]
@@ -41,6 +41,8 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
 
 
 def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
+    if not path.exists():
+        raise SceneError(f"{path}: there is no such file or folder")
     if not path.is_dir():
         return [(path.stem, path)]
     outputs = out and out.resolve()

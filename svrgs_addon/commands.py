@@ -70,7 +70,7 @@ def prune(options: Options) -> int:
     failed = stopped = False
     for item in items:
         line = {"scene": str(item.scene), "out": str(item.out)}
-        if item.out.exists() and not options.overwrite:
+        if item.out.exists() and not options.overwrite and item.out.resolve() != item.scene.resolve():
             line["skipped"] = "the output exists"
         else:
             status, result = run_in_child(_item_options(options, item, options.report and options.report / item.name))

@@ -32,6 +32,7 @@ from .splat_files import invisible, load_scene, write_scene
 CURVE_VIEWS = 4  # test views behind the PSNR curve
 REPORT_VIEWS = 3
 CHECKPOINT_SECONDS = 120.0
+CANNOT_REACH = "method '{}' without iterations in which it prunes cannot reach a target"
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ def train(dataset: Dataset, settings: Settings, options: JobOptions, sh_degree: 
     """3DGS (with masks, where the method learns them) from the dataset's sparse points; returns the JSON result."""
     check_outputs(options)
     check_request(dataset, settings)
+    if (settings.target or settings.share) and not settings.prunes:
+        raise SceneError(CANNOT_REACH.format(settings.method))
     clock = Clock()
     refuse_excess("training", len(dataset.points), (sh_degree + 1) ** 2, dataset)
     with clock.phase("initialise"):
@@ -101,6 +104,7 @@ class Clock:
 
     def __init__(self):
         self.started = time.perf_counter()
+        self.earlier = 0.0  # spent before the job was resumed
         self.phases: dict[str, float] = {}
 
     @contextlib.contextmanager
@@ -111,7 +115,7 @@ class Clock:
 
     @property
     def total(self) -> float:
-        return time.perf_counter() - self.started
+        return self.earlier + time.perf_counter() - self.started
 
 
 def check_outputs(options: JobOptions):
@@ -129,12 +133,12 @@ def check_request(dataset: Dataset, settings: Settings):
     if not dataset.train_indices:
         raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
     ranks, asked = method_named(settings.method).ranks, settings.target or settings.share
-    if settings.max_drop and not (method_named(settings.method).holds_drop and any(phase.active for phase in settings.phases)):
+    if settings.max_drop and not (method_named(settings.method).holds_drop and settings.prunes):
         raise SceneError(f"method '{settings.method}' cannot take --max-drop: that needs masks, and iterations in which they are learned")
     if ranks and not asked:
         raise SceneError(f"method '{settings.method}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
-    if asked and not ranks and not any(phase.active for phase in settings.phases):
-        raise SceneError(f"method '{settings.method}' without iterations in which it prunes cannot reach a target")
+    if asked and not ranks and not settings.prunes:
+        raise SceneError(CANNOT_REACH.format(settings.method))
 
 
 def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
@@ -152,12 +156,12 @@ def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
     if settings.min_contribution:
         _, peaks, _ = scores.contribution(scene, *looks)
         keep = (peaks >= settings.min_contribution) | scores.top(peaks, settings.target)
-        masks.refuse_emptying(keep, scene.count)
+        masks.refuse_emptying(keep, scene.count, settings.target)
         scene = scene.select(keep)
     if not method.ranks:
         return scene
     keep = scores.top(method.score(scene, *looks), settings.target)
-    masks.refuse_emptying(keep, scene.count)
+    masks.refuse_emptying(keep, scene.count, settings.target)
     return scene.select(keep)
 
 
@@ -175,6 +179,7 @@ def fine_tune(model: Model, dataset: Dataset, settings: Settings, options: JobOp
     identity = run_identity(model, dataset, settings, options.engine)
     if options.resume:
         checkpoint.restore(run, options.folder, identity)
+        clock.earlier = sum(run.seconds.values())
     else:
         checkpoint.forget(options.folder)
     options.begin(run)
@@ -199,11 +204,13 @@ def fine_tune(model: Model, dataset: Dataset, settings: Settings, options: JobOp
 
 def run_identity(start: Model, dataset: Dataset, settings: Settings, engine: str) -> str:
     """Digest of everything a resumed run must share with the one it continues."""
-    digest = hashlib.sha256(repr((settings, engine, dataset.train_indices)).encode())
+    digest = hashlib.sha256(repr((settings, engine, dataset.train_indices, start.beside["antialiased"])).encode())
     for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
         digest.update(array)
     for camera in dataset.cameras:
         digest.update(repr((camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())).encode())
+    for photo in dataset.photos:
+        digest.update(repr(photo.path.stat().st_size).encode())
     return digest.hexdigest()
 
 
@@ -230,7 +237,7 @@ def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
     return {
         "out": str(options.out),
         "method": settings.method,
-        "lambda_f": settings.lambda_f if method_named(settings.method).lambda_f else None,
+        "lambda_f": settings.lambda_f if run.method.weighs(settings) else None,
         "lambda_m": settings.lambda_m or None,
         "target": run.target or None,
         "reached": run.control.reached if run.control else None,
@@ -265,6 +272,7 @@ def write_report(options: JobOptions, name: str, before: list, after: Scene, dat
         lambda_f=result["lambda_f"],
         lpips_missing=options.lpips_missing,
         phases=tuple(phases),
+        seconds=result["seconds"],
         iterations_per_second=result["iterations_per_second"],
         peak_memory_bytes=result["peak_memory_bytes"],
         seed=result["seed"],

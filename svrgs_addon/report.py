@@ -63,6 +63,7 @@ class Report:
     lambda_f: float | None = None
     lpips_missing: str = ""  # why lpips is None
     phases: tuple[Phase, ...] = ()
+    seconds: float | None = None  # in all
     iterations_per_second: float | None = None
     peak_memory_bytes: int | None = None
     seed: int | None = None
@@ -192,7 +193,7 @@ def _per_cent(before: float, after: float) -> str:
 
 
 def _run(report: Report) -> str:
-    """Seconds per phase, speed, memory, seed and versions; '' for a comparison, which has none of them."""
+    """What is known of seconds per phase, speed, memory, seed and versions; '' where nothing is."""
     facts = list(_facts(report))
     if not facts:
         return ""
@@ -203,8 +204,8 @@ def _run(report: Report) -> str:
 def _facts(report: Report) -> Iterator[tuple[str, str]]:
     for phase in report.phases:
         yield phase.name.capitalize(), _duration(phase.seconds)
-    if len(report.phases) > 1:
-        yield "Total", _duration(sum(phase.seconds for phase in report.phases))
+    if report.seconds is not None:
+        yield "Total", _duration(report.seconds)
     if report.iterations_per_second is not None:
         yield "Speed", f"{report.iterations_per_second:.3g} iterations/s"
     if report.peak_memory_bytes is not None:

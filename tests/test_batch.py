@@ -92,6 +92,18 @@ def test_a_batch_without_failures_exits_0_and_overwrites_when_told(tiny, tmp_pat
     assert lines(third)[0]["count"] == lines(first)[0]["count"]
 
 
+def test_a_batch_into_the_folder_of_its_scenes_keeps_them_and_says_so(tiny, tmp_path):
+    scenes = [add_scene(tiny, tmp_path / name).rename(tmp_path / f"{name}.ply") for name in ("a", "b")]
+    done = run(sys.executable, "-m", "svrgs_addon", "prune", *scenes, "--out", tmp_path, "--colmap", tiny.folder, *SHORT)
+    assert done.returncode == 1 and ["is the input itself" in line["error"] for line in lines(done)] == [True, True]
+    assert all(scene.read_bytes() == tiny.splat.read_bytes() for scene in scenes)
+
+
+def test_a_scene_that_does_not_exist_is_named(tmp_path):
+    done = run(sys.executable, "-m", "svrgs_addon", "prune", tmp_path / "missing.ply")
+    assert done.returncode == 2 and "missing.ply: there is no such file" in done.stderr
+
+
 def test_reports_lie_in_a_folder_a_scene(tiny, tmp_path):
     for name in ("a", "b"):
         add_scene(tiny, tmp_path / name)
@@ -168,6 +180,7 @@ def touch(*paths: Path):
 
 
 def test_a_file_is_a_scene_by_itself(tmp_path):
+    touch(tmp_path / "x.ply")
     assert expand([tmp_path / "x.ply"], None, None) == [Item("x", tmp_path / "x.ply", None, tmp_path / "x_pruned.ply")]
     assert expand([tmp_path / "x.ply"], Path("data"), tmp_path / "y.ply")[0].out == tmp_path / "y.ply"
     assert expand([tmp_path / "x.ply"], None, tmp_path / "new")[0].out == tmp_path / "new/x.ply"

@@ -26,7 +26,7 @@ from svrgs_addon.formats import read_ply
 resource = pytest.importorskip("resource", reason="this system cannot limit the size of files")
 
 ROOT = Path(__file__).resolve().parents[1]
-SETTINGS = replace(prune_settings("svr", 30, 10, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
+SETTINGS = replace(prune_settings("svr-mask", 30, 10, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
 
 
 # --- killed

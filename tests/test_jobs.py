@@ -244,6 +244,10 @@ def test_resume_with_other_settings_is_refused(tiny, data, whole, tmp_path, monk
         refuse_resume(tiny, data, out, settings)
     refuse_resume(tiny, load_dataset(tiny.folder, holdout=6), out)
     refuse_resume(tiny, data, out, engine="torch")
+    other = tmp_path / "photograph"
+    other.write_bytes(data.photos[0].path.read_bytes() + b"more")
+    refuse_resume(tiny, replace(data, photos=[replace(data.photos[0], path=other), *data.photos[1:]]), out)
+    other.unlink()
     scene = read_ply(tiny.splat)
     scene.sh[0, 0, 0] += 0.1
     write_ply(tmp_path / "other.ply", scene)
@@ -388,6 +392,37 @@ def test_sigterm_while_nothing_can_be_kept_ends_without_a_stack_trace():
 
 
 # --- what is refused, nothing written
+
+
+def test_a_target_may_be_as_small_as_is_asked_for(tiny, data, tmp_path):
+    scene = read_ply(tiny.splat)
+    write_ply(tmp_path / "big.ply", scene.select(np.repeat(np.arange(scene.count), 10)))
+    for method in ("svr-mask", "svr", "opacity"):
+        prune(replace(tiny, splat=tmp_path / "big.ply"), data, tmp_path / "o.ply", prune_settings(method, 30, 2, target=2))
+        assert read_ply(tmp_path / "o.ply").count == 2
+
+
+def test_a_target_needs_iterations_to_prune_in(data, tmp_path):
+    for method in ("maskgs", "opacity", "svr-worth"):
+        with pytest.raises(SceneError, match=f"method '{method}' without iterations in which it prunes cannot reach a target"):
+            jobs.train(data, train_settings(method, 0, 5, target=20), jobs.JobOptions(tmp_path / "o.ply"))
+
+
+def test_lambda_is_told_where_it_decided(tiny, data, tmp_path):
+    def told(**settings):
+        options = jobs.JobOptions(tmp_path / "o.ply")
+        return jobs.prune(tiny.splat, data, prune_settings(settings.pop("method"), 20, 0, lambda_f=1e-5, **settings), options)["lambda_f"]
+
+    assert told(method="svr") == told(method="svr-mask", target=100) == told(method="svr-worth") == 1e-5
+    assert told(method="svr", target=100) is told(method="svr-worth", max_drop=3.0) is None
+
+
+def test_seconds_of_a_resumed_job_are_those_of_all_its_parts(tiny, data, tmp_path):
+    out, stop = tmp_path / "o.ply", StopAt(60)
+    with pytest.raises(Cancelled):
+        jobs.prune(tiny.splat, data, SETTINGS, stop.options(out))
+    result = jobs.prune(tiny.splat, data, SETTINGS, jobs.JobOptions(out, resume=True))
+    assert result["seconds"] >= sum(result["seconds_by_phase"].values())
 
 
 def test_a_scene_that_would_lose_everything(tiny, data, tmp_path):

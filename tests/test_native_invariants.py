@@ -1,9 +1,12 @@
 """What must hold between runs of the native core, whatever the numbers: absence, order, threads, skipping, scores."""
 
 import functools
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,6 +36,7 @@ from svrgs_addon.native import GRADS, Rasterizer, RenderOptions
 from svrgs_addon.scene import Scene
 
 CAMERA = scenes.camera(40, 27)
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(autouse=True)
@@ -516,3 +520,13 @@ def test_renderers_work_side_by_side():
     for worker in workers:
         worker.join()
     assert all(set(images) == {expected[k]} for k, images in enumerate(got))
+
+
+def test_fewer_threads_where_the_system_gives_no_more():
+    """In a process of its own whose address space holds few stacks."""
+    code = (
+        "import resource\nfrom svrgs_addon import native\nnative.threads()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30))\nnative.set_threads(4000)\nassert 1 <= native.threads() < 4000, native.threads()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

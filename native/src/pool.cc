@@ -5,6 +5,7 @@
 #include <condition_variable>
 #include <memory>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -30,7 +31,10 @@ struct Job {
 class Pool {
  public:
   explicit Pool(int size) {
-    for (int i = 1; i < size; ++i) workers_.emplace_back([this] { loop(); });
+    try {
+      for (int i = 1; i < size; ++i) workers_.emplace_back([this] { loop(); });
+    } catch (const std::system_error&) {  // the system gives no more threads: those there are do the work
+    }
   }
 
   ~Pool() {

@@ -143,8 +143,8 @@ class Run:
                 self.target = max(1, round(self.settings.share * self.model.count))
             if self.control and not _grows(phase, number):
                 self.control.before(self)
-        elif self.model.learns_masks:
-            self.model.drop_masks()
+        else:
+            self.model.forget_extras()
 
     def _step(self, phase: Phase, number: int, camera: Camera, target: np.ndarray) -> Step:
         s = self.settings
@@ -167,7 +167,7 @@ class Run:
         s = self.settings
         kind = self.method.mask_kind if phase.active else "none"
         degree = number // phase.sh_every if phase.sh_every else 3
-        return RenderOptions(min(degree, 3), self.antialiased, s.full, kind, s.mask_to_shape, background=s.background)
+        return RenderOptions(min(degree, 3), self.antialiased, s.full, kind, background=s.background)
 
     @property
     def strength(self) -> float:
@@ -177,7 +177,7 @@ class Run:
     @property
     def score_options(self) -> RenderOptions:
         """How Gaussians are looked at to be ranked: with all their bands, without masks."""
-        return RenderOptions(antialiased=self.antialiased, background=self.settings.background)
+        return RenderOptions(antialiased=self.antialiased, full=self.settings.full, background=self.settings.background)
 
     @property
     def training_cameras(self) -> list[Camera]:
@@ -247,7 +247,7 @@ class Run:
     def _keep(self, keep: np.ndarray | None):
         if keep is None:
             return
-        masks.refuse_emptying(keep, self.initial_count)
+        masks.refuse_emptying(keep, self.initial_count, self.settings.target)
         if not keep.all():
             self.model.keep(keep)
             self.statistics = densify.Statistics(self.model.count)

@@ -45,8 +45,8 @@ def decided(model: Model, target: int = 0) -> np.ndarray:
     return top(logits, target) if target else logits > 0
 
 
-def refuse_emptying(keep: np.ndarray, before: int):
-    """Raises SceneError where `keep` would leave (next to) nothing of a scene of `before` Gaussians."""
+def refuse_emptying(keep: np.ndarray, before: int, target: int = 0):
+    """Raises SceneError where `keep` would leave (next to) nothing of a scene of `before` Gaussians, and less than the `target` asked for."""
     left = int(keep.sum())
-    if left < max(1, before * MIN_SHARE):
+    if left < max(1, min(before * MIN_SHARE, target or before)):
         raise SceneError(f"pruning would leave {left} of {before:,} Gaussians: use a smaller lambda-f or min-contribution, or a target count")

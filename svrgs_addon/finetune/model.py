@@ -68,9 +68,11 @@ class Model:
         """Gives every Gaussian one more value (N,), or another in its place; its moments start at zero."""
         self.values[name], self.first[name], self.second[name] = values, np.zeros_like(values), np.zeros_like(values)
 
-    def drop_masks(self):
+    def forget_extras(self):
+        """Masks, and whatever else was added."""
         for arrays in (self.values, self.first, self.second):
-            arrays.pop(MASK, None)
+            for name in arrays.keys() - set(PARAMETERS):
+                del arrays[name]
 
     def keep(self, mask: np.ndarray):
         """Keeps the rows where mask (N,) is True, moments included. Within the arrays' own memory: a copy would be the run's peak."""

@@ -97,7 +97,6 @@ class Settings:
     lambda_f: float = 0.0  # weight of mean F^2
     lambda_m: float = 0.0  # of the method's term of all masks
     full: bool = True  # F walks each ray to its end
-    mask_to_shape: bool = False
     seed: int = 0
     mask_init: float = 9.0
     draws: int = 10
@@ -111,6 +110,11 @@ class Settings:
     share: float = 0.0  # instead of a target: of the Gaussians there are once densification has ended
     max_drop: float = 0.0  # instead of a target: dB that may be lost when the method decides, on a few training views
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def prunes(self) -> bool:
+        """Whether the method is at work in some steps."""
+        return any(phase.active and phase.steps for phase in self.phases)
 
     @property
     def total(self) -> int:

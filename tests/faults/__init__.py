@@ -134,7 +134,7 @@ def kill_writer(name: str, folder: Path, kills: int, seed: int = 0) -> Survived:
 def kill_run(splat: Path, dataset: Dataset, folder: Path, kills: int, longest: float = 0.7, seed: int = 0) -> Survived:
     """A pruning job that saves a checkpoint each step, killed again and again, taken up each time: the same bytes in the end."""
     jobs.CHECKPOINT_SECONDS = 0
-    settings = replace(prune_settings("svr", 40, 20, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
+    settings = replace(prune_settings("svr-mask", 40, 20, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
     chance, survived, out = random.Random(seed), Survived(), folder / "o.ply"
     job = folder / "o.ply.job"
 

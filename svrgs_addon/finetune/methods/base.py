@@ -53,6 +53,10 @@ class Method:
         """Default lambda_f and lambda_m; trained: the run starts from a trained scene."""
         return self.lambda_f, self.lambda_m
 
+    def weighs(self, settings: Settings) -> bool:
+        """Whether settings.lambda_f has a say in such a run."""
+        return self.lambda_f > 0
+
     # --- a step of an active phase
 
     def enter(self, model: Model, settings: Settings):

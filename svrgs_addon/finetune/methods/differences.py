@@ -37,10 +37,16 @@ class Differences(Method):
         learn = Phase("prune", iterations, Rates(position_first=5e-6, position_steps=iterations), active=True, prune_every=every)
         return [*([learn] if iterations else []), *super().prune_phases(iterations, recovery, prune_every)]
 
+    def terms(self, run: Run, phase: Phase, number: int) -> dict:
+        if run.settings.max_drop and not self.psnr:
+            self.psnr = psnr_of(run, None)
+        return {}
+
+    def weighs(self, settings: Settings) -> bool:
+        return not (settings.target or settings.share or settings.max_drop)
+
     def after_step(self, run: Run, phase: Phase, number: int) -> Keep:
-        if not self.count:
-            self.count = run.model.count
-            self.psnr = psnr_of(run, None) if run.settings.max_drop else 0.0
+        self.count = self.count or run.model.count
         if number != phase.steps and number % phase.prune_every:
             return None
         begun = min(phase.densify.until, phase.steps - 1) if phase.densify else 0

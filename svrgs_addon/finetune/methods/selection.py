@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import masks
-from ..settings import Densify, Phase
+from ..settings import Densify, Phase, Settings
 from ..worth import costs, worth
 from .gns import GNS
 
@@ -41,6 +41,9 @@ class Selection(GNS):
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         return _with_absence(super().prune_phases(iterations, recovery, prune_every))
+
+    def weighs(self, settings: Settings) -> bool:
+        return not (settings.target or settings.share or settings.max_drop)
 
     def terms(self, run: Run, phase: Phase, number: int) -> dict:
         if not run.target:
