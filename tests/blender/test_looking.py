@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from dataclasses import replace
@@ -73,7 +74,7 @@ def drawn(bridge, scene, camera, matrix, outputs=("rgb",), **options) -> dict:
     """What the rasterizer makes of a scene under a matrix, seen by Blender's camera; rgb as 8 bits show it."""
     bpy.context.view_layer.update()
     native = part("svrgs_addon.native")
-    view = bridge.camera_from_object(camera, bpy.context.scene, bridge.render_size(bpy.context.scene), matrix)
+    view = bridge.camera_from_object(camera, bpy.context.scene, bridge.render_size(bpy.context.scene)).moved(matrix)
     images = native.Rasterizer().forward(scene, view, native.RenderOptions(**options), outputs=outputs)
     return images | {"rgb": np.round(np.clip(images["rgb"], 0, 1) * 255) / 255} if "rgb" in images else images
 
@@ -181,7 +182,7 @@ def test_what_meshes_hide_is_hidden(tmp_path, stage, bridge, gaussians, splat, c
     wall.matrix_world = camera.matrix_world
     stage.collection.objects.link(wall)
     bpy.context.view_layer.update()
-    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage), splat.matrix_world)
+    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage)).moved(splat.matrix_world)
     before = gaussians.select(gaussians.means @ view.viewmat[2, :3] + view.viewmat[2, 3] <= 3)
     assert 100 < before.count < 2900
     expected = drawn(bridge, before, camera, splat.matrix_world, background=(1.0, 0.0, 0.0))["rgb"]
@@ -239,6 +240,30 @@ def test_panoramas_are_refused_in_one_sentence(splat, camera):
     camera.data.type = "PANO"
     with pytest.raises(RuntimeError, match="neither perspective nor orthographic"):
         bpy.ops.render.render()
+
+
+def test_an_object_that_is_no_camera_is_refused_in_one_sentence(stage, bridge, splat):
+    """Blender takes any object as the scene's camera."""
+    stage.camera = bpy.data.objects.new("nothing", None)
+    stage.collection.objects.link(stage.camera)
+    mark_removed(splat, np.arange(bridge.count(splat)) % 2)
+    for ask in (bpy.ops.render.render, bpy.ops.svrgs.spatial_mask, bpy.ops.svrgs.compare, lambda: bpy.ops.svrgs.contribution(cameras="ACTIVE")):
+        with pytest.raises(RuntimeError, match="'nothing' is no camera"):
+            ask()
+
+
+def test_a_picture_is_handed_in_whatever_happens(splat, camera, monkeypatch):
+    engine, handed = part("operators.render_engine").SVRGS_engine, []
+    hand_in = engine.hand_in
+
+    def fail(*_):
+        raise ValueError("nobody expects this")
+
+    monkeypatch.setattr(engine, "picture", fail)
+    monkeypatch.setattr(engine, "hand_in", lambda self, *rest: (handed.append(rest[1:]), hand_in(self, *rest)))
+    with contextlib.suppress(RuntimeError):
+        bpy.ops.render.render()
+    assert handed == [(101, 61)]
 
 
 def test_nothing_to_render_is_said(camera):
@@ -343,7 +368,7 @@ def test_contribution_is_the_score(stage, bridge, gaussians, splat, camera):
     values = np.empty(gaussians.count, np.float32)
     splat.data.attributes["contribution"].data.foreach_get("value", values)
     native = part("svrgs_addon.native")
-    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage), splat.matrix_world)
+    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage)).moved(splat.matrix_world)
     expected, _, _ = part("svrgs_addon.finetune.scores").contribution(gaussians, [view], native.Rasterizer(), native.RenderOptions())
     np.testing.assert_allclose(values, expected, rtol=1e-3, atol=1e-3)
 
