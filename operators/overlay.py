@@ -114,7 +114,7 @@ class Overlay:
         graph, space = context.view_layer.depsgraph, context.space_data
         found = [obj.evaluated_get(graph) for obj in context.view_layer.objects if bridge.is_splat(obj) and obj.visible_get(viewport=space)]
         scenes = [scene_cache.read(obj) for obj in found]
-        places = [(id(scene), tuple(map(tuple, obj.matrix_world))) for scene, obj in zip(scenes, found, strict=True)]
+        places = [(scene_cache.number(obj), tuple(map(tuple, obj.matrix_world))) for obj in found]
         key = settings.overlay_shown, settings.overlay_moving, *places
         if not found:
             return None

@@ -363,6 +363,50 @@ def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, splat, came
             assert not mask_image.is_stale(bpy.context)
 
 
+def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(bridge, gaussians, splat, camera, monkeypatch):
+    mask_image = part("operators.mask_image")
+    monkeypatch.setattr(mask_image, "id", lambda _: 0, raising=False)
+    bpy.ops.svrgs.spatial_mask()
+    mark_removed(splat, np.arange(gaussians.count) % 2)
+    assert mask_image.is_stale(bpy.context)
+
+
+def seen_number(obj) -> int:
+    """Of what is kept of the splat for drawing."""
+    return part("operators.scene_cache").number(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+
+
+def test_gaussians_that_change_by_frame_are_read_anew_and_others_are_not(stage, bridge, gaussians, splat, camera):
+    """Geometry nodes that move the points up with time."""
+    still = bridge.object_from_scene("still", gaussians, stage.collection)
+    group = bpy.data.node_groups.new("rising", "GeometryNodeTree")
+    for side in ("INPUT", "OUTPUT"):
+        group.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
+    kinds = "NodeGroupInput", "NodeGroupOutput", "GeometryNodeSetPosition", "ShaderNodeCombineXYZ", "GeometryNodeInputSceneTime"
+    into, out, move, offset, time = (group.nodes.new(kind) for kind in kinds)
+    wires = (into.outputs[0], move.inputs[0]), (time.outputs["Frame"], offset.inputs[2]), (offset.outputs[0], move.inputs["Offset"]), (move.outputs[0], out.inputs[0])
+    for socket, to in wires:
+        group.links.new(socket, to)
+    splat.modifiers.new("rising", "NODES").node_group = group
+    stage.frame_set(1)
+    before = seen_number(splat), seen_number(still)
+    stage.frame_set(3)
+    shown = part("operators.scene_cache").read(splat.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+    np.testing.assert_allclose(shown.means[:, 2].mean(), gaussians.means[:, 2].mean() + 3, atol=1e-4)
+    assert seen_number(splat) != before[0] and seen_number(still) == before[1]
+
+
+def test_nothing_is_kept_of_a_splat_that_is_gone(stage, bridge, gaussians, splat, camera):
+    cache = part("operators.scene_cache")
+    other = bridge.object_from_scene("other", gaussians, stage.collection)
+    bpy.context.view_layer.update()
+    cache._entries.clear()
+    seen_number(splat), seen_number(other)
+    bpy.data.objects.remove(other)
+    bpy.context.view_layer.update()
+    assert set(cache._entries) == {splat.session_uid}
+
+
 def test_contribution_is_the_score(stage, bridge, gaussians, splat, camera):
     bpy.ops.svrgs.contribution(cameras="ACTIVE")
     values = np.empty(gaussians.count, np.float32)
