@@ -407,6 +407,26 @@ def test_nothing_is_kept_of_a_splat_that_is_gone(stage, bridge, gaussians, splat
     assert set(cache._entries) == {splat.session_uid}
 
 
+def test_the_mask_follows_in_the_scene_that_changed(stage, bridge, gaussians, splat, camera):
+    """Whichever scene is active when the time has come to draw."""
+    follower = part("operators.spatial_mask")
+    other = bpy.data.scenes.new("other")
+    try:
+        stage.svrgs_looking.mask_follow, other.svrgs_looking.mask_follow = False, True
+        stage.svrgs_looking.mask_result = ""
+        other.camera = bpy.data.objects.new("of the other", camera.data)
+        for obj in (other.camera, splat):
+            other.collection.objects.link(obj)
+        with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+            follower._after_change(other, bpy.context.evaluated_depsgraph_get())  # as Blender does for a scene in a window
+        follower._follow()
+        assert not stage.svrgs_looking.mask_result
+        assert json.loads(other.svrgs_looking.mask_result)["camera"] == "of the other"
+    finally:
+        bpy.data.scenes.remove(other)
+        stage.svrgs_looking.mask_follow = False
+
+
 def test_contribution_is_the_score(stage, bridge, gaussians, splat, camera):
     bpy.ops.svrgs.contribution(cameras="ACTIVE")
     values = np.empty(gaussians.count, np.float32)
@@ -473,3 +493,21 @@ def test_settings_and_images_survive_a_file(tmp_path, stage, splat, camera):
     assert bpy.context.scene.svrgs_looking.wipe == 0.25 and bpy.context.scene.render.engine == "SVRGS"
     assert tuple(bpy.data.images["SVR-GS Spatial Mask"].size)[0] > 0
     bpy.ops.svrgs.spatial_mask()
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_numbers_of_pictures_go_with_the_pictures(tmp_path, bridge, splat, camera, packed):
+    """Blender saves a picture with the file only if it is packed."""
+    mark_removed(splat, np.arange(bridge.count(splat)) % 2)
+    bpy.ops.svrgs.compare()
+    bpy.ops.svrgs.spatial_mask()
+    if packed:
+        for image in bpy.data.images:
+            image.use_fake_user = True
+            image.pack()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
+    looking = bpy.context.scene.svrgs_looking
+    assert bool(looking.compare_result) == bool(looking.mask_result) == packed
+    if packed:
+        assert pixels(bpy.data.images["SVR-GS Wipe"])[..., :3].any()
