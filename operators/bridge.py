@@ -8,6 +8,7 @@ Blender's. A posed photograph is a camera that knows the size of its picture.
 from __future__ import annotations
 
 import contextlib
+import itertools
 
 import bmesh
 import bpy
@@ -15,7 +16,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..svrgs_addon import lens as lenses
-from ..svrgs_addon.attribute_layout import BASE, REQUIRED, from_attributes, notes_of, to_attributes
+from ..svrgs_addon.attribute_layout import BASE, REQUIRED, SH, from_attributes, notes_of, to_attributes
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.scene import Scene
@@ -42,6 +43,12 @@ def is_splat(obj: bpy.types.Object | None) -> bool:
 def count(obj: bpy.types.Object) -> int:
     """Gaussians of a splat."""
     return len(obj.data.vertices if obj.type == "MESH" else obj.data.points)
+
+
+def sh_degree(obj: bpy.types.Object) -> int:
+    """Degree of the spherical harmonics that a splat's file would have: a band that is not complete ends them."""
+    bands = (all(_attribute(obj.data, f"{SH}{k}") for k in range(n * n - 1, (n + 1) ** 2 - 1)) for n in (1, 2, 3))
+    return len(list(itertools.takewhile(bool, bands)))
 
 
 def object_from_scene(name: str, scene: Scene, collection: bpy.types.Collection, matrix: Matrix = AXES) -> bpy.types.Object:

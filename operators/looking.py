@@ -17,7 +17,13 @@ SHOWN = [
 ]  # fmt: skip
 
 
+def _about(_) -> str:
+    obj = bpy.context.object
+    return f"{bridge.count(obj):,} Gaussians, SH degree {bridge.sh_degree(obj)}" if bridge.is_splat(obj) else ""
+
+
 class SVRGS_PG_looking(bpy.types.PropertyGroup):
+    about: StringProperty(get=_about, options={"HIDDEN"})  # the active splat in a line; empty where there is none
     background: FloatVectorProperty(
         name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="What shows between the Gaussians; black as in training"
     )
@@ -42,7 +48,7 @@ class SVRGS_PG_looking(bpy.types.PropertyGroup):
     compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned
 
     overlay: BoolProperty(name="Draw Splats", default=True, update=overlay.switch, description="Draw splats in Solid and Material Preview viewports")
-    overlay_shown: EnumProperty(name="Show", items=SHOWN, update=overlay.changed)
+    overlay_shown: EnumProperty(name="Show", items=SHOWN, update=overlay.changed, description="What the colours of splats in these viewports stand for")
     overlay_moving: IntProperty(
         name="While Moving", default=200_000, min=1000, soft_max=2_000_000, update=overlay.changed, description="Gaussians drawn while the view moves"
     )
