@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import types
 from dataclasses import replace
 
 import bpy
@@ -305,6 +306,34 @@ def test_modifiers_count(tmp_path, stage, bridge, gaussians, splat, camera):
     splat.modifiers.new("half", "NODES").node_group = group
     expected = drawn(bridge, gaussians.select(np.arange(gaussians.count // 2)), camera, splat.matrix_world)["rgb"]
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
+
+
+def test_viewports_show_splats_of_instanced_collections_as_renders_do(stage, bridge, gaussians, splat):
+    """Twice, one of them within another instance; not where what instances them is hidden."""
+    graph = part("operators.bridge_graph")
+
+    def instance(name: str, of, into, place):
+        obj = bpy.data.objects.new(name, None)
+        obj.instance_type, obj.instance_collection, obj.location = "COLLECTION", of, place
+        into.objects.link(obj)
+        return obj
+
+    def places(found) -> list:
+        bpy.context.view_layer.update()
+        return sorted((obj.name, tuple(round(number, 4) for number in matrix.translation)) for obj, matrix in found())
+
+    view = types.SimpleNamespace(view_layer=bpy.context.view_layer, space_data=None)
+    in_view, in_render = lambda: graph.splats_in_view(view), lambda: graph.placed_splats(bpy.context.evaluated_depsgraph_get())
+    inner, outer = bpy.data.collections.new("inner"), bpy.data.collections.new("outer")
+    bridge.object_from_scene("copied", gaussians, inner)
+    once, nested = instance("once", inner, stage.collection, (1, 0, 0)), instance("nested", outer, stage.collection, (0, 2, 0))
+    instance("within", inner, outer, (0, 0, 3))
+    own, first, second = ("room", (0, 0, 0)), ("copied", (1, 0, 0)), ("copied", (0, 2, 3))
+    assert places(in_view) == places(in_render) == sorted([own, first, second])
+    once.hide_set(True)
+    assert places(in_view) == sorted([own, second])
+    nested.hide_viewport = True
+    assert places(in_view) == [own]
 
 
 def mark_removed(obj, removed):
