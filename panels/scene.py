@@ -2,6 +2,8 @@
 
 import bpy
 
+from .lines import lines
+
 
 class SVRGS_PT_scene(bpy.types.Panel):
     bl_label = "1  Scene"
@@ -14,6 +16,8 @@ class SVRGS_PT_scene(bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("svrgs.import_ply", icon="IMPORT", text="Import Splat")
         column.operator("svrgs.import_colmap", icon="OUTLINER_OB_CAMERA", text="Import Cameras")
+        if context.scene.svrgs_looking.photographs:
+            lines(layout, context.scene.svrgs_looking.photographs, "INFO")
         about = context.scene.svrgs_looking.about
         if not about:
             layout.label(text="Select a splat, or import one", icon="INFO")

@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import types
+import typing
 from dataclasses import replace
 
 import bpy
@@ -464,6 +465,13 @@ def test_contribution_is_the_score(stage, bridge, gaussians, splat, camera):
     view = bridge.camera_from_object(camera, stage, bridge.render_size(stage)).moved(splat.matrix_world)
     expected, _, _ = part("svrgs_addon.finetune.scores").contribution(gaussians, [view], native.Rasterizer(), native.RenderOptions())
     np.testing.assert_allclose(values, expected, rtol=1e-3, atol=1e-3)
+
+
+def test_only_splats_are_offered_for_comparing(stage, splat, camera):
+    kinds = typing.get_type_hints(type(stage.svrgs_looking))  # as Blender reads them
+    for name in ("original", "pruned"):
+        offered = kinds[name].keywords["poll"]
+        assert offered(stage.svrgs_looking, splat) and not offered(stage.svrgs_looking, camera)
 
 
 def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage, bridge, ply):
