@@ -8,6 +8,7 @@ Blender's. A posed photograph is a camera that knows the size of its picture.
 from __future__ import annotations
 
 import contextlib
+import itertools
 
 import bmesh
 import bpy
@@ -15,11 +16,10 @@ import numpy as np
 from mathutils import Matrix
 
 from ..svrgs_addon import lens as lenses
-from ..svrgs_addon.attribute_layout import BASE, REQUIRED, from_attributes, notes_of, to_attributes
+from ..svrgs_addon.attribute_layout import BASE, REQUIRED, SH, from_attributes, notes_of, to_attributes
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.scene import Scene
-from ..svrgs_addon.transform import UNIFORM, stretch
 
 NOTES = "svrgs"  # property of a splat's data-block
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
@@ -45,16 +45,17 @@ def count(obj: bpy.types.Object) -> int:
     return len(obj.data.vertices if obj.type == "MESH" else obj.data.points)
 
 
+def sh_degree(obj: bpy.types.Object) -> int:
+    """Degree of the spherical harmonics that a splat's file would have: a band that is not complete ends them."""
+    bands = (all(_attribute(obj.data, f"{SH}{k}") for k in range(n * n - 1, (n + 1) ** 2 - 1)) for n in (1, 2, 3))
+    return len(list(itertools.takewhile(bool, bands)))
+
+
 def object_from_scene(name: str, scene: Scene, collection: bpy.types.Collection, matrix: Matrix = AXES) -> bpy.types.Object:
     """A new splat in the collection, its data in the scene's coordinates; matrix: from these to Blender's world."""
-    mesh = bpy.data.meshes.new(name)
-    mesh.vertices.add(scene.count)
-    for attribute, kind, values in to_attributes(scene):
-        _set(mesh, attribute, kind, values)
-    obj = bpy.data.objects.new(name, mesh)
+    obj = bpy.data.objects.new(name, _mesh(name, scene))
     if "POINTCLOUD" in bpy.ops.object.convert.get_rna_type().properties["target"].enum_items:  # from 4.5 on
         _to_point_cloud(obj)
-    obj.data[NOTES] = notes_of(scene)
     obj.matrix_world = matrix
     collection.objects.link(obj)
     return obj
@@ -88,11 +89,35 @@ def forget_values(obj: bpy.types.Object, *names: str):
 
 
 def replace_gaussians(obj: bpy.types.Object, scene: Scene):
-    """Gives the splat other Gaussians; it stays the same object."""
-    new = object_from_scene(obj.data.name, scene, bpy.context.scene.collection)
-    old, obj.data = obj.data, new.data
-    bpy.data.objects.remove(new)
-    getattr(bpy.data, "meshes" if isinstance(old, bpy.types.Mesh) else "pointclouds").remove(old)
+    """Gives the splat other Gaussians; it stays the same object, with its materials. Objects that share its data keep the former ones."""
+    old, name = obj.data, obj.data.name
+    new = _mesh(name, scene) if obj.type == "MESH" else _point_cloud(name, scene)
+    for material in old.materials:
+        new.materials.append(material)
+    for key in set(old.keys()) - set(new.keys()):
+        new[key] = old[key]
+    obj.data = new
+    if not old.users:
+        bpy.data.batch_remove([old])
+        new.name = name
+
+
+def _mesh(name: str, scene: Scene) -> bpy.types.Mesh:
+    """Data of a splat where Blender makes no point clouds."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(scene.count)
+    for attribute, kind, values in to_attributes(scene):
+        _set(mesh, attribute, kind, values)
+    mesh[NOTES] = notes_of(scene)
+    return mesh
+
+
+def _point_cloud(name: str, scene: Scene) -> bpy.types.PointCloud:
+    """Data of a splat where Blender makes point clouds, without an object."""
+    made = object_from_scene(name, scene, bpy.context.scene.collection)
+    data = made.data
+    bpy.data.objects.remove(made)
+    return data
 
 
 @contextlib.contextmanager
@@ -123,6 +148,7 @@ def _to_point_cloud(obj: bpy.types.Object):
         aside.collection.objects.unlink(obj)
     finally:
         bpy.data.scenes.remove(aside)
+    obj.data[NOTES] = mesh[NOTES]
     bpy.data.meshes.remove(mesh)
     obj.data.name = name
     for selection in (".select_vert", ".selection"):
@@ -160,16 +186,15 @@ def _attribute(data, name: str):
 # --- cameras
 
 
-def camera_from_object(
-    obj: bpy.types.Object, scene: bpy.types.Scene, size: tuple[int, int] | None = None, splat_matrix: Matrix | None = None
-) -> Camera:
-    """What a camera object sees, in the local frame of a splat with matrix_world `splat_matrix` (default: Blender's world).
+def camera_from_object(obj: bpy.types.Object, scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> Camera:
+    """What a camera object sees, in Blender's world.
 
     size: (width, height) in pixels of the scene's aspect; default: the photograph's, or of other cameras the scene's render.
-    The pose is rigid: a uniform scale s of the splat leaves all distances 1/s of Blender's. obj: an evaluated one where
-    animation counts. Raises SceneError for cameras that are neither perspective nor orthographic, and where the splat is scaled
-    differently by axis: then turn its scene into world coordinates (svrgs_addon.transform) and leave splat_matrix out.
+    obj: an evaluated one where animation counts. Raises SceneError for objects that are no cameras (Blender makes any the scene's
+    camera), and for cameras that are neither perspective nor orthographic.
     """
+    if obj.type != "CAMERA":
+        raise SceneError(f"'{obj.name}' is no camera: choose another object as the scene's camera")
     data, render = obj.data, scene.render
     if data.type not in ("PERSP", "ORTHO"):
         raise SceneError(f"camera '{obj.name}' is neither perspective nor orthographic; splats are drawn for those alone")
@@ -180,12 +205,7 @@ def camera_from_object(
     ortho_scale = data.ortho_scale if orthographic else None
     lens = lenses.Lens(*size, data.lens, (data.shift_x, data.shift_y), aspect, sensor, data.sensor_fit, ortho_scale)
     viewmat = FLIP @ np.linalg.inv(_without_scale(obj.matrix_world))
-    camera = Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name), orthographic)
-    if splat_matrix is None:
-        return camera
-    if stretch(splat_matrix) - 1 > 10 * UNIFORM:
-        raise SceneError("the splat is scaled differently along its axes, so no camera sees it as it is in its own coordinates")
-    return camera.moved(splat_matrix)
+    return Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name), orthographic)
 
 
 def camera_to_object(camera: Camera, obj: bpy.types.Object):

@@ -75,6 +75,25 @@ def placed_splats(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Ob
     return ((i.object, i.matrix_world.copy()) for i in _instances(depsgraph) if bridge.is_splat(i.object))
 
 
+def splats_in_view(context: bpy.types.Context) -> list[tuple[bpy.types.Object, Matrix]]:
+    """Every evaluated splat that a viewport shows, with its matrix; those of collections that objects instance, too."""
+    graph, space = context.view_layer.depsgraph, context.space_data
+    shown = [obj.evaluated_get(graph) for obj in context.view_layer.objects if bridge.is_splat(obj) and obj.visible_get(viewport=space)]
+    found = [(obj, obj.matrix_world.copy()) for obj in shown]
+    if not _instances_splats():  # a look at every instance takes its time
+        return found
+    for instance in graph.object_instances:
+        if instance.is_instance and instance.show_self and bridge.is_splat(instance.object) and instance.parent.original.visible_get(viewport=space):
+            found.append((instance.object.original.evaluated_get(graph), instance.matrix_world.copy()))
+    return found
+
+
+def _instances_splats() -> bool:
+    """Whether any object instances a collection with a splat."""
+    collections = {obj.instance_collection for obj in bpy.data.objects if obj.instance_type == "COLLECTION"} - {None}
+    return any(bridge.is_splat(obj) for collection in collections for obj in collection.all_objects)
+
+
 def placed(scenes: list[tuple[Scene, Matrix]]) -> Shown:
     """Scenes with the matrices that bring them into Blender's world; one alone stays in its own coordinates if it can. Raises SceneError."""
     scene, matrix = scenes[0]

@@ -45,6 +45,12 @@ def read(image: bpy.types.Image) -> np.ndarray | None:
     return np.ascontiguousarray(rgb * values[..., 3:] if image.channels == 4 and not image.is_float else rgb)
 
 
+def lost(name: str) -> bool:
+    """Whether there is no such image, or, in a file just opened, nothing of it but its size: pictures are saved only if they are packed."""
+    image = bpy.data.images.get(name)
+    return image is None or (image.source == "GENERATED" and image.packed_file is None)
+
+
 def flat(pixels: np.ndarray) -> np.ndarray:
     """float32 numbers in Blender's order of (H, W) or (H, W, channels), rows from the top."""
     return np.ascontiguousarray(pixels[::-1], np.float32).reshape(-1)

@@ -6,6 +6,7 @@ import json
 import math
 
 import bpy
+from bpy.app.handlers import persistent
 
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
@@ -154,14 +155,24 @@ def _has_camera(cls, context) -> bool:
     return False
 
 
+@persistent
+def _without_lost_pictures(*_):
+    """Numbers of pictures that were not saved with the file would stand beside black ones."""
+    if any(bridge_images.lost(name) for name in (wipe_image.ORIGINAL, wipe_image.PRUNED, wipe_image.WIPE)):
+        for scene in bpy.data.scenes:
+            scene.svrgs_looking.compare_result = ""
+
+
 CLASSES = (SVRGS_OT_compare, SVRGS_OT_contact_sheet)
 
 
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
+    bpy.app.handlers.load_post.append(_without_lost_pictures)
 
 
 def unregister():
+    bpy.app.handlers.load_post.remove(_without_lost_pictures)
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

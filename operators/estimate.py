@@ -19,12 +19,22 @@ MODULE = "svrgs_addon.background.estimate"
 EVERY = 0.1  # seconds
 
 _found: dict[int, dict] = {}  # by session_uid of the splat: what was found out, {"busy": True} until then
+_asked: dict[int, dict] = {}  # by session_uid of the splat: what the last estimate was made for
 _threads: list[threading.Thread] = []
 
 
 def of(obj: bpy.types.Object | None) -> dict:
-    """What the last estimate of the splat found; {"busy": True}; {"error": sentence}; {} where there was none."""
-    return _found.get(obj.session_uid, {}) if obj is not None else {}
+    """What the last estimate of the splat found; {"busy": True}; {"error": sentence}; {} where there was none, or it was of something else.
+
+    obj: the active object, if it is a splat.
+    """
+    found = _found.get(obj.session_uid, {}) if bridge.is_splat(obj) else {}
+    return found if "busy" in found or (found and _asked[obj.session_uid] == _question(obj)) else {}
+
+
+def _question(obj: bpy.types.Object) -> dict:
+    """What an estimate depends on: the settings, and the splat as far as a look tells."""
+    return {**options_of(bpy.context, obj), "data": obj.data.session_uid, "splat": bridge.count(obj)}
 
 
 def sentences(obj: bpy.types.Object) -> list[str]:
@@ -59,7 +69,7 @@ class SVRGS_OT_estimate(JobOperator):
         options = {"lambda_f": None, "target_count": 0, "max_drop": 0.0, "min_contribution": 0.0, **options_of(context, obj)}
         aside = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
         write_scene(Path(aside.name) / "scene.ply", bridge.scene_from_object(obj))
-        _found[obj.session_uid] = {"busy": True}
+        _found[obj.session_uid], _asked[obj.session_uid] = {"busy": True}, _question(obj)
         thread = threading.Thread(target=_work, args=(obj.session_uid, {**options, "scene": str(Path(aside.name) / "scene.ply")}, aside))
         _threads.append(thread)
         thread.start()
@@ -100,3 +110,4 @@ def unregister():
         thread.join()
     _threads.clear()
     _found.clear()
+    _asked.clear()

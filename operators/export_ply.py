@@ -24,6 +24,7 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
     filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
     space: EnumProperty(
         name="Coordinates",
+        description="Coordinates of what is written",
         items=[
             ("LOCAL", "Local", "As imported: every number that was not edited keeps its bits; the object's transform is left out"),
             ("WORLD", "World", "With the object's transform: places, shapes and view-dependent colours are turned along"),

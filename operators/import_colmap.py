@@ -10,7 +10,7 @@ from bpy.props import BoolProperty, StringProperty
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.posed_photos import PosedPhotos, read_in_child
-from . import bridge
+from . import bridge, undistort
 from .select import select
 
 SHOWN_SIZE = 0.05  # of a camera in the viewport, in extents of all
@@ -35,42 +35,48 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
 
     def execute(self, context):
         folder = Path(bpy.path.abspath(self.directory))
-        undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / "images_undistorted"
         try:
-            photos = read_in_child(folder, self.images, undistorted if self.photographs else None)
+            photos = read_in_child(folder, self.images)
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         splat = context.object if bridge.is_splat(context.object) else None
-        root = self.build(context, folder.absolute(), photos)
+        root, cameras = self.build(context, folder.absolute(), photos)
         select(context, [splat or root])
-        shown = sum(file is not None for file in photos.files) if self.photographs else 0
-        if photos.warning:
-            self.report({"WARNING"}, photos.warning)
-        self.report({"INFO"}, f"Imported {len(photos.cameras):,} cameras, {shown:,} photographs and {len(photos.points):,} sparse points")
+        trouble = photos.warning or (self.show(folder, cameras, photos.files) if self.photographs else "")
+        if trouble:
+            self.report({"WARNING"}, trouble)
+        shown = sum(bool(obj.data.background_images) for obj in cameras)
+        self.report({"INFO"}, f"Imported {len(cameras):,} cameras, {shown:,} photographs and {len(photos.points):,} sparse points")
         return {"FINISHED"}
 
-    def build(self, context, folder: Path, photos: PosedPhotos) -> bpy.types.Object:
-        """The root above the points and the cameras, the first of which becomes the scene's camera."""
+    def show(self, folder: Path, cameras: list[bpy.types.Object], files: list[Path | None]) -> str:
+        """Puts photographs behind their cameras; those that have to be undistorted follow. Returns what went wrong."""
+        for obj, file in zip(cameras, files, strict=True):
+            undistort.show(obj, file)
+        if None not in files:
+            return ""
+        undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / "images_undistorted"
+        return undistort.start(cameras, folder, self.images, undistorted)
+
+    def build(self, context, folder: Path, photos: PosedPhotos) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
+        """The root above the points and the cameras, and these; the first becomes the scene's camera."""
         name, beside = folder.name, bridge.is_splat(context.object)
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
-        root, objects = join(context.object, name, collection), []
+        root, points = join(context.object, name, collection), []
         root[bridge.DATASET], root[bridge.IMAGES] = str(folder), self.images
         if self.points and len(photos.points):
-            objects.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
-        objects += [_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras]
-        for obj in objects:
+            points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
+        cameras = [_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras]
+        for obj in points + cameras:
             obj.parent = root
-        if self.photographs:
-            for obj, file in zip(objects[-len(photos.cameras) :], photos.files, strict=True):
-                _background(obj.data, file)
-        context.scene.camera = objects[-len(photos.cameras)]
+        context.scene.camera = cameras[0]
         bridge.apply_camera_size(context.scene)
         context.view_layer.update()
-        for obj in objects[: -len(photos.cameras)]:
+        for obj in points:
             obj.hide_set(beside)  # the points' dots would lie over the splat
-        return root
+        return root, cameras
 
     def invoke(self, context, event):
         context.window_manager.fileselect_add(self)
@@ -99,15 +105,6 @@ def _camera(camera: Camera, extent: float, collection: bpy.types.Collection) -> 
     return obj
 
 
-def _background(data: bpy.types.Camera, file: Path | None):
-    if file is None:
-        return
-    background = data.background_images.new()
-    background.image = bpy.data.images.load(str(file), check_existing=True)
-    background.frame_method, background.alpha = "STRETCH", 1.0
-    data.show_background_images = True
-
-
 def menu(self, context):
     self.layout.operator(SVRGS_OT_import_colmap.bl_idname, text="COLMAP Cameras (folder)")
 
@@ -118,5 +115,6 @@ def register():
 
 
 def unregister():
+    undistort.forget()
     bpy.types.TOPBAR_MT_file_import.remove(menu)
     bpy.utils.unregister_class(SVRGS_OT_import_colmap)

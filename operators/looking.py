@@ -6,7 +6,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon import color_maps
-from . import bridge, mask_image, overlay, wipe_image
+from . import bridge, mask_image, overlay, undistort, wipe_image
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [(VALUES, "Values", "The numbers themselves, for materials")]
@@ -17,7 +17,22 @@ SHOWN = [
 ]  # fmt: skip
 
 
+def _about(_) -> str:
+    obj = bpy.context.object
+    return f"{bridge.count(obj):,} Gaussians, SH degree {bridge.sh_degree(obj)}" if bridge.is_splat(obj) else ""
+
+
+def _is_splat(_, obj) -> bool:  # a lambda below would not find `bridge`: Blender evaluates annotations with other names around them
+    return bridge.is_splat(obj)
+
+
+def _photographs(_) -> str:
+    return undistort.said()
+
+
 class SVRGS_PG_looking(bpy.types.PropertyGroup):
+    about: StringProperty(get=_about, options={"HIDDEN"})  # the active splat in a line; empty where there is none
+    photographs: StringProperty(get=_photographs, options={"HIDDEN"})  # how undistorting them goes on; mostly empty
     background: FloatVectorProperty(
         name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="What shows between the Gaussians; black as in training"
     )
@@ -28,9 +43,9 @@ class SVRGS_PG_looking(bpy.types.PropertyGroup):
     mask_follow: BoolProperty(name="Follow Camera", description="Draw the spatial mask anew whenever the camera or a splat changes")
     mask_result: StringProperty(options={"HIDDEN"})  # JSON: camera, low, mean, top, milliseconds
 
-    original: PointerProperty(name="Original", type=bpy.types.Object, poll=lambda _, obj: bridge.is_splat(obj), description="Empty: the active splat")
+    original: PointerProperty(name="Original", type=bpy.types.Object, poll=_is_splat, description="Empty: the active splat")
     pruned: PointerProperty(
-        name="Pruned", type=bpy.types.Object, poll=lambda _, obj: bridge.is_splat(obj),
+        name="Pruned", type=bpy.types.Object, poll=_is_splat,
         description="Empty: the original without what is marked as removed, or 'NAME pruned'",
     )  # fmt: skip
     compare_camera: PointerProperty(
@@ -42,7 +57,7 @@ class SVRGS_PG_looking(bpy.types.PropertyGroup):
     compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned
 
     overlay: BoolProperty(name="Draw Splats", default=True, update=overlay.switch, description="Draw splats in Solid and Material Preview viewports")
-    overlay_shown: EnumProperty(name="Show", items=SHOWN, update=overlay.changed)
+    overlay_shown: EnumProperty(name="Show", items=SHOWN, update=overlay.changed, description="What the colours of splats in these viewports stand for")
     overlay_moving: IntProperty(
         name="While Moving", default=200_000, min=1000, soft_max=2_000_000, update=overlay.changed, description="Gaussians drawn while the view moves"
     )

@@ -51,7 +51,7 @@ def is_stale(context: bpy.types.Context) -> bool:
 def _view(depsgraph: bpy.types.Depsgraph) -> tuple:
     """What a mask depends on."""
     camera = bridge.camera_from_object(bridge_graph.camera(depsgraph), depsgraph.scene)
-    places = [(id(scene_cache.read(obj)), tuple(map(tuple, matrix))) for obj, matrix in bridge_graph.placed_splats(depsgraph)]
+    places = [(scene_cache.number(obj), tuple(map(tuple, matrix))) for obj, matrix in bridge_graph.placed_splats(depsgraph)]
     return camera.key, depsgraph.scene.svrgs_looking.mask_size, *places
 
 

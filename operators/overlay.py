@@ -111,17 +111,15 @@ class Overlay:
     def current(self, context) -> Cloud | None:
         """The splats this viewport shows."""
         settings = context.scene.svrgs_looking
-        graph, space = context.view_layer.depsgraph, context.space_data
-        found = [obj.evaluated_get(graph) for obj in context.view_layer.objects if bridge.is_splat(obj) and obj.visible_get(viewport=space)]
-        scenes = [scene_cache.read(obj) for obj in found]
-        places = [(id(scene), tuple(map(tuple, obj.matrix_world))) for scene, obj in zip(scenes, found, strict=True)]
-        key = settings.overlay_shown, settings.overlay_moving, *places
+        found = bridge_graph.splats_in_view(context)
+        key = settings.overlay_shown, settings.overlay_moving, *((scene_cache.number(obj), tuple(map(tuple, matrix))) for obj, matrix in found)
         if not found:
             return None
         if self.cloud is not None and self.cloud.key == key:
             return self.cloud
-        shown = bridge_graph.placed([(scene, obj.matrix_world.copy()) for scene, obj in zip(scenes, found, strict=True)])
-        return Cloud(key, shown, painted(shown.scene, [scene_cache.read_values(obj, settings.overlay_shown) for obj in found]), settings.overlay_moving)
+        shown = bridge_graph.placed([(scene_cache.read(obj), matrix) for obj, matrix in found])
+        values = [scene_cache.read_values(obj, settings.overlay_shown) for obj, _ in found]
+        return Cloud(key, shown, painted(shown.scene, values), settings.overlay_moving)
 
     def view(self, region: bpy.types.Region) -> View:
         if region.as_pointer() not in self.views:

@@ -47,7 +47,8 @@ class SVRGS_engine(bpy.types.RenderEngine):
             layers = {name: pixels[rows, columns] for name, pixels in whole.items()} if whole else layers
         except (SplatError, NativeError) as error:
             trouble = str(error)
-        self.hand_in(layers, width, height)  # in every case: Blender crashes on saving nothing
+        finally:
+            self.hand_in(layers, width, height)  # in every case: Blender crashes on saving nothing
         if trouble:
             self.report({"ERROR"}, trouble)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, field
 
 import bpy
 from bpy.app.handlers import persistent
@@ -19,6 +20,7 @@ class Entry:
     scene: Scene
     rows: object  # (N,) rows of the object's Gaussians these were
     data: int  # session_uid of its data
+    number: int = field(default_factory=itertools.count().__next__)  # no other entry's, ever
 
 
 _entries: dict[int, Entry] = {}  # by session_uid of the object
@@ -27,6 +29,11 @@ _entries: dict[int, Entry] = {}  # by session_uid of the object
 def read(obj: bpy.types.Object) -> Scene:
     """bridge_graph.visible_scene(obj) of an evaluated object, in another order: what lies together in space lies together in memory."""
     return _entry(obj).scene
+
+
+def number(obj: bpy.types.Object) -> int:
+    """Stands for what read(obj) gives, in keys: another one as soon as that is another scene."""
+    return _entry(obj).number
 
 
 def read_values(obj: bpy.types.Object, name: str):
@@ -45,10 +52,13 @@ def _entry(obj: bpy.types.Object) -> Entry:
 
 
 def forget_updated(depsgraph: bpy.types.Depsgraph):
-    """Drops what the last change in the graph made wrong."""
+    """Drops what the last change in the graph made wrong, and what belongs to objects that are gone."""
+    if not _entries:
+        return
+    there = {obj.session_uid for obj in bpy.data.objects}
     changed = {update.id.original.session_uid for update in depsgraph.updates if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry}
     for uid, entry in list(_entries.items()):
-        if uid in changed or entry.data in changed:
+        if uid not in there or uid in changed or entry.data in changed:
             del _entries[uid]
 
 
@@ -63,7 +73,10 @@ def _forget_all(*_):
     _entries.clear()
 
 
-HANDLERS = (("depsgraph_update_post", _after_update), ("load_post", _forget_all), ("undo_post", _forget_all), ("redo_post", _forget_all))
+HANDLERS = (
+    ("depsgraph_update_post", _after_update), ("frame_change_post", _after_update),
+    ("load_post", _forget_all), ("undo_post", _forget_all), ("redo_post", _forget_all),
+)  # fmt: skip
 
 
 def register():

@@ -6,7 +6,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..svrgs_addon.errors import NativeError, SplatError
-from . import mask_image
+from . import bridge_images, mask_image
 
 PAUSE = 0.1  # seconds after the last change
 
@@ -45,29 +45,52 @@ def show_in_editors(context, image: bpy.types.Image):
                 area.tag_redraw()
 
 
+_changed: dict[int, str] = {}  # session_uid of a scene whose mask follows: the view layer that changed last
+
+
 @persistent
-def _after_change(scene, *_):
-    if scene.svrgs_looking.mask_follow and not bpy.app.background:
+def _after_change(scene, depsgraph=None):
+    if scene.svrgs_looking.mask_follow and depsgraph is not None:
+        _changed[scene.session_uid] = depsgraph.view_layer.name
         if bpy.app.timers.is_registered(_follow):
             bpy.app.timers.unregister(_follow)
-        bpy.app.timers.register(_follow, first_interval=PAUSE)
+        if not bpy.app.background:
+            bpy.app.timers.register(_follow, first_interval=PAUSE)
 
 
 def _follow():
+    changed = dict(_changed)
+    _changed.clear()
+    for scene in bpy.data.scenes:
+        layer = scene.view_layers.get(changed.get(scene.session_uid, ""))
+        if layer is not None:
+            with bpy.context.temp_override(scene=scene, view_layer=layer):
+                _follow_in(bpy.context)
+
+
+def _follow_in(context):
     """What cannot be drawn now stays as it was: the user did not ask for it at this moment."""
     try:
-        if not mask_image.is_stale(bpy.context):  # drawing it is a change, too
+        if not mask_image.is_stale(context):  # drawing it is a change, too
             return
-        mask_image.refresh(bpy.context)
+        mask_image.refresh(context)
     except (SplatError, NativeError):
         return
-    for window in bpy.context.window_manager.windows:
+    for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type in {"VIEW_3D", "IMAGE_EDITOR"}:
                 area.tag_redraw()
 
 
-HANDLERS = (("depsgraph_update_post", _after_change), ("frame_change_post", _after_change))
+@persistent
+def _after_load(*_):
+    """Numbers of a picture that was not saved with the file would stand beside a black one."""
+    if bridge_images.lost(mask_image.NAME):
+        for scene in bpy.data.scenes:
+            scene.svrgs_looking.mask_result = ""
+
+
+HANDLERS = (("depsgraph_update_post", _after_change), ("frame_change_post", _after_change), ("load_post", _after_load))
 
 
 def register():
@@ -81,5 +104,6 @@ def unregister():
         getattr(bpy.app.handlers, event).remove(handler)
     if bpy.app.timers.is_registered(_follow):
         bpy.app.timers.unregister(_follow)
+    _changed.clear()
     mask_image.forget()
     bpy.utils.unregister_class(SVRGS_OT_spatial_mask)

@@ -2,7 +2,7 @@
 
 import bpy
 
-SPLAT = ("scale", "rotation", "radiance:base")  # attributes of a splat
+from .lines import lines
 
 
 class SVRGS_PT_scene(bpy.types.Panel):
@@ -16,18 +16,14 @@ class SVRGS_PT_scene(bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("svrgs.import_ply", icon="IMPORT", text="Import Splat")
         column.operator("svrgs.import_colmap", icon="OUTLINER_OB_CAMERA", text="Import Cameras")
-        obj = context.object
-        attributes = getattr(getattr(obj, "data", None), "attributes", {})
-        if not all(name in attributes for name in SPLAT):
+        if context.scene.svrgs_looking.photographs:
+            lines(layout, context.scene.svrgs_looking.photographs, "INFO")
+        about = context.scene.svrgs_looking.about
+        if not about:
             layout.label(text="Select a splat, or import one", icon="INFO")
             return
-        points = obj.data.vertices if obj.type == "MESH" else obj.data.points
-        layout.label(text=obj.name, icon="OUTLINER_OB_POINTCLOUD")
-        layout.label(text=f"{len(points):,} Gaussians, SH degree {sh_degree(attributes)}")
-
-
-def sh_degree(attributes) -> int:
-    return sum(f"radiance:sh_{last}" in attributes for last in (2, 7, 14))
+        layout.label(text=context.object.name, icon="OUTLINER_OB_POINTCLOUD")
+        layout.label(text=about)
 
 
 def register():

@@ -37,7 +37,8 @@ class PosedPhotos:
 
 
 def read_in_child(folder: Path, images: str = "", undistorted: Path | None = None) -> PosedPhotos:
-    """The dataset in `folder`. undistorted: where photographs of lenses with distortion are written as their pinholes see them.
+    """The dataset in `folder`. undistorted: where photographs of lenses with distortion are written as their pinholes see them, which
+    takes its time; None: these have no file.
 
     Without photographs there are cameras alone, and a warning. Raises SceneError.
     """

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
-from conftest import DATA
+from conftest import DATA, part
 from mathutils import Matrix, Vector
 
 PX = 0.01
@@ -101,7 +102,7 @@ def test_an_imported_camera_goes_back_as_it_was(dataset, bridge):
     root.matrix_world = Matrix.Translation((3, -1, 2)) @ Matrix.Rotation(1, 4, "Y") @ Matrix.Scale(2.5, 4)
     bpy.context.view_layer.update()
     for view, obj in enumerate(cameras()):
-        camera = bridge.camera_from_object(obj, bpy.context.scene, splat_matrix=root.matrix_world)
+        camera = bridge.camera_from_object(obj, bpy.context.scene).moved(root.matrix_world)
         np.testing.assert_allclose(camera.viewmat, views.viewmats[view], atol=2e-5)
         np.testing.assert_allclose(camera.K, views.Ks[view], atol=PX / 10)
         assert (camera.width, camera.height, camera.name) == (*views.sizes[view], views.names[view])
@@ -137,10 +138,8 @@ def test_any_camera_is_what_blender_makes_of_it(bridge, kind, fit, size, aspect)
         scene.render.pixel_aspect_x = scene.render.pixel_aspect_y = 1
 
 
-def test_panoramas_and_uneven_splats_are_refused(bridge):
+def test_panoramas_are_refused(bridge):
     obj = bpy.data.objects.new("flat", bpy.data.cameras.new("flat"))
-    with pytest.raises(Exception, match="scaled differently along its axes"):
-        bridge.camera_from_object(obj, bpy.context.scene, splat_matrix=Matrix.Diagonal((1, 2, 1, 1)))
     obj.data.type = "PANO"
     with pytest.raises(Exception, match="'flat' is neither perspective nor orthographic"):
         bridge.camera_from_object(obj, bpy.context.scene)
@@ -197,6 +196,40 @@ def test_photographs_of_a_distorting_lens_are_shown_as_their_pinholes_see_them(t
     for obj in cameras():
         image = obj.data.background_images[0].image
         assert Path(image.filepath).parent == tmp_path and tuple(image.size) == tuple(obj.data["svrgs_size"])
+
+
+def follow(undistort, seconds: float = 60):
+    """Calls the timer's function, as Blender would, until it wants no more."""
+    end = time.monotonic() + seconds
+    while undistort._look() is not None:
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, monkeypatch):
+    """In a window. One camera is deleted meanwhile."""
+    undistort, looking = part("operators.undistort"), bpy.context.scene.svrgs_looking
+    monkeypatch.setattr(undistort, "WAIT", False)
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
+    try:
+        assert len(cameras()) == 2 and not any(obj.data.background_images for obj in cameras())
+        assert looking.photographs == "Undistorting the photographs …"
+        bpy.data.objects.remove(cameras()[0])
+        follow(undistort)
+    finally:
+        undistort.forget()
+    (left,) = cameras()
+    assert Path(left.data.background_images[0].image.filepath).parent == tmp_path and not looking.photographs
+
+
+def test_photographs_that_cannot_be_undistorted_are_missed_and_it_is_said(tmp_path, capfd):
+    (tmp_path / "file").write_text("where a folder should be")
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path / "file"))
+    assert len(cameras()) == 2 and not any(obj.data.background_images for obj in cameras())
+    sentence = "the photographs of lenses with distortion are not shown"
+    assert sentence in capfd.readouterr().out and sentence in bpy.context.scene.svrgs_looking.photographs
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path / "folder"))
+    assert not bpy.context.scene.svrgs_looking.photographs
 
 
 def test_cameras_come_without_photographs_and_say_so(tmp_path, capfd):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import types
+import typing
 from dataclasses import replace
 
 import bpy
@@ -73,7 +76,7 @@ def drawn(bridge, scene, camera, matrix, outputs=("rgb",), **options) -> dict:
     """What the rasterizer makes of a scene under a matrix, seen by Blender's camera; rgb as 8 bits show it."""
     bpy.context.view_layer.update()
     native = part("svrgs_addon.native")
-    view = bridge.camera_from_object(camera, bpy.context.scene, bridge.render_size(bpy.context.scene), matrix)
+    view = bridge.camera_from_object(camera, bpy.context.scene, bridge.render_size(bpy.context.scene)).moved(matrix)
     images = native.Rasterizer().forward(scene, view, native.RenderOptions(**options), outputs=outputs)
     return images | {"rgb": np.round(np.clip(images["rgb"], 0, 1) * 255) / 255} if "rgb" in images else images
 
@@ -181,7 +184,7 @@ def test_what_meshes_hide_is_hidden(tmp_path, stage, bridge, gaussians, splat, c
     wall.matrix_world = camera.matrix_world
     stage.collection.objects.link(wall)
     bpy.context.view_layer.update()
-    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage), splat.matrix_world)
+    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage)).moved(splat.matrix_world)
     before = gaussians.select(gaussians.means @ view.viewmat[2, :3] + view.viewmat[2, 3] <= 3)
     assert 100 < before.count < 2900
     expected = drawn(bridge, before, camera, splat.matrix_world, background=(1.0, 0.0, 0.0))["rgb"]
@@ -241,6 +244,30 @@ def test_panoramas_are_refused_in_one_sentence(splat, camera):
         bpy.ops.render.render()
 
 
+def test_an_object_that_is_no_camera_is_refused_in_one_sentence(stage, bridge, splat):
+    """Blender takes any object as the scene's camera."""
+    stage.camera = bpy.data.objects.new("nothing", None)
+    stage.collection.objects.link(stage.camera)
+    mark_removed(splat, np.arange(bridge.count(splat)) % 2)
+    for ask in (bpy.ops.render.render, bpy.ops.svrgs.spatial_mask, bpy.ops.svrgs.compare, lambda: bpy.ops.svrgs.contribution(cameras="ACTIVE")):
+        with pytest.raises(RuntimeError, match="'nothing' is no camera"):
+            ask()
+
+
+def test_a_picture_is_handed_in_whatever_happens(splat, camera, monkeypatch):
+    engine, handed = part("operators.render_engine").SVRGS_engine, []
+    hand_in = engine.hand_in
+
+    def fail(*_):
+        raise ValueError("nobody expects this")
+
+    monkeypatch.setattr(engine, "picture", fail)
+    monkeypatch.setattr(engine, "hand_in", lambda self, *rest: (handed.append(rest[1:]), hand_in(self, *rest)))
+    with contextlib.suppress(RuntimeError):
+        bpy.ops.render.render()
+    assert handed == [(101, 61)]
+
+
 def test_nothing_to_render_is_said(camera):
     with pytest.raises(RuntimeError, match="no splat to render"):
         bpy.ops.render.render()
@@ -280,6 +307,34 @@ def test_modifiers_count(tmp_path, stage, bridge, gaussians, splat, camera):
     splat.modifiers.new("half", "NODES").node_group = group
     expected = drawn(bridge, gaussians.select(np.arange(gaussians.count // 2)), camera, splat.matrix_world)["rgb"]
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
+
+
+def test_viewports_show_splats_of_instanced_collections_as_renders_do(stage, bridge, gaussians, splat):
+    """Twice, one of them within another instance; not where what instances them is hidden."""
+    graph = part("operators.bridge_graph")
+
+    def instance(name: str, of, into, place):
+        obj = bpy.data.objects.new(name, None)
+        obj.instance_type, obj.instance_collection, obj.location = "COLLECTION", of, place
+        into.objects.link(obj)
+        return obj
+
+    def places(found) -> list:
+        bpy.context.view_layer.update()
+        return sorted((obj.name, tuple(round(number, 4) for number in matrix.translation)) for obj, matrix in found())
+
+    view = types.SimpleNamespace(view_layer=bpy.context.view_layer, space_data=None)
+    in_view, in_render = lambda: graph.splats_in_view(view), lambda: graph.placed_splats(bpy.context.evaluated_depsgraph_get())
+    inner, outer = bpy.data.collections.new("inner"), bpy.data.collections.new("outer")
+    bridge.object_from_scene("copied", gaussians, inner)
+    once, nested = instance("once", inner, stage.collection, (1, 0, 0)), instance("nested", outer, stage.collection, (0, 2, 0))
+    instance("within", inner, outer, (0, 0, 3))
+    own, first, second = ("room", (0, 0, 0)), ("copied", (1, 0, 0)), ("copied", (0, 2, 3))
+    assert places(in_view) == places(in_render) == sorted([own, first, second])
+    once.hide_set(True)
+    assert places(in_view) == sorted([own, second])
+    nested.hide_viewport = True
+    assert places(in_view) == [own]
 
 
 def mark_removed(obj, removed):
@@ -338,14 +393,85 @@ def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, splat, came
             assert not mask_image.is_stale(bpy.context)
 
 
+def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(bridge, gaussians, splat, camera, monkeypatch):
+    mask_image = part("operators.mask_image")
+    monkeypatch.setattr(mask_image, "id", lambda _: 0, raising=False)
+    bpy.ops.svrgs.spatial_mask()
+    mark_removed(splat, np.arange(gaussians.count) % 2)
+    assert mask_image.is_stale(bpy.context)
+
+
+def seen_number(obj) -> int:
+    """Of what is kept of the splat for drawing."""
+    return part("operators.scene_cache").number(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+
+
+def test_gaussians_that_change_by_frame_are_read_anew_and_others_are_not(stage, bridge, gaussians, splat, camera):
+    """Geometry nodes that move the points up with time."""
+    still = bridge.object_from_scene("still", gaussians, stage.collection)
+    group = bpy.data.node_groups.new("rising", "GeometryNodeTree")
+    for side in ("INPUT", "OUTPUT"):
+        group.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
+    kinds = "NodeGroupInput", "NodeGroupOutput", "GeometryNodeSetPosition", "ShaderNodeCombineXYZ", "GeometryNodeInputSceneTime"
+    into, out, move, offset, time = (group.nodes.new(kind) for kind in kinds)
+    wires = (into.outputs[0], move.inputs[0]), (time.outputs["Frame"], offset.inputs[2]), (offset.outputs[0], move.inputs["Offset"]), (move.outputs[0], out.inputs[0])
+    for socket, to in wires:
+        group.links.new(socket, to)
+    splat.modifiers.new("rising", "NODES").node_group = group
+    stage.frame_set(1)
+    before = seen_number(splat), seen_number(still)
+    stage.frame_set(3)
+    shown = part("operators.scene_cache").read(splat.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+    np.testing.assert_allclose(shown.means[:, 2].mean(), gaussians.means[:, 2].mean() + 3, atol=1e-4)
+    assert seen_number(splat) != before[0] and seen_number(still) == before[1]
+
+
+def test_nothing_is_kept_of_a_splat_that_is_gone(stage, bridge, gaussians, splat, camera):
+    cache = part("operators.scene_cache")
+    other = bridge.object_from_scene("other", gaussians, stage.collection)
+    bpy.context.view_layer.update()
+    cache._entries.clear()
+    seen_number(splat), seen_number(other)
+    bpy.data.objects.remove(other)
+    bpy.context.view_layer.update()
+    assert set(cache._entries) == {splat.session_uid}
+
+
+def test_the_mask_follows_in_the_scene_that_changed(stage, bridge, gaussians, splat, camera):
+    """Whichever scene is active when the time has come to draw."""
+    follower = part("operators.spatial_mask")
+    other = bpy.data.scenes.new("other")
+    try:
+        stage.svrgs_looking.mask_follow, other.svrgs_looking.mask_follow = False, True
+        stage.svrgs_looking.mask_result = ""
+        other.camera = bpy.data.objects.new("of the other", camera.data)
+        for obj in (other.camera, splat):
+            other.collection.objects.link(obj)
+        with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+            follower._after_change(other, bpy.context.evaluated_depsgraph_get())  # as Blender does for a scene in a window
+        follower._follow()
+        assert not stage.svrgs_looking.mask_result
+        assert json.loads(other.svrgs_looking.mask_result)["camera"] == "of the other"
+    finally:
+        bpy.data.scenes.remove(other)
+        stage.svrgs_looking.mask_follow = False
+
+
 def test_contribution_is_the_score(stage, bridge, gaussians, splat, camera):
     bpy.ops.svrgs.contribution(cameras="ACTIVE")
     values = np.empty(gaussians.count, np.float32)
     splat.data.attributes["contribution"].data.foreach_get("value", values)
     native = part("svrgs_addon.native")
-    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage), splat.matrix_world)
+    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage)).moved(splat.matrix_world)
     expected, _, _ = part("svrgs_addon.finetune.scores").contribution(gaussians, [view], native.Rasterizer(), native.RenderOptions())
     np.testing.assert_allclose(values, expected, rtol=1e-3, atol=1e-3)
+
+
+def test_only_splats_are_offered_for_comparing(stage, splat, camera):
+    kinds = typing.get_type_hints(type(stage.svrgs_looking))  # as Blender reads them
+    for name in ("original", "pruned"):
+        offered = kinds[name].keywords["poll"]
+        assert offered(stage.svrgs_looking, splat) and not offered(stage.svrgs_looking, camera)
 
 
 def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage, bridge, ply):
@@ -404,3 +530,21 @@ def test_settings_and_images_survive_a_file(tmp_path, stage, splat, camera):
     assert bpy.context.scene.svrgs_looking.wipe == 0.25 and bpy.context.scene.render.engine == "SVRGS"
     assert tuple(bpy.data.images["SVR-GS Spatial Mask"].size)[0] > 0
     bpy.ops.svrgs.spatial_mask()
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_numbers_of_pictures_go_with_the_pictures(tmp_path, bridge, splat, camera, packed):
+    """Blender saves a picture with the file only if it is packed."""
+    mark_removed(splat, np.arange(bridge.count(splat)) % 2)
+    bpy.ops.svrgs.compare()
+    bpy.ops.svrgs.spatial_mask()
+    if packed:
+        for image in bpy.data.images:
+            image.use_fake_user = True
+            image.pack()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
+    looking = bpy.context.scene.svrgs_looking
+    assert bool(looking.compare_result) == bool(looking.mask_result) == packed
+    if packed:
+        assert pixels(bpy.data.images["SVR-GS Wipe"])[..., :3].any()

@@ -51,3 +51,11 @@ def test_every_operator_and_panel_explains_itself():
         for prop in rna.properties:
             if prop.identifier != "rna_type" and not prop.is_hidden:
                 assert not prop.description.endswith("."), (rna.identifier, prop.identifier)
+
+
+def test_every_setting_for_looking_and_of_files_explains_itself():
+    files = (bpy.ops.svrgs.import_ply, bpy.ops.svrgs.import_colmap, bpy.ops.svrgs.export_ply)
+    for rna in (bpy.context.scene.svrgs_looking.bl_rna, *(operator.get_rna_type() for operator in files)):
+        for prop in rna.properties:
+            if prop.identifier not in ("rna_type", "name") and not prop.is_hidden:
+                assert prop.description and not prop.description.endswith("."), (rna.identifier, prop.identifier)

@@ -225,3 +225,47 @@ def test_a_mesh_is_no_splat(tmp_path):
     with pytest.raises(RuntimeError, match="so it is not a 3DGS splat"):
         bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "mesh.ply"), directory=str(tmp_path), files=[{"name": "mesh.ply"}])
     assert len(bpy.data.objects) == 1
+
+
+def test_other_gaussians_leave_the_splat_its_materials_and_properties(splat, bridge):
+    obj, scene, _ = splat
+    name, material = obj.data.name, bpy.data.materials.new("own")
+    obj.data.materials.append(material)
+    obj.data["note"], obj.data["place"] = "mine", (1.0, 2.0, 3.0)
+    bridge.replace_gaussians(obj, scene.select(slice(0, 100)))
+    assert bridge.count(obj) == 100 and obj.data.name == name and obj.data.users == 1
+    assert [slot.material for slot in obj.material_slots] == [material]
+    assert obj.data["note"] == "mine" and tuple(obj.data["place"]) == (1.0, 2.0, 3.0)
+    assert len(bpy.data.pointclouds) + len(bpy.data.meshes) == 1 == len(bpy.data.objects), "what was replaced is gone, and nothing else was left"
+    assert_same(bridge.scene_from_object(obj), scene.select(slice(0, 100)))
+
+
+def test_an_object_that_shares_the_data_keeps_the_former_gaussians(splat, bridge):
+    obj, scene, _ = splat
+    other = obj.copy()
+    bpy.context.collection.objects.link(other)
+    bridge.replace_gaussians(obj, scene.select(slice(0, 100)))
+    assert set(bpy.data.objects) == {obj, other} and obj.data != other.data
+    assert bridge.count(obj) == 100
+    assert_same(bridge.scene_from_object(other), scene)
+
+
+def test_a_splat_that_is_a_mesh_stays_one(splat, bridge):
+    """Blender 4.2 makes such; later ones open its files."""
+    _, scene, _ = splat
+    obj = bpy.data.objects.new("mesh", bridge._mesh("mesh", scene))
+    bridge.replace_gaussians(obj, scene.select(slice(0, 100)))
+    assert obj.type == "MESH"
+    assert_same(bridge.scene_from_object(obj), scene.select(slice(0, 100)))
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_the_panel_says_what_an_export_would_hold(make_scene, bridge, degree):
+    obj = bridge.object_from_scene("some", make_scene(1234, degree), bpy.context.scene.collection)
+    bpy.context.view_layer.objects.active = obj
+    assert bpy.context.scene.svrgs_looking.about == f"1,234 Gaussians, SH degree {degree}"
+    if degree:
+        obj.data.attributes.remove(obj.data.attributes["radiance:sh_1"])  # of the first band
+        assert bridge.scene_from_object(obj).sh.shape[1] == 1 and bpy.context.scene.svrgs_looking.about.endswith("SH degree 0")
+    obj.data.attributes.remove(obj.data.attributes["rotation"])
+    assert bpy.context.scene.svrgs_looking.about == ""

@@ -1,0 +1,28 @@
+"""What the panel says of an estimate."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from conftest import DATA, part
+
+
+def said() -> str:
+    return bpy.context.window_manager.svrgs_prune_state.sentences
+
+
+def test_an_estimate_is_shown_only_beside_what_it_was_made_for(bridge):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat, settings = bpy.context.object, bpy.context.scene.svrgs_prune
+    settings.colmap = str(DATA / "tiny")
+    settings.goal, settings.method = "LAMBDA", "svr"
+    bpy.ops.svrgs.estimate()
+    for name, other in (("method", "maskgs"), ("goal", "SHARE"), ("lambda_f", 1e-5), ("recovery", 7)):
+        before = getattr(settings, name)
+        assert "would stay" in said()
+        setattr(settings, name, other)
+        assert "would stay" not in said(), name
+        setattr(settings, name, before)
+    assert part("operators.estimate").of(splat)["count"] == 250
+    bridge.replace_gaussians(splat, bridge.scene_from_object(splat).select(np.arange(99)))
+    assert "would stay" not in said()
