@@ -12,7 +12,7 @@ from ..svrgs_addon.background.folder import JobFolder
 from ..svrgs_addon.background.parent import Job
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
-from . import bridge
+from . import bridge, editable
 from .job_watch import BESIDE, BUSY, FOLDER, WAITING, current, finish, follow, job_of, jobs
 from .preferences import PACKAGE, threads
 from .trouble import native_problem
@@ -80,8 +80,8 @@ def obstacle(context) -> str:
     """Why the active object cannot be pruned now; empty where it can."""
     if not bridge.is_splat(context.object):
         return "Select a Gaussian splat first"
-    if context.mode != "OBJECT":
-        return "Leave Edit Mode first"
+    if said := editable.problem(context, context.object):
+        return said
     job = job_of(context.object)
     if job is not None and job.state in BUSY:
         return "A job is at work on this splat"
@@ -143,7 +143,7 @@ class SVRGS_OT_set_lambda(bpy.types.Operator):
     bl_description = "Prune with this weight of the spatial mask, one that the paper uses"
     bl_options = {"REGISTER", "UNDO"}
 
-    value: bpy.props.FloatProperty(name="λ_F", min=1e-7, max=1, default=1e-4, precision=6)
+    value: bpy.props.FloatProperty(name="λ_F", min=1e-7, max=1, default=1e-4, precision=6, description="Weight of the spatial mask")
 
     def execute(self, context):
         context.scene.svrgs_prune.lambda_f = self.value
@@ -218,6 +218,15 @@ class SVRGS_OT_job_load(CurrentJobOperator):
     bl_description = "Bring the finished job's result into the scene"
     bl_options = {"REGISTER", "UNDO"}
     states, why = ("done",), "No job is done"
+
+    @classmethod
+    def poll(cls, context):
+        if not super().poll(context):
+            return False
+        problem = editable.problem(context, current(context)[0])
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
 
     def work(self, context) -> str:
         obj, job = current(context)

@@ -460,3 +460,54 @@ def test_without_the_native_library_a_line_says_what_to_do(panel, splat, monkeyp
         finally:
             monkeypatch.undo()
             native._library.cache_clear()
+
+
+@pytest.fixture
+def linked(splat, tmp_path):
+    """A splat that lies in another file."""
+    bpy.data.libraries.write(str(tmp_path / "asset.blend"), {splat})
+    bpy.data.batch_remove([splat])
+    with bpy.data.libraries.load(str(tmp_path / "asset.blend"), link=True) as (there, here):
+        here.objects = there.objects
+    (obj,) = here.objects
+    bpy.context.collection.objects.link(obj)
+    bpy.context.view_layer.objects.active = obj
+    yield obj
+    bpy.data.libraries.remove(obj.library)
+
+
+def test_a_linked_splat_is_not_pruned_in_vain(linked):
+    for operator in (bpy.ops.svrgs.job_start, bpy.ops.svrgs.estimate, bpy.ops.svrgs.contribution):
+        with pytest.raises(RuntimeError, match="is linked from another file: make it local first"):
+            operator()
+    with pytest.raises(RuntimeError, match="is linked from another file: make it local first"):
+        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), iterations=5, recovery=0)
+    assert list(bpy.data.objects) == [linked] and "make it local first" in drawn("prune")
+
+
+def test_a_result_that_is_linked_is_not_applied(pruned, tmp_path):
+    bpy.data.libraries.write(str(tmp_path / "asset.blend"), set(pruned))
+    bpy.data.batch_remove(list(bpy.data.objects))
+    with bpy.data.libraries.load(str(tmp_path / "asset.blend"), link=True) as (there, here):
+        here.objects = there.objects
+    for obj in here.objects:
+        bpy.context.collection.objects.link(obj)
+    bpy.context.view_layer.objects.active = bpy.data.objects["scene pruned"]
+    with pytest.raises(RuntimeError, match="is linked from another file: make it local first"):
+        bpy.ops.svrgs.apply()
+    bpy.data.libraries.remove(here.objects[0].library)
+
+
+def test_in_edit_mode_no_result_is_loaded(splat, watch):
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    bpy.ops.object.mode_set(mode="EDIT")
+    follow(watch, lambda: not job.running)
+    for operator in (bpy.ops.svrgs.job_load, bpy.ops.svrgs.contribution):
+        with pytest.raises(RuntimeError, match="Leave Edit Mode first"):
+            operator()
+    assert list(bpy.data.objects) == [splat]
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.ops.svrgs.job_load()
+    assert len(bpy.data.objects) == 2
