@@ -73,7 +73,7 @@ class SVRGS_OT_discard(bpy.types.Operator):
             return {"CANCELLED"}
         try:
             forget_job(original)
-        except SplatError as error:
+        except OSError as error:
             self.report({"WARNING"}, str(error))
         gone, left = (original, pruned) if self.what == "ORIGINAL" else (pruned, original)
         said = f"Discarded '{gone.name}' with {bridge.count(gone):,} Gaussians; '{left.name}' stays"

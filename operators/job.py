@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import re
 from pathlib import Path
@@ -10,7 +11,7 @@ import bpy
 
 from ..svrgs_addon.background.folder import JobFolder
 from ..svrgs_addon.background.parent import Job
-from ..svrgs_addon.errors import SplatError
+from ..svrgs_addon.errors import FormatError, SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from . import bridge, editable
 from .job_watch import BESIDE, BUSY, FOLDER, WAITING, current, finish, follow, job_of, jobs
@@ -235,10 +236,11 @@ class SVRGS_OT_job_load(CurrentJobOperator):
 
 
 def forget_job(obj: bpy.types.Object):
-    """Deletes the files of the splat's job, if it has one. Raises FormatError."""
+    """Deletes the files of the splat's job, as far as there are any. Raises OSError."""
     job = job_of(obj)
     if job is not None:
-        job.folder.discard()
+        with contextlib.suppress(FormatError):  # the files are gone already
+            job.folder.discard()
         jobs.pop(str(job.folder.path), None)
     obj.pop(FOLDER, None)
 

@@ -14,7 +14,8 @@ from bpy.app.handlers import persistent
 from ..svrgs_addon.background.folder import JobFolder
 from ..svrgs_addon.background.parent import Job
 from ..svrgs_addon.errors import SplatError
-from . import job_pictures, job_result
+from . import editable, job_pictures, job_result
+from .select import in_view_layer
 
 FOLDER = "svrgs_job"  # property of a splat
 BESIDE = "//svrgs_jobs"  # folder of jobs beside the file
@@ -67,12 +68,20 @@ def current(context) -> tuple[bpy.types.Object | None, Job | None]:
 def tick() -> float | None:
     """Looks at every running job; None when there is none left."""
     for job in [job for job in jobs.values() if job.running]:
-        if job.poll() or not job.running:
-            job_pictures.redraw(job.folder)
+        try:
+            _look_at(job)
+        except Exception as error:  # of whatever kind: Blender drops a timer that raises, and no job would be followed any more
+            job.give_up(str(error) or type(error).__name__)
             redraw_panels()
-        if not job.running and job.state == "done":
-            _arrived(job)
     return EVERY if any(job.running for job in jobs.values()) else None
+
+
+def _look_at(job: Job):
+    if job.poll() or not job.running:
+        job_pictures.redraw(job.folder)
+        redraw_panels()
+    if not job.running and job.state == "done":
+        _arrived(job)
 
 
 def follow():
@@ -82,10 +91,10 @@ def follow():
 
 def _arrived(job: Job):
     """Loads the result where its splat is at hand; else the panel offers it."""
-    splats = [obj for obj in bpy.data.objects if FOLDER in obj and folder_of(obj) == str(job.folder.path)]
-    if not splats or bpy.context.mode != "OBJECT":
+    splats = [obj for obj in bpy.data.objects if obj.users_collection and folder_of(obj) == str(job.folder.path)]
+    if not splats or editable.problem(bpy.context, splats[0]):
         return
-    with contextlib.suppress(SplatError):  # the Load button says it again
+    with contextlib.suppress(SplatError, OSError):  # the Load button says it again
         finish(bpy.context, splats[0], job)
         if not bpy.app.background:
             bpy.ops.ed.undo_push(message="Prune Splat")
@@ -99,7 +108,7 @@ def finish(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
     if all(isinstance(value, float) for value in psnr):  # null where pictures and photographs are the same
         pruned[job_result.PSNR] = psnr
     pruned.svrgs_share = 100 * pruned[job_result.KEPT] / job.folder.request()["count"]
-    if context.view_layer.objects.active == obj:
+    if context.view_layer.objects.active == obj and in_view_layer(context, pruned):
         obj.select_set(False)
         pruned.select_set(True)
         context.view_layer.objects.active = pruned

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from types import SimpleNamespace
 
@@ -462,6 +463,87 @@ def test_without_the_native_library_a_line_says_what_to_do(panel, splat, monkeyp
             native._library.cache_clear()
 
 
+def test_a_splat_deleted_meanwhile_stops_no_other_job(splat, watch, results, tmp_path):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    other = bpy.context.object
+    set_up(SHORT)
+    for obj in (splat, other):
+        bpy.context.view_layer.objects.active = obj
+        bpy.ops.svrgs.job_start()
+    keep = bpy.data.scenes.new("keeps a pointer to it")
+    keep["splat"] = splat
+    first, second = watch.jobs.values()
+    delete(splat)
+    follow(watch, lambda: not first.running and not second.running)
+    assert first.state == second.state == "done" and results.pruned_of(other) and not results.pruned_of(splat)
+    bpy.data.scenes.remove(keep)
+
+
+def test_a_result_arrives_where_its_collection_is_excluded(splat, watch, results):
+    collection = bpy.data.collections.new("aside")
+    bpy.context.scene.collection.children.link(collection)
+    collection.objects.link(splat)
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    bpy.context.view_layer.layer_collection.children["aside"].exclude = True
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: not job.running)
+    result = results.pruned_of(splat)
+    assert job.state == "done" and result.svrgs_share == pytest.approx(50) and results.pair_of(result) == (splat, result)
+
+
+@pytest.mark.parametrize("what", ["follow", "cancel"])
+def test_a_job_whose_folder_was_deleted_fails_in_a_sentence(splat, watch, what):
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: job.facts.get("iteration", 0) > 5)
+    process = job._process
+    shutil.rmtree(job.folder.path, ignore_errors=True)  # the process writes meanwhile
+    if what == "cancel":
+        bpy.ops.svrgs.job_cancel()
+    follow(watch, lambda: not job.running)
+    assert process.poll() is not None and watch.tick() is None
+    assert job.state == "failed" and "messages.jsonl" in job.facts["text"] and "The job failed" in drawn("prune")
+    with pytest.raises(RuntimeError, match="is no job of this version"):
+        bpy.ops.svrgs.job_resume()
+    bpy.ops.svrgs.job_discard()
+    assert bpy.ops.svrgs.job_start.poll() and not watch.jobs
+
+
+def test_a_full_disk_stops_no_other_job(splat, watch, monkeypatch):
+    folder = part("svrgs_addon.background.folder")
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+
+    def full(*_):
+        raise part("svrgs_addon.errors").SceneError("state.json: No space left on device")
+
+    monkeypatch.setattr(folder.JobFolder, "write_json", full)
+    job._process.kill()
+    follow(watch, lambda: not job.running)
+    assert job.state == "interrupted" and "An interrupted job was found" in drawn("prune") and watch.tick() is None
+
+
+def test_trouble_of_one_job_leaves_the_others_running(splat, watch, results, monkeypatch):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    other = bpy.context.object
+    set_up(SHORT)
+    for obj in (splat, other):
+        bpy.context.view_layer.objects.active = obj
+        bpy.ops.svrgs.job_start()
+    first, second = watch.jobs.values()
+
+    def broken():
+        raise MemoryError
+
+    monkeypatch.setattr(first, "poll", broken)
+    follow(watch, lambda: not second.running)
+    assert first.state == "failed" and first.facts["text"] == "MemoryError" and not first.running
+    assert results.pruned_of(other) and not results.pruned_of(splat)
+
+
 @pytest.fixture
 def linked(splat, tmp_path):
     """A splat that lies in another file."""
@@ -496,6 +578,19 @@ def test_a_result_that_is_linked_is_not_applied(pruned, tmp_path):
     with pytest.raises(RuntimeError, match="is linked from another file: make it local first"):
         bpy.ops.svrgs.apply()
     bpy.data.libraries.remove(here.objects[0].library)
+
+
+def test_applied_outside_the_view_layer(pruned, bridge):
+    original, result = pruned
+    collection = bpy.data.collections.new("aside")
+    bpy.context.scene.collection.children.link(collection)
+    collection.objects.link(result)
+    bpy.context.scene.collection.objects.unlink(result)
+    bpy.context.view_layer.layer_collection.children["aside"].exclude = True
+    original.hide_viewport = False
+    bpy.context.view_layer.objects.active = original
+    bpy.ops.svrgs.apply()
+    assert bridge.count(result) == 125 and not result.modifiers and bpy.context.object == original
 
 
 def test_in_edit_mode_no_result_is_loaded(splat, watch):
