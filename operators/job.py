@@ -14,7 +14,7 @@ from ..svrgs_addon.background.parent import Job
 from ..svrgs_addon.errors import FormatError, SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from . import bridge, editable
-from .job_watch import BESIDE, BUSY, FOLDER, WAITING, current, finish, follow, job_of, jobs
+from .job_watch import BESIDE, BUSY, WAITING, current, finish, follow, job_of, jobs, link, unlink
 from .preferences import PACKAGE, threads
 from .trouble import native_problem
 
@@ -120,6 +120,7 @@ class SVRGS_OT_job_start(JobOperator):
     bl_idname = "svrgs.job_start"
     bl_label = "Prune"
     bl_description = "Prune the active splat in the background, with the settings of the panel. The original stays"
+    bl_options = {"REGISTER", "UNDO"}  # a step of undo: going back to it, the splat still knows its job
 
     @classmethod
     def poll(cls, context):
@@ -133,7 +134,7 @@ class SVRGS_OT_job_start(JobOperator):
         folder = JobFolder.create(new_folder(context, obj.name), bridge.scene_from_object(obj), options_of(context, obj), obj.name)
         job = jobs.setdefault(str(folder.path), Job(folder))
         job.start()
-        obj[FOLDER] = str(folder.path)
+        link(obj, str(folder.path))
         follow()
         return f"Pruning {bridge.count(obj):,} Gaussians in the background"
 
@@ -242,7 +243,7 @@ def forget_job(obj: bpy.types.Object):
         with contextlib.suppress(FormatError):  # the files are gone already
             job.folder.discard()
         jobs.pop(str(job.folder.path), None)
-    obj.pop(FOLDER, None)
+    unlink(obj)
 
 
 CLASSES = (

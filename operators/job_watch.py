@@ -1,6 +1,7 @@
 """The jobs of this Blender: which one is meant, and a timer that follows those that run.
 
-The file knows of a job only the folder it lies in, as a property of its splat.
+The file knows of a job only the folder it lies in, as a property of its splat. Undo may take that away and copies have it too:
+`links` remembers whose it is.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from bpy.app.handlers import persistent
 from ..svrgs_addon.background.folder import JobFolder
 from ..svrgs_addon.background.parent import Job
 from ..svrgs_addon.errors import SplatError
-from . import editable, job_pictures, job_result
+from . import bridge, editable, job_pictures, job_result
 from .select import in_view_layer
 
 FOLDER = "svrgs_job"  # property of a splat
@@ -24,6 +25,7 @@ WAITING = ("paused", "cancelled", "interrupted", "failed")  # states that a job 
 BUSY = ("new", "starting", "running")
 
 jobs: dict[str, Job] = {}  # by folder
+links: dict[int, str] = {}  # by session_uid of a splat, which undo does not change: its FOLDER
 
 
 # --- which job is meant
@@ -51,15 +53,56 @@ def folder_of(obj: bpy.types.Object | None) -> str:
 
 
 def current(context) -> tuple[bpy.types.Object | None, Job | None]:
-    """(splat, its job): of the active object or the original it was pruned from, else the first in the file that is not over."""
+    """(splat, its job): of the active object or the original it was pruned from; where that is no splat, the first that is not over."""
     original, _ = job_result.pair_of(context.object)
     for obj in (context.object, original):
         if (job := job_of(obj)) is not None and (job.state != "done" or job_result.pruned_of(obj) is None):
             return obj, job
+    if bridge.is_splat(context.object):
+        return None, None
     for obj in context.scene.objects:
         if FOLDER in obj and (job := job_of(obj)) is not None and job.state != "done":
             return obj, job
     return None, None
+
+
+# --- whose job it is
+
+
+def link(obj: bpy.types.Object, folder: str):
+    """Makes the job in the folder the splat's."""
+    obj[FOLDER] = links[obj.session_uid] = folder
+
+
+def unlink(obj: bpy.types.Object):
+    """Leaves the splat without a job."""
+    obj.pop(FOLDER, None)
+    links.pop(obj.session_uid, None)
+
+
+@persistent
+def _after_undo(*_):
+    """Splats have the jobs they had before the undo."""
+    for obj in bpy.data.objects:
+        folder = links.get(obj.session_uid)
+        if folder is not None and obj.get(FOLDER) != folder:
+            obj[FOLDER] = folder
+
+
+@persistent
+def _after_update(scene, *_):
+    """A copy of a splat has no part in its job; a splat that came with a file has its own."""
+    for obj in scene.objects:
+        if FOLDER in obj and not obj.library and links.get(obj.session_uid) != obj[FOLDER]:
+            if _owned(obj[FOLDER]):
+                del obj[FOLDER]
+            else:
+                links[obj.session_uid] = obj[FOLDER]
+
+
+def _owned(folder: str) -> bool:
+    """Whether a splat in the file is known to have this job."""
+    return any(links.get(obj.session_uid) == folder and obj.users_collection for obj in bpy.data.objects)
 
 
 # --- what follows the jobs
@@ -124,19 +167,26 @@ def redraw_panels():
 
 @persistent
 def opened(*_):
-    """After a file was opened: its jobs are looked at anew, those that run in this Blender stay."""
+    """After a file was opened: its jobs are looked at anew, those that run in this Blender stay. Its splats are others."""
+    links.clear()
     for path in [path for path, job in jobs.items() if not job.running]:
         del jobs[path]
 
 
+HANDLERS = {"load_post": opened, "undo_post": _after_undo, "redo_post": _after_undo, "depsgraph_update_post": _after_update}
+
+
 def register():
-    bpy.app.handlers.load_post.append(opened)
+    for event, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, event).append(handler)
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(opened)
+    for event, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, event).remove(handler)
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     for job in jobs.values():
         job.leave()
     jobs.clear()
+    links.clear()

@@ -463,6 +463,64 @@ def test_without_the_native_library_a_line_says_what_to_do(panel, splat, monkeyp
             native._library.cache_clear()
 
 
+# --- what the user does meanwhile
+
+
+def undo(times: int = 1):
+    for _ in range(times):
+        bpy.ops.ed.undo()
+    bpy.context.view_layer.update()
+
+
+def start(**options):
+    """Starts a job as the button does, with a step of undo where the operator has one."""
+    set_up(options)
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.svrgs.job_start("EXEC_DEFAULT", True)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_undo_leaves_a_running_job_to_its_splat(splat, watch, results, times):
+    start(**SHORT | {"iterations": 1000})
+    bpy.context.object.location.x = 3
+    bpy.ops.ed.undo_push(message="moved")
+    undo(times)
+    splat = bpy.data.objects["scene"]
+    assert splat.location.x == 0 and watch.current(bpy.context)[0] == splat and bpy.ops.svrgs.job_pause.poll()
+    bpy.ops.ed.redo()
+    follow(watch, lambda: results.pruned_of(bpy.data.objects["scene"]))
+
+
+def test_undo_of_what_arrived_leaves_the_result_to_be_loaded(splat, watch, results):
+    start(**SHORT)
+    follow(watch, lambda: len(bpy.data.objects) == 2)
+    bpy.ops.ed.undo_push(message="arrived")
+    undo()
+    assert len(bpy.data.objects) == 1 and watch.current(bpy.context)[1].state == "done"
+    bpy.ops.svrgs.job_load()
+    assert results.pruned_of(bpy.data.objects["scene"])
+
+
+def test_undo_does_not_bring_a_discarded_job_back(splat, watch):
+    start(**LONG)
+    (job,) = watch.jobs.values()
+    bpy.ops.svrgs.job_cancel()
+    follow(watch, lambda: not job.running)
+    bpy.ops.svrgs.job_discard()
+    bpy.ops.ed.undo_push(message="discarded")
+    undo()
+    assert watch.current(bpy.context) == (None, None) and bpy.ops.svrgs.job_start.poll()
+
+
+def test_a_started_job_is_a_step_of_undo(splat, watch):
+    start(**LONG)
+    bpy.context.object.location.x = 3
+    bpy.ops.ed.undo_push(message="moved")
+    watch.links.clear()  # nothing but that step remembers it
+    undo()
+    assert watch.current(bpy.context)[0] == bpy.data.objects["scene"]
+
+
 def test_a_splat_deleted_meanwhile_stops_no_other_job(splat, watch, results, tmp_path):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     other = bpy.context.object
@@ -578,6 +636,78 @@ def test_a_result_that_is_linked_is_not_applied(pruned, tmp_path):
     with pytest.raises(RuntimeError, match="is linked from another file: make it local first"):
         bpy.ops.svrgs.apply()
     bpy.data.libraries.remove(here.objects[0].library)
+
+
+def test_a_linked_original_is_left_as_it_is(pruned, bridge, tmp_path):
+    bpy.data.libraries.write(str(tmp_path / "asset.blend"), set(pruned))
+    bpy.data.batch_remove(list(bpy.data.objects))
+    with bpy.data.libraries.load(str(tmp_path / "asset.blend"), link=True) as (_, here):
+        here.objects = ["scene"]
+    (original,) = here.objects
+    bpy.context.collection.objects.link(original)
+    bpy.context.view_layer.update()
+    assert "svrgs_pruned" in original and original.modifiers and marked(bridge, original).sum() == 125
+    bpy.data.libraries.remove(original.library)
+
+
+def duplicate(obj, linked: bool = False) -> bpy.types.Object:
+    """As with Shift+D, or Alt+D."""
+    bpy.ops.object.select_all(action="DESELECT")
+    obj.select_set(True)
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.object.duplicate(linked=linked)
+    bpy.context.view_layer.update()
+    return bpy.context.object
+
+
+def test_a_copy_of_a_result_is_applied_by_itself(pruned, bridge, results):
+    original, result = pruned
+    copy = duplicate(result)
+    assert results.pair_of(copy) == (None, copy) and results.pair_of(original) == (original, result)
+    copy.svrgs_share = 40
+    bpy.ops.svrgs.apply()
+    assert bridge.count(copy) == 50
+    bpy.context.view_layer.objects.active = result
+    assert results.shown_count(result) == 125 and "125 of 250 Gaussians" in drawn("prune")
+    result.svrgs_share = 20
+    bpy.ops.svrgs.apply()
+    assert bridge.count(result) == 50
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_copy_of_the_original_is_a_splat_of_its_own(pruned, bridge, results, linked):
+    original, result = pruned
+    result.svrgs_share = 80  # the original is the one that is shown
+    copy = duplicate(original, linked)
+    assert results.pair_of(copy) == (None, None) and results.pair_of(result) == (original, result)
+    assert "removed" in original.data.attributes and results.shown_count(result) == 200
+    assert not copy.modifiers and (linked or "removed" not in copy.data.attributes)
+
+
+def test_a_copy_of_a_splat_has_no_part_in_its_job(splat, watch):
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    copy = duplicate(splat)
+    assert watch.FOLDER not in copy and watch.current(bpy.context) == (None, None) and bpy.ops.svrgs.job_start.poll()
+    bpy.context.view_layer.objects.active = splat
+    assert watch.current(bpy.context) == (splat, job)
+    bpy.ops.svrgs.job_cancel()
+    follow(watch, lambda: not job.running)
+    bpy.context.view_layer.objects.active = copy
+    assert not bpy.ops.svrgs.job_discard.poll() and job.folder.path.exists()
+
+
+def test_the_panel_shows_another_splats_job_only_where_none_is_active(splat, watch):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    other = bpy.context.object
+    bpy.context.view_layer.objects.active = splat
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    bpy.context.view_layer.objects.active = other
+    assert "svrgs.job_start" in drawn("prune") and "svrgs.job_pause" not in drawn("prune")
+    bpy.ops.object.camera_add()
+    assert "svrgs.job_pause" in drawn("prune")
 
 
 def test_applied_outside_the_view_layer(pruned, bridge):
