@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..svrgs_addon.errors import SplatError
-from . import bridge, job_result
+from . import bridge, editable, job_result
 from .job import file_size, forget_job
 from .select import select
 
@@ -19,10 +19,11 @@ class SVRGS_OT_apply(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         _, pruned = job_result.pair_of(context.object)
-        if context.mode == "OBJECT" and job_result.undecided(pruned):
-            return True
-        cls.poll_message_set("Leave Edit Mode first" if context.mode != "OBJECT" else "Select a splat that was pruned and not applied yet")
-        return False
+        undecided = job_result.undecided(pruned)
+        problem = editable.problem(context, pruned) if undecided else "Select a splat that was pruned and not applied yet"
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
 
     def execute(self, context):
         original, pruned = job_result.pair_of(context.object)
@@ -53,9 +54,9 @@ class SVRGS_OT_discard(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     what: bpy.props.EnumProperty(
-        name="What",
+        name="What", description="The side that goes",
         items=[("ORIGINAL", "Original", "The splat as it was before pruning"), ("RESULT", "Result", "The pruned splat; the original is as it was")],
-    )
+    )  # fmt: skip
 
     @classmethod
     def poll(cls, context):
@@ -72,7 +73,7 @@ class SVRGS_OT_discard(bpy.types.Operator):
             return {"CANCELLED"}
         try:
             forget_job(original)
-        except SplatError as error:
+        except OSError as error:
             self.report({"WARNING"}, str(error))
         gone, left = (original, pruned) if self.what == "ORIGINAL" else (pruned, original)
         said = f"Discarded '{gone.name}' with {bridge.count(gone):,} Gaussians; '{left.name}' stays"

@@ -10,7 +10,7 @@ from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.evaluate import render_options
 from ..svrgs_addon.finetune.scores import contribution
 from ..svrgs_addon.native import Rasterizer
-from . import bridge, bridge_graph
+from . import bridge, bridge_graph, editable
 from .preferences import threads
 
 NAME = "contribution"
@@ -24,7 +24,7 @@ class SVRGS_OT_contribution(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     cameras: EnumProperty(
-        name="Cameras",
+        name="Cameras", description="Whose pictures count",
         items=[
             ("PHOTOGRAPHS", "Photographs", "All imported cameras, or all there are if none is"), ("SELECTED", "Selected", "The selected cameras"),
             ("ACTIVE", "Scene Camera", "The scene's camera"),
@@ -33,10 +33,10 @@ class SVRGS_OT_contribution(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        if bridge.is_splat(context.object):
-            return True
-        cls.poll_message_set("Make a splat the active object first")
-        return False
+        problem = editable.problem(context, context.object) if bridge.is_splat(context.object) else "Make a splat the active object first"
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
 
     def execute(self, context):
         chosen = chosen_cameras(context, self.cameras)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import re
 from pathlib import Path
@@ -10,10 +11,10 @@ import bpy
 
 from ..svrgs_addon.background.folder import JobFolder
 from ..svrgs_addon.background.parent import Job
-from ..svrgs_addon.errors import SplatError
+from ..svrgs_addon.errors import FormatError, SplatError
 from ..svrgs_addon.finetune.methods import METHODS
-from . import bridge
-from .job_watch import BESIDE, BUSY, FOLDER, WAITING, current, finish, follow, job_of, jobs
+from . import bridge, editable
+from .job_watch import BESIDE, BUSY, WAITING, current, finish, follow, job_of, jobs, link, unlink
 from .preferences import PACKAGE, threads
 from .trouble import native_problem
 
@@ -80,8 +81,8 @@ def obstacle(context) -> str:
     """Why the active object cannot be pruned now; empty where it can."""
     if not bridge.is_splat(context.object):
         return "Select a Gaussian splat first"
-    if context.mode != "OBJECT":
-        return "Leave Edit Mode first"
+    if said := editable.problem(context, context.object):
+        return said
     job = job_of(context.object)
     if job is not None and job.state in BUSY:
         return "A job is at work on this splat"
@@ -119,6 +120,7 @@ class SVRGS_OT_job_start(JobOperator):
     bl_idname = "svrgs.job_start"
     bl_label = "Prune"
     bl_description = "Prune the active splat in the background, with the settings of the panel. The original stays"
+    bl_options = {"REGISTER", "UNDO"}  # a step of undo: going back to it, the splat still knows its job
 
     @classmethod
     def poll(cls, context):
@@ -132,7 +134,7 @@ class SVRGS_OT_job_start(JobOperator):
         folder = JobFolder.create(new_folder(context, obj.name), bridge.scene_from_object(obj), options_of(context, obj), obj.name)
         job = jobs.setdefault(str(folder.path), Job(folder))
         job.start()
-        obj[FOLDER] = str(folder.path)
+        link(obj, str(folder.path))
         follow()
         return f"Pruning {bridge.count(obj):,} Gaussians in the background"
 
@@ -143,7 +145,7 @@ class SVRGS_OT_set_lambda(bpy.types.Operator):
     bl_description = "Prune with this weight of the spatial mask, one that the paper uses"
     bl_options = {"REGISTER", "UNDO"}
 
-    value: bpy.props.FloatProperty(name="λ_F", min=1e-7, max=1, default=1e-4, precision=6)
+    value: bpy.props.FloatProperty(name="λ_F", min=1e-7, max=1, default=1e-4, precision=6, description="Weight of the spatial mask")
 
     def execute(self, context):
         context.scene.svrgs_prune.lambda_f = self.value
@@ -219,6 +221,15 @@ class SVRGS_OT_job_load(CurrentJobOperator):
     bl_options = {"REGISTER", "UNDO"}
     states, why = ("done",), "No job is done"
 
+    @classmethod
+    def poll(cls, context):
+        if not super().poll(context):
+            return False
+        problem = editable.problem(context, current(context)[0])
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
+
     def work(self, context) -> str:
         obj, job = current(context)
         pruned = finish(context, obj, job)
@@ -226,12 +237,13 @@ class SVRGS_OT_job_load(CurrentJobOperator):
 
 
 def forget_job(obj: bpy.types.Object):
-    """Deletes the files of the splat's job, if it has one. Raises FormatError."""
+    """Deletes the files of the splat's job, as far as there are any. Raises OSError."""
     job = job_of(obj)
     if job is not None:
-        job.folder.discard()
+        with contextlib.suppress(FormatError):  # the files are gone already
+            job.folder.discard()
         jobs.pop(str(job.folder.path), None)
-    obj.pop(FOLDER, None)
+    unlink(obj)
 
 
 CLASSES = (

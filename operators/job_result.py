@@ -15,8 +15,9 @@ from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.scene import Scene
 from ..svrgs_addon.splat_files import read_scene
 from . import bridge
+from .bridge_graph import REMOVED
 
-REMOVED, SCORE, ROW, PROBABILITY = "removed", "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes
+SCORE, ROW, PROBABILITY = "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes, as is REMOVED
 ORIGINAL, PRUNED, KEPT = "svrgs_original", "svrgs_pruned", "svrgs_kept"  # properties of objects: the other one; how many the job kept
 PSNR = "svrgs_psnr"  # property of the pruned one: dB before and after, over the test photographs
 HIDER = "SVR-GS Removed"  # the modifier that leaves out what is marked, and its node group
@@ -175,27 +176,43 @@ def _hider() -> bpy.types.NodeTree:
     return group
 
 
-# --- what the user deletes, and brings back
+# --- what the user deletes, brings back and copies
 
 
 @persistent
 def _after_update(scene, *_):
-    """A result that was deleted leaves its original visible and free; what undo brings back is joined again."""
+    """A result that was deleted leaves its original visible and free; what undo brings back is joined again; a copy stands alone."""
     for obj in scene.objects:
-        if PRUNED in obj and pruned_of(obj) is None:
-            _release(obj)
-        elif PRUNED in obj and original_of(obj[PRUNED]) is None:
-            obj[PRUNED][ORIGINAL] = obj
-        elif ORIGINAL in obj and original_of(obj) is None:
-            del obj[ORIGINAL]
-        elif ORIGINAL in obj and undecided(obj) and pruned_of(original_of(obj)) is None:
-            _take_back(original_of(obj), obj)
+        if PRUNED in obj and not obj.library:
+            _look_at_original(obj)
+        if ORIGINAL in obj and not obj.library:
+            _look_at_pruned(obj)
 
 
-def _release(original: bpy.types.Object):
-    """The ranking stays with the original, so that undo can take this back."""
+def _look_at_original(obj: bpy.types.Object):
+    pruned = pruned_of(obj)
+    owner = original_of(pruned) if pruned is not None else None
+    if pruned is None:
+        _release(obj)
+    elif owner is None:
+        pruned[ORIGINAL] = obj
+    elif owner != obj:  # a copy
+        _release(obj, owner.data)
+
+
+def _look_at_pruned(obj: bpy.types.Object):
+    original = original_of(obj)
+    if original is None or pruned_of(original) not in (None, obj):
+        del obj[ORIGINAL]
+    elif undecided(obj) and pruned_of(original) is None:
+        _take_back(original, obj)
+
+
+def _release(original: bpy.types.Object, others=None):
+    """The ranking stays with the original, so that undo can take this back. others: data whose marks are still needed."""
     del original[PRUNED]
-    bridge.forget_values(original, REMOVED)
+    if original.data != others:
+        bridge.forget_values(original, REMOVED)
     _show_removed(original)
     original.hide_viewport = original.hide_render = False
 

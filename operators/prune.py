@@ -12,10 +12,10 @@ from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 from ..svrgs_addon import child
 from ..svrgs_addon.arguments import PRUNE_ITERATIONS, RECOVERY
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.splat_files import read_scene, write_scene
-from . import bridge, job_result
+from . import bridge, editable, job_result
 from .preferences import threads
+from .prune_settings import PRUNING
 from .select import select
 
 
@@ -30,14 +30,14 @@ class SVRGS_OT_prune(bpy.types.Operator):
     images: StringProperty(name="Images", description="Name of the image folder in the dataset. Empty: images")
     out: StringProperty(name="Output", subtype="FILE_PATH", description="File for the pruned splat. Empty: it comes into the scene alone")
     report_folder: StringProperty(name="Report", subtype="DIR_PATH", description="Folder for an HTML report. Empty: none")
-    method: EnumProperty(name="Method", items=[(name, name, "") for name in METHODS])
+    method: EnumProperty(name="Method", items=PRUNING, description="How it is found out what can go")
     lambda_f: FloatProperty(name="λ_F", min=0, soft_min=1e-5, soft_max=1e-3, precision=5, description="Weight of the spatial mask. 0: the method's own")
     target: FloatProperty(name="Target", min=0, max=1, subtype="FACTOR", description="Share of the Gaussians to keep. 0: whatever survives")
     target_count: IntProperty(name="Target Count", min=0, description="Number of Gaussians to keep. 0: whatever survives")
     max_drop: FloatProperty(name="Max Drop", min=0, precision=2, description="Instead of a target: dB that may be lost before the recovery. 0: no such limit")
     iterations: IntProperty(name="Iterations", min=0, default=PRUNE_ITERATIONS, description="Steps of mask learning")
     recovery: IntProperty(name="Recovery", min=0, default=RECOVERY, description="Steps after it")
-    seed: IntProperty(name="Seed", min=0)
+    seed: IntProperty(name="Seed", min=0, description="The same seed gives the same result")
 
     @classmethod
     def poll(cls, context):
@@ -64,8 +64,9 @@ class SVRGS_OT_prune(bpy.types.Operator):
             job_result.join(source, obj)
             source.hide_viewport = source.hide_render = True
         select(context, [obj])
-        before = result["before"]
-        self.report({"INFO"}, f"Kept {result['count']:,} of {before['count']:,} Gaussians, {result['psnr'] - before['psnr']:+.2f} dB")
+        before, psnr = result["before"], [side.get("psnr") for side in (result["before"], result)]
+        change = f", {psnr[1] - psnr[0]:+.2f} dB" if None not in psnr else ""  # null where pictures and photographs are the same
+        self.report({"INFO"}, f"Kept {result['count']:,} of {before['count']:,} Gaussians{change}")
         return {"FINISHED"}
 
     def prune(self, source: bpy.types.Object | None, aside: Path, threads: int):
@@ -74,6 +75,8 @@ class SVRGS_OT_prune(bpy.types.Operator):
         if source is not None or not self.scene:
             scene = aside / "scene.ply"
             write_scene(scene, bridge.scene_from_object(source))
+            if problem := editable.problem(bpy.context, source):
+                raise SplatError(problem)
         out = Path(bpy.path.abspath(self.out)) if self.out else aside / "pruned.ply"
         status, result = child.run(["prune", str(scene), "--out", str(out), *self.words(source), "--threads", str(threads)])
         if status or "count" not in result:

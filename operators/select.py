@@ -6,6 +6,11 @@ def select(context, objects):
     if context.mode == "OBJECT":
         for obj in context.selected_objects:
             obj.select_set(False)
-        for obj in objects:
+        for obj in (obj for obj in objects if in_view_layer(context, obj)):
             obj.select_set(True)
-        context.view_layer.objects.active = objects[-1]
+            context.view_layer.objects.active = obj
+
+
+def in_view_layer(context, obj) -> bool:
+    """Whether the object can be selected: its collection may be excluded, or be another scene's."""
+    return obj in context.view_layer.objects.values()

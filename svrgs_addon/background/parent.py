@@ -14,10 +14,10 @@ import sys
 import time
 
 from .. import child
+from ..errors import FormatError, SceneError
 from .folder import CANCEL, ENDED, PAUSE, JobFolder, facts_of
 
 START_SECONDS = 60.0  # within which a process must say something
-SILENT_SECONDS = 60.0  # without a sign of life: worth telling
 LOOK_EVERY = 2.0  # seconds between two looks at the state of a job that another Blender started
 CANCEL_LADDER = ((10.0, "terminate"), (15.0, "kill"))  # seconds after cancel()
 MODULE = ".".join((*__package__.split(".")[-2:], "child"))  # in Blender this package has a longer name; its child knows the last two
@@ -72,7 +72,7 @@ class Job:
         self._started = time.monotonic()
 
     def poll(self) -> list[dict]:
-        """What was said since the last look; to be called a few times a second. Never waits."""
+        """What was said since the last look; to be called a few times a second. Never waits. Raises FormatError where the folder is gone."""
         if self._process is None:
             return []
         status = self._process.poll()  # before reading: what an ended process said is all there
@@ -95,9 +95,20 @@ class Job:
 
     def cancel(self):
         """The process will end at once; the last checkpoint stays. Where it does not answer, poll() ends it by force."""
-        self.folder.ask(CANCEL)
+        with contextlib.suppress(OSError):  # the disk is full, or the folder gone: by force then
+            self.folder.ask(CANCEL)
         self._cancelled = time.monotonic()
         self.facts["text"] = "Cancelling"
+
+    def give_up(self, why: str):
+        """For what can no longer be followed: the process is ended by force, the job failed."""
+        if self._process is not None:
+            self._process.stdin.close()
+            self._process.kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(1)
+            self._process = None
+        self.facts = {"state": "failed", "text": why}
 
     def leave(self):
         """For who is about to end itself: the process notices, saves a checkpoint and ends by itself."""
@@ -105,10 +116,13 @@ class Job:
             self._process.stdin.close()
 
     def _messages(self) -> list[dict]:
-        """Whole lines since the last look; what is no message is left out."""
-        with open(self.folder / "messages.jsonl", "rb") as file:
-            file.seek(self._read)
-            data = file.read()
+        """Whole lines since the last look; what is no message is left out. Raises FormatError where the file is gone."""
+        try:
+            with open(self.folder / "messages.jsonl", "rb") as file:
+                file.seek(self._read)
+                data = file.read()
+        except OSError as error:
+            raise FormatError(f"{self.folder / 'messages.jsonl'}: cannot be read ({error.strerror})") from None
         data = data[: data.rfind(b"\n") + 1]
         self._read += len(data)
         return [message for line in data.splitlines() if (message := _message(line)) is not None]
@@ -130,7 +144,8 @@ class Job:
             self.facts |= {"state": "interrupted", "text": "the process was killed from outside; if memory ran out, fewer or smaller photographs help"}
         else:
             self.facts |= {"state": "failed", "text": f"the job's process ended early: {log[0] if log else f'exit status {status}'}"}
-        self.folder.write_json("state.json", self.facts)
+        with contextlib.suppress(SceneError):  # a full disk; without a sign of life the job counts as interrupted
+            self.folder.write_json("state.json", self.facts)
 
     def _climb(self, seconds: float):
         for after, action in CANCEL_LADDER:

@@ -107,3 +107,27 @@ def test_threads_are_taken_from_the_preferences(capfd):
         assert part("operators.preferences").threads(bpy.context) == 1
     finally:
         bpy.context.preferences.addons[PACKAGE].preferences.threads = 0
+
+
+def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch):
+    child = part("svrgs_addon.child")
+    run = child.run
+
+    def identical(words):
+        status, result = run(words)
+        return status, result | {"psnr": None}
+
+    monkeypatch.setattr(child, "run", identical)
+    bpy.ops.svrgs.prune(scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), **SHORT)
+    assert "Kept 125 of 250 Gaussians\n" in capfd.readouterr().out and bpy.context.object.name == "scene pruned"
+
+
+def test_only_what_prunes_can_be_chosen():
+    methods = bpy.ops.svrgs.prune.get_rna_type().properties["method"].enum_items
+    assert "svr" in methods and "3dgs" not in methods and all(method.description for method in methods)
+
+
+@pytest.mark.parametrize("name", ["prune", "contribution", "discard", "set_lambda"])
+def test_every_setting_explains_itself(name):
+    for prop in getattr(bpy.ops.svrgs, name).get_rna_type().properties:
+        assert prop.description or prop.identifier == "rna_type", prop.identifier
