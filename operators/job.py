@@ -52,8 +52,7 @@ def options_of(context, obj: bpy.types.Object) -> dict:
 
 def bytes_each(obj: bpy.types.Object) -> int:
     """Bytes that one Gaussian of the splat takes in a file."""
-    attributes = obj.data.attributes
-    return BYTES[sum(f"radiance:sh_{last}" in attributes for last in (2, 7, 14))]
+    return BYTES[bridge.sh_degree(obj)]
 
 
 def file_size(obj: bpy.types.Object, count: int) -> str:
