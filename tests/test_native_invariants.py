@@ -1,6 +1,7 @@
 """What must hold between runs of the native core, whatever the numbers: absence, order, threads, skipping, scores."""
 
 import functools
+import os
 import subprocess
 import sys
 import threading
@@ -522,6 +523,7 @@ def test_renderers_work_side_by_side():
     assert all(set(images) == {expected[k]} for k, images in enumerate(got))
 
 
+@pytest.mark.skipif("LD_PRELOAD" in os.environ, reason="a sanitizer needs the address space for itself")
 def test_fewer_threads_where_the_system_gives_no_more():
     """In a process of its own whose address space holds few stacks."""
     code = (
