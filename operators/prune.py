@@ -73,10 +73,11 @@ class SVRGS_OT_prune(bpy.types.Operator):
         """(the JSON result, the pruned scene). The result is printed as one line, as by `svrgs prune --json`."""
         scene = Path(bpy.path.abspath(self.scene))
         if source is not None or not self.scene:
-            scene = aside / "scene.ply"
-            write_scene(scene, bridge.scene_from_object(source))
+            gaussians = bridge.scene_from_object(source)  # which says so where there is no splat
             if problem := editable.problem(bpy.context, source):
                 raise SplatError(problem)
+            scene = aside / "scene.ply"
+            write_scene(scene, gaussians)
         out = Path(bpy.path.abspath(self.out)) if self.out else aside / "pruned.ply"
         status, result = child.run(["prune", str(scene), "--out", str(out), *self.words(source), "--threads", str(threads)])
         if status or "count" not in result:

@@ -1,0 +1,116 @@
+"""A splat, jobs that prune it, and what the panel says of them: for the tests of jobs."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from conftest import DATA, part
+
+SHORT = {"method": "svr-mask", "iterations": 40, "recovery": 20, "goal": "SHARE", "share": 50}
+LONG = {"iterations": 20_000, "recovery": 0, "goal": "LAMBDA", "lambda_f": 1e-5, "min_contribution": 0.0}
+COUNT = 250  # Gaussians of the tiny splat
+
+
+@pytest.fixture
+def watch():
+    module = part("operators.job_watch")
+    yield module
+    for job in module.jobs.values():
+        if job.running:
+            job.cancel()
+            follow(module, lambda job=job: not job.running)
+    module.jobs.clear()
+
+
+@pytest.fixture
+def results():
+    return part("operators.job_result")
+
+
+@pytest.fixture
+def splat(tmp_path):
+    """The tiny splat, active, with settings for its dataset and a folder for its jobs."""
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    settings = bpy.context.scene.svrgs_prune
+    for name, prop in settings.bl_rna.properties.items():
+        if name not in ("rna_type", "name", "lambda_f"):
+            settings.property_unset(name)
+    settings.colmap, settings.folder = str(DATA / "tiny"), str(tmp_path / "jobs")
+    return bpy.context.object
+
+
+def set_up(options: dict):
+    for name, value in options.items():
+        setattr(bpy.context.scene.svrgs_prune, name, value)
+
+
+def follow(watch, until, seconds: float = 60):
+    """Calls the timer's function, as Blender would, until the condition holds."""
+    end = time.monotonic() + seconds
+    while not until():
+        watch.tick()
+        assert time.monotonic() < end, [(job.facts, job.folder.log_tail()) for job in watch.jobs.values()]
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def pruned(splat, watch):
+    """(original, result) of a job that was run to its end."""
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: len(bpy.data.objects) == 2)
+    (result,) = (obj for obj in bpy.data.objects if obj != splat)
+    return splat, result
+
+
+def marked(bridge, obj) -> np.ndarray:
+    return bridge.values(obj, "removed")
+
+
+def evaluated_count(obj) -> int:
+    """Points of the object as it is shown."""
+    data = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    return len(data.vertices if obj.type == "MESH" else data.points)
+
+
+def delete(obj):
+    """As with the key X."""
+    bpy.ops.object.select_all(action="DESELECT")
+    obj.select_set(True)
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.object.delete()
+    bpy.context.view_layer.update()
+
+
+class Layout:
+    """Notes what a panel draws."""
+
+    def __init__(self, notes=None):
+        self.__dict__["notes"] = [] if notes is None else notes
+
+    def __getattr__(self, name):
+        def draw(*words, **options):
+            self.notes.append((name, *words, *options.values()))
+            return Layout(self.notes) if name in ("row", "column", "box") else SimpleNamespace()
+
+        return draw
+
+    def __setattr__(self, name, value):
+        pass
+
+    @property
+    def text(self) -> str:
+        """The labels, one after the other; then all else."""
+        labels = [note[1] for note in self.notes if note[0] == "label"]
+        return " ".join([*labels, *(str(word) for note in self.notes if note[0] != "label" for word in note)])
+
+
+def drawn(panel: str) -> str:
+    layout = Layout()
+    cls = getattr(part(f"panels.{panel}"), f"SVRGS_PT_{panel}")
+    cls.draw(SimpleNamespace(layout=layout), bpy.context)
+    return layout.text
