@@ -1,4 +1,7 @@
-"""Atomic file writes: whatever happens, a path holds its old file or the complete new one, never a part."""
+"""Atomic file writes: whatever happens, a path holds its old file or the complete new one, never a part.
+
+A writer works on a hidden file beside the path and holds a lock on it; one without a lock was left by a writer that was killed.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,15 @@ from typing import BinaryIO
 
 from .errors import SceneError
 
+try:
+    import fcntl
+except ImportError:  # Windows, which renames no open file: there what a killed writer left stays
+    fcntl = None
+
 FREE_SPACE_MARGIN = 1.1
 REPLACE_ATTEMPTS = 20
 REPLACE_PAUSE_S = 0.05
+HIDDEN = ".svrgs-"  # how names of unfinished files begin
 
 
 @contextlib.contextmanager
@@ -43,24 +52,20 @@ def start_storing(file: BinaryIO, size: int) -> None:
 def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
     """As atomic_write, for libraries that write by file name: yields a temporary name with the same suffix."""
     target = Path(os.path.realpath(path))  # a link keeps pointing at the new file
-    temporary = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = _create_beside(target)
-        yield temporary
-        _sync(temporary, os.O_RDWR)
-        _replace(temporary, target)
+        with _hidden_beside(target) as temporary:
+            yield temporary
+            _sync(temporary, os.O_RDWR)
+            _replace(temporary, target)
     except OSError as error:
         raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
     _sync_folder(target.parent)
 
 
 def check_writable(path: str | os.PathLike, needed_bytes: int = 0) -> None:
-    """Raise SceneError if a file of needed_bytes cannot be written at `path`; leaves nothing behind.
+    """Raise SceneError if a file of needed_bytes cannot be written at `path`; leaves nothing behind, and removes from its folder
+    what killed writers left there.
 
     Called before work starts. Folders that do not exist yet are judged by the nearest one that does.
     """
@@ -70,7 +75,8 @@ def check_writable(path: str | os.PathLike, needed_bytes: int = 0) -> None:
     if not os.path.isdir(folder):
         raise SceneError(f"{path}: cannot be written because {folder} is not a folder")
     try:
-        _create_beside(folder / target.name).unlink()
+        with _hidden_beside(folder / target.name):
+            _remove_abandoned(folder)
         free = shutil.disk_usage(folder).free
     except OSError as error:
         raise SceneError(f"{path}: cannot be written into {folder} ({error.strerror or error})") from error
@@ -92,11 +98,39 @@ def _check_target(path: str | os.PathLike, target: Path) -> None:
         raise SceneError(f"{path}: is write-protected")
 
 
-def _create_beside(target: Path) -> Path:
-    """A new empty hidden file in the target's folder: os.replace is atomic only within one file system."""
-    temporary = target.with_name(f".svrgs-{secrets.token_hex(8)}{target.suffix}")
-    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-    return temporary
+@contextlib.contextmanager
+def _hidden_beside(target: Path) -> Iterator[Path]:
+    """A new empty hidden file in the target's folder, locked, and removed in the end if it was not renamed: os.replace is atomic only
+    within one file system."""
+    temporary, file = _create_locked(target)
+    try:
+        yield temporary
+    finally:
+        file.close()
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _create_locked(target: Path) -> tuple[Path, BinaryIO]:
+    while True:
+        path = target.with_name(f"{HIDDEN}{secrets.token_hex(8)}{target.suffix}")
+        file = open(path, "xb")  # noqa: SIM115 (the lock lives as long as it)
+        if fcntl is None:
+            file.close()
+            return path, file
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        if os.fstat(file.fileno()).st_nlink:  # or else it was taken for abandoned before it was locked
+            return path, file
+        file.close()
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Removes the hidden files that no writer holds any more, where the system can tell."""
+    for path in folder.glob(f"{HIDDEN}*") if fcntl else ():
+        with contextlib.suppress(OSError), open(path, "r+b") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink()
 
 
 def _sync(path: Path, flags: int) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -355,6 +357,17 @@ def test_check_writable_leaves_nothing_behind(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_what_a_killed_writer_left_is_removed(tmp_path):
+    code = f"import os\nfrom svrgs_addon.atomic import atomic_path\nwith atomic_path({str(tmp_path / 'a.bin')!r}):\n    os.kill(os.getpid(), 9)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == -9
+    (left,) = tmp_path.iterdir()
+    with atomic_write(tmp_path / "b.bin") as file:
+        file.write(b"content")
+        check_writable(tmp_path / "a.bin")
+        assert not left.exists()
+    assert (tmp_path / "b.bin").read_bytes() == b"content" and not (tmp_path / "a.bin").exists()
+
+
 def test_check_writable_says_what_is_wrong(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     cases = {
@@ -373,6 +386,6 @@ def test_check_writable_without_permission(tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr(os, "open", refuse)
+    monkeypatch.setattr("builtins.open", refuse)
     with pytest.raises(SceneError, match="Permission denied"):
         check_writable(tmp_path / "a.ply")

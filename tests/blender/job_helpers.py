@@ -36,7 +36,7 @@ def splat(tmp_path):
     """The tiny splat, active, with settings for its dataset and a folder for its jobs."""
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     settings = bpy.context.scene.svrgs_prune
-    for name, prop in settings.bl_rna.properties.items():
+    for name in settings.bl_rna.properties.keys():
         if name not in ("rna_type", "name", "lambda_f"):
             settings.property_unset(name)
     settings.colmap, settings.folder = str(DATA / "tiny"), str(tmp_path / "jobs")

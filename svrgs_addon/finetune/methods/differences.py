@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from ..control import fewest_within, psnr_of
 from ..scores import top
-from ..settings import Phase, Rates
+from ..settings import Phase, Rates, Settings
 from ..worth import worth
 from .base import Keep, Method
 
