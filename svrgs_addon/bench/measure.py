@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from .. import native
 from .cases import Case
 from .floors import row_lines, stage_floors
@@ -12,17 +14,18 @@ FULL_WALK = ("used_pairs", "blocks", "hit_blocks", "hits")  # counts that grow w
 PEAK_READINGS = 3  # of which the best counts: a peak is what can be reached
 
 
-def measure(case: Case, peaks: dict[int, dict], error: dict, repeat: int) -> list[dict]:
-    """One entry of the result's `cases` per thread count in `peaks` (see peaks_of); error: of this case."""
+def measure(case: Case, thread_counts: list[int], error: dict, repeat: int) -> list[dict]:
+    """One entry of the result's `cases` per thread count; error: of this case. Each round has its own peaks: the machine drifts."""
     trial = Trial(case)
-    work = work_counts(trial)
-    entries = []
-    for threads, peak in peaks.items():
+    level, work, entries = trial.rasterizer.level, work_counts(trial), []
+    for threads in thread_counts:
         native.set_threads(threads)
-        readings = rounds(lambda: _round(trial), repeat)
-        floors = stage_floors(work, case.facts, trial.rasterizer.level, peak)
-        stages = {name: {**summary(readings[name]), "floor_ms": 1e3 * floors[name]} for name in floors}
-        entries.append({**case.facts, "threads": threads, "simd": trial.rasterizer.level, "stages": stages, "work": work, "error": error})
+        peaks: list[dict] = []
+        readings = rounds(lambda: _round(trial, peaks), repeat)  # noqa: B023
+        floors = [stage_floors(work, case.facts, level, peak) for peak in peaks[-repeat:]]
+        floor = {name: float(np.median([one[name] for one in floors])) for name in floors[0]}
+        stages = {name: {**summary(readings[name]), "floor_ms": 1e3 * floor[name]} for name in floor}
+        entries.append({**case.facts, "threads": threads, "simd": level, "stages": stages, "work": work, "error": error})
     return entries
 
 
@@ -46,8 +49,9 @@ def work_counts(trial: Trial, without=()) -> dict:
     return counts | {f"{name}_full": full[name] for name in FULL_WALK} | {"row_lines": lines}
 
 
-def _round(trial: Trial) -> dict[str, float]:
-    """Seconds of every stage, each run once."""
+def _round(trial: Trial, peaks: list[dict]) -> dict[str, float]:
+    """Seconds of every stage, each run once; what the machine reaches meanwhile is added to `peaks`."""
+    peaks.append(native.peaks(trial.rasterizer.level))
     inside = trial.rasterizer.stage_seconds
     trial.forward("none")
     blend = inside()["blend"]

@@ -31,12 +31,12 @@ def bench(options: argparse.Namespace) -> dict:
     repeat = options.repeat or (QUICK_REPEAT if options.quick else REPEAT)
     native.set_threads(options.threads)
     most, level = native.threads(), native.best_level()
-    peaks = peaks_of(level, sorted({1, most}))
-    result: dict = {"machine": _machine(most, level, peaks), "cases": []}
+    thread_counts = sorted({1, most})
+    result: dict = {"machine": _machine(most, level, peaks_of(level, thread_counts)), "cases": []}
     for case in cases:
         tell("{scene}: {count:,} Gaussians, SH {sh_degree}, {width} x {height}".format(**case.facts))
         native.set_threads(most)
-        result["cases"] += measure(case, peaks, error(case), repeat)
+        result["cases"] += measure(case, thread_counts, error(case), repeat)
     native.set_threads(most)
     if options.knobs or options.plots:
         result["knobs"] = measure_knobs(room_case(), repeat, tell)
