@@ -266,7 +266,7 @@ class Rasterizer:
         return values[0], values[1], grad
 
     def adam(self, param, m, v, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
-        """One Adam step on rows `ids` (uint32, or None: all) of param, m, v (N, ...), given grad (rows, ...).
+        """One Adam step on rows `ids` (uint32, ascending, or None: all) of param, m, v (N, ...), given grad (rows, ...).
 
         lr: one rate, or one per column of a flattened row; step counts from 1 (bias correction). Returns the number of rows
         skipped because their gradient was not finite.
@@ -279,8 +279,8 @@ class Rasterizer:
         addresses = [_check_out(a, name, shape, self.dtype) for name, a in (("param", param), ("m", m), ("v", v))]
         addresses.append(_check(grad, "grad", (rows, *shape[1:]), self.dtype))
         addresses.append(_check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
-        if ids is not None and rows and ids.max() >= len(param):
-            raise ValueError(f"ids name row {ids.max()}; there are {len(param)}")
+        if ids is not None and rows and (ids[-1] >= len(param) or (ids[1:] <= ids[:-1]).any()):
+            raise ValueError(f"ids must ascend, below {len(param)}")
         _call("svrgs_adam", c.c_int32(LEVELS[self.level]), c.byref(settings), *map(c.c_void_p, addresses), c.c_int64(rows), c.c_int32(len(rates)), c.byref(bad))
         return bad.value
 

@@ -173,15 +173,15 @@ def test_adam_takes_other_settings_and_a_rate_per_column(level):
 def test_sparse_adam_updates_only_its_rows(level, width):
     """The same bits as a dense step on those rows alone; every other row keeps its bits."""
     r = rasterizer(level)
-    start, grads = steps_of(60, width, r.dtype)
-    ids = np.sort(np.random.default_rng(1).choice(60, 23, replace=False)).astype(np.uint32)
+    start, grads = steps_of(203, width, r.dtype)
+    ids = np.sort(np.random.default_rng(1).choice(203, 90, replace=False)).astype(np.uint32)
     sparse = [start.copy(), np.abs(grads[0]), np.abs(grads[1])]
     dense = [x[ids].copy() for x in sparse]
     before = [x.copy() for x in sparse]
     for step, grad in enumerate(grads[:3], 1):
         rows = np.ascontiguousarray(grad[ids])
         assert r.adam(*sparse, rows, ids, lr=0.02, step=step) == r.adam(*dense, rows, None, lr=0.02, step=step) == 0
-    others = np.setdiff1d(np.arange(60), ids)
+    others = np.setdiff1d(np.arange(203), ids)
     for now, alone, was in zip(sparse, dense, before, strict=True):
         assert now[ids].tobytes() == alone.tobytes()
         assert now[others].tobytes() == was[others].tobytes()
@@ -189,14 +189,15 @@ def test_sparse_adam_updates_only_its_rows(level, width):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_adam_skips_and_counts_rows_that_are_not_finite(level):
+@pytest.mark.parametrize("ids", [None, np.arange(60, dtype=np.uint32)])
+def test_adam_skips_and_counts_rows_that_are_not_finite(level, ids):
     r = rasterizer(level)
     start, grads = steps_of(60, 3, r.dtype)
     good, bad = [start.copy(), np.abs(grads[0]), np.abs(grads[1])], [start.copy(), np.abs(grads[0]), np.abs(grads[1])]
     poisoned, rows = grads[2].copy(), [0, 1, 17, 40, 59]
     poisoned[rows, [0, 1, 2, 0, 1]] = np.nan, np.inf, -np.inf, np.nan, np.inf
     assert r.adam(*good, grads[2], None, lr=0.02, step=1) == 0
-    assert r.adam(*bad, poisoned, None, lr=0.02, step=1) == 5
+    assert r.adam(*bad, poisoned, ids, lr=0.02, step=1) == 5
     others = np.setdiff1d(np.arange(60), rows)
     for now, expected, was in zip(bad, good, (start, np.abs(grads[0]), np.abs(grads[1])), strict=True):
         assert now[others].tobytes() == expected[others].tobytes()
@@ -219,23 +220,26 @@ def test_adam_of_no_rows_does_nothing(level):
     assert (param == 1).all()
 
 
-def test_adam_refuses_rows_outside_the_array():
+@pytest.mark.parametrize("ids", [[0, 9], [5, 3], [3, 3]])
+def test_adam_refuses_rows_outside_the_array_or_out_of_order(ids):
     r = rasterizer("scalar")
     param, m, v = np.ones((3, 9, 3), np.float32)
     with pytest.raises(ValueError, match="ids"):
-        r.adam(param, m, v, np.ones((2, 3), np.float32), np.array([0, 9], np.uint32), lr=1.0, step=1)
+        r.adam(param, m, v, np.ones((2, 3), np.float32), np.array(ids, np.uint32), lr=1.0, step=1)
     assert (param == 1).all()
 
 
-def test_adam_has_the_same_bits_for_any_number_of_threads():
+@pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
+def test_adam_has_the_same_bits_for_any_number_of_threads(share):
     r = rasterizer(native.best_level())
-    start, grads = steps_of(10_000, 3, r.dtype, steps=2)
+    start, grads = steps_of(20_000, 3, r.dtype, steps=2)
+    ids = np.flatnonzero(np.random.default_rng(2).random(20_000) < share).astype(np.uint32)
     results = set()
     for threads in (1, 2, 3, 7, 16):
         native.set_threads(threads)
         arrays = [start.copy(), np.zeros_like(start), np.zeros_like(start)]
         for step, grad in enumerate(grads, 1):
-            r.adam(*arrays, grad, None, lr=0.02, step=step)
+            r.adam(*arrays, np.ascontiguousarray(grad[ids]), None if share == 1 else ids, lr=0.02, step=step)
         results.add(b"".join(a.tobytes() for a in arrays))
     assert len(results) == 1
 

@@ -182,7 +182,7 @@ SVRGS_API int32_t svrgs_loss(svrgs_context *, const real *image, const real *tar
                              double l1_weight, double ssim_weight, real *grad, double values[2]);
 
 /* One Adam step (Kingma and Ba) of `rows` rows of `width` values; grad is (rows, width). Row r updates row ids[r] of
-   param, m, v (ids NULL: row r). lr: one rate per column, (width,). bias1 = 1 - beta1^t, bias2 = 1 - beta2^t. Rows whose gradient is not finite are
+   param, m, v (ids ascending; NULL: row r). lr: one rate per column, (width,). bias1 = 1 - beta1^t, bias2 = 1 - beta2^t. Rows whose gradient is not finite are
    left alone and counted in *nonfinite. */
 typedef struct {
   const double *lr;

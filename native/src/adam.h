@@ -16,11 +16,20 @@ inline AdamRates adam_rates(const svrgs_adam_settings& a, const double* lr, int 
   return s;
 }
 
+struct Moments {
+  V m, v;
+};
+
+inline Moments next_moments(const AdamRates& a, V m, V v, V g) { return {fma(a.beta1, m, a.rest1 * g), fma(a.beta2, v, a.rest2 * g * g)}; }
+inline V moved(const AdamRates& a, const R* rate, const Moments& n, V param) {
+  return fnma(load(rate) * n.m, reciprocal(fma(sqrt(n.v), a.root_bias2, a.eps)), param);
+}
+
 inline void adam_lanes(const AdamRates& a, const R* rate, R* param, R* m, R* v, V g) {
-  const V m1 = fma(a.beta1, load(m), a.rest1 * g), v1 = fma(a.beta2, load(v), a.rest2 * g * g);
-  store(m, m1);
-  store(v, v1);
-  store(param, fnma(load(rate) * m1, reciprocal(fma(sqrt(v1), a.root_bias2, a.eps)), load(param)));
+  const Moments n = next_moments(a, load(m), load(v), g);
+  store(m, n.m);
+  store(v, n.v);
+  store(param, moved(a, rate, n, load(param)));
 }
 
 inline bool row_finite(const R* row, int width) {
@@ -96,8 +105,44 @@ inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* 
   return bad;
 }
 
+// Narrow rows ids[begin, end), W rows of the tensor at a time where they lie: those that are not named keep their values. Another
+// thread may be at the first and the last of these, or the tensor may end within it: there rows are taken one by one.
+template <int width>
+inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int64_t begin, int64_t end) {
+  int64_t bad = 0;
+  for (int64_t r = begin; r < end;) {
+    const int64_t from = r, base = ids[r] / W * W;
+    uint64_t named = 0;  // a bit for each value of the W rows
+    for (; r < end && ids[r] < base + W; ++r) named |= ((1ull << width) - 1) << width * (ids[r] - base);
+    V g[width], zero = splat(0);
+    const R* packed = grad + from * width;
+    for (int k = 0; k < width; ++k) {
+      const uint32_t set = named >> W * k & ((1u << W) - 1);
+      g[k] = spread(set, packed), zero += g[k] * R(0);
+      packed += __builtin_popcount(set);
+    }
+    if (from == begin || r == end || !(sum(zero) == 0)) {
+      bad += adam_narrow<width>(a, t, ids + from, grad + from * width, static_cast<int>(r - from), width);
+      continue;
+    }
+    for (int k = 0; k < width; ++k) {
+      const int64_t at = base * width + W * k;
+      const M set = lanes_of(named >> W * k & ((1u << W) - 1));
+      const V m = load(t.m + at), v = load(t.v + at), param = load(t.param + at);
+      const Moments n = next_moments(a, m, v, g[k]);
+      store(t.m + at, select(set, n.m, m));
+      store(t.v + at, select(set, n.v, v));
+      store(t.param + at, select(set, moved(a, a.rate + W * k, n, param), param));
+    }
+  }
+  return bad;
+}
+
 // Rows [begin, end) of one tensor; ids null: row r is r.
 int64_t adam_rows(const AdamRates& a, const AdamTensors& t, const R* grad, const uint32_t* ids, int64_t begin, int64_t end, int width) {
+  if (W >= 8 && ids && width == 1) return adam_in_place<1>(a, t, ids, grad, begin, end);
+  if (W >= 8 && ids && width == 3) return adam_in_place<3>(a, t, ids, grad, begin, end);
+  if (W >= 8 && ids && width == 4) return adam_in_place<4>(a, t, ids, grad, begin, end);
   int64_t bad = 0;
   for (int64_t r = begin; r < end; r += W) {
     const int n = static_cast<int>(std::min<int64_t>(W, end - r));

@@ -70,20 +70,19 @@ struct Update {
         sh(adam_rates(u.adam, u.sh.lr, 3 * f.sh_coefficients)) {}
 };
 
-inline int apply(const Frame& f, const Update& u, const ParameterGrads& g, const R* sh_rows, int64_t first, int n) {
+// Gradients of the narrow parameters of some visible Gaussians, on their way into an Adam step.
+constexpr int64_t kStaged = 256;
+
+struct Staged {
+  R means[3 * kStaged], log_scales[3 * kStaged], quats[4 * kStaged], opacity_logits[kStaged];
+};
+
+inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t first, int64_t n) {
   const uint32_t* ids = f.visible + first;
-  const int64_t known = f.visible_count - first;
-  alignas(64) R rows[4 * W];
-  int bad = adam_group(u.sh, tensors(u.settings->sh), ids, known, sh_rows, n, 3 * f.sh_coefficients);
-  const auto step = [&](const AdamRates& rates, const svrgs_trained& t, const V* values, int width) {
-    rows_of(values, n, width, rows);
-    bad += adam_group(rates, tensors(t), ids, known, rows, n, width);
-  };
-  step(u.means, u.settings->means, g.mean, 3);
-  step(u.log_scales, u.settings->log_scales, g.log_scale, 3);
-  step(u.quats, u.settings->quats, g.quat, 4);
-  step(u.opacity_logits, u.settings->opacity_logits, &g.opacity_logit, 1);
-  return bad;
+  return adam_rows(u.means, tensors(u.settings->means), g.means, ids, 0, n, 3) +
+         adam_rows(u.log_scales, tensors(u.settings->log_scales), g.log_scales, ids, 0, n, 3) +
+         adam_rows(u.quats, tensors(u.settings->quats), g.quats, ids, 0, n, 4) +
+         adam_rows(u.opacity_logits, tensors(u.settings->opacity_logits), g.opacity_logits, ids, 0, n, 1);
 }
 
 // Visible Gaussians [first, first + n): gradients into the rows of `out`, or into an Adam step. Returns the rows it left alone.
@@ -115,12 +114,11 @@ inline int gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads&
   else if (rows)
     __builtin_memset(rows, 0, sizeof(R) * n * width);
   scatter(out.means2d, first, n, 2, g.mean2d);
-  if (update) return apply(f, *update, g, own, first, n);
   scatter(out.means, first, n, 3, g.mean);
   scatter(out.log_scales, first, n, 3, g.log_scale);
   scatter(out.quats, first, n, 4, g.quat);
   scatter(out.opacity_logits, first, n, 1, &g.opacity_logit);
-  return 0;
+  return update ? adam_group(update->sh, tensors(update->settings->sh), f.visible + first, f.visible_count - first, own, n, width) : 0;
 }
 
 // Visible Gaussians [begin, end). Returns how many rows of parameters had a gradient that is not finite, and were left alone.
@@ -128,15 +126,23 @@ int64_t gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs
                         int64_t begin, int64_t end) {
   const Wanted want = wanted(f, in, out, update);
   int64_t bad = 0;
-  const auto run = [&](const Update* u) {
-    for (int64_t i = begin; i < end; i += W)
-      bad += gradient_batch(f, want, out, u, static_cast<const R*>(slots), i, static_cast<int>(std::min<int64_t>(W, end - i)));
+  const auto run = [&](const Update* u, const svrgs_grads& to, int64_t from, int64_t until) {
+    for (int64_t i = from; i < until; i += W)
+      bad += gradient_batch(f, want, to, u, static_cast<const R*>(slots), i, static_cast<int>(std::min<int64_t>(W, until - i)));
   };
-  if (update) {
-    const Update u(f, *update);
-    run(&u);
-  } else {
-    run(nullptr);
+  if (!update) {
+    run(nullptr, out, begin, end);
+    return bad;
+  }
+  const Update u(f, *update);
+  alignas(64) Staged staged;
+  for (int64_t from = begin; from < end; from += kStaged) {
+    const int64_t until = std::min(from + kStaged, end);
+    svrgs_grads to = out;
+    to.means = staged.means - 3 * from, to.log_scales = staged.log_scales - 3 * from;
+    to.quats = staged.quats - 4 * from, to.opacity_logits = staged.opacity_logits - from;
+    run(&u, to, from, until);
+    bad += apply(f, u, staged, from, until - from);
   }
   return bad;
 }

@@ -103,6 +103,28 @@ inline R largest(V v) {
 }
 #endif
 
+// One lane a bit of `set`.
+inline M lanes_of(uint32_t set) {
+#if SVRGS_LANES == 16
+  return static_cast<M>(set);
+#else
+  I bit;
+  for (int i = 0; i < W; ++i) bit[i] = IntR(1) << i;
+  return (bit & (I{} + static_cast<IntR>(set))) == bit;
+#endif
+}
+
+// Values that lie one after the other, the first to the lowest set bit's lane and so on; 0 in the other lanes.
+inline V spread(uint32_t set, const R* packed) {
+#if SVRGS_LANES == 16
+  return _mm512_maskz_expand_ps(static_cast<M>(set), _mm512_maskz_loadu_ps(static_cast<M>((1u << __builtin_popcount(set)) - 1), packed));
+#else
+  V v = {};
+  for (; set; set &= set - 1) v[__builtin_ctz(set)] = *packed++;
+  return v;
+#endif
+}
+
 #if SVRGS_LANES == 4 || SVRGS_LANES == 8
 using Bytes = std::conditional_t<W == 8, uint64_t, uint32_t>;
 struct SetBits {  // the positions of the set bits of every W bits, a byte each
