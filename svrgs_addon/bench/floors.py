@@ -4,9 +4,9 @@ the measured memory peaks, whichever is more.
 Memory moves in lines of 64 bytes. Visible Gaussians leave gaps, so rows are counted with the lines they lie in (row_lines);
 what is stored without having been read is fetched first and written back later: twice its bytes.
 
-An operation is one vector instruction of W lanes that multiplies (and adds): 2 W flop at the peak. Additions, comparisons and
-moves are left out, as if they all ran beside: on some processors they do. What a block needs is counted for all its 16 pixels,
-so 16 / W instructions a slot; what a pair needs is done once whatever the lanes.
+An operation is one vector instruction of W lanes that computes: a multiply-add (2 W flop at the peak), and an addition, comparison,
+minimum or shift in the place of one. Loads, moves and masks are left out, as if they all ran beside. What a block needs is counted
+for all its 16 pixels, so 16 / W instructions a slot; what a pair needs is done once whatever the lanes.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ LANES = {"scalar": 1, "baseline": 4, "avx2": 8, "avx512": 16, "float64": 1}
 BLOCK_PIXELS = 16
 
 # Slots per hit block, and per (Gaussian, tile) pair that hits a pixel.
-BLEND_BLOCK, BLEND_PAIR = 15, 20  # exponent 5, 2^x 6, weight 1, colours 3; per pair where its ellipse enters and leaves rows of blocks
-GRADS_BLOCK, GRADS_PAIR = 29, 30  # exponent 5, 2^x 6, weight 1, colours 7, dL/dalpha 5, moments 5; per pair sums over lanes
+ALPHA_BLOCK = 20  # offset 2, exponent 5, 2^x 11, test and clamp
+BLEND_BLOCK, BLEND_PAIR = ALPHA_BLOCK + 6, 20  # weight, transmittance, stop, colours 3; per pair where its ellipse enters and leaves rows of blocks
+GRADS_BLOCK, GRADS_PAIR = ALPHA_BLOCK + 20, 30  # weight, transmittance, stop, colours 7, dL/dalpha 5, moments 5; per pair sums over lanes
 COUNT_BLOCK = 1  # F: one more sum
 GRADS_MASK_BLOCK = 3  # dF/dM
-BEHIND_BLOCK = 12  # F behind the stop: exponent, 2^x, transmittance
-GRADS_BEHIND_BLOCK = 17  # the same, 1 / (1 - alpha) and dF/dM
+BEHIND_BLOCK = ALPHA_BLOCK + 1  # F behind the stop: transmittance
+GRADS_BEHIND_BLOCK = ALPHA_BLOCK + 6  # the same, 1 / (1 - alpha) and dF/dM
 
 # Slots of one lane per visible Gaussian: covariance, projection, SH of degree 3; the derivative takes twice that.
 PROJECT_SLOTS, PARAMETER_SLOTS = 450, 900
