@@ -1,9 +1,10 @@
-"""How near learned methods come to a target by themselves: Gaussians that masks alone would leave against those asked for.
+"""How near learned methods come to what is asked for: Gaussians that masks alone would leave against a share, dB lost against a drop.
 
-    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr-mask,maskgs] [--shares 0.5,0.25] [--iterations N] [--json]
+    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr-mask,maskgs] [--shares 0.5,0.25] [--json]
+    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply --methods svr,svr-mask --drops 0.2,0.5,1 [--recovery N]
 
-`make demo` leaves such a pair: build/demo/scene and build/demo/trained.ply. The final ranking, which meets the target exactly, is
-not part of the figure. A row of JSON or of the table for each method and share.
+`make demo` leaves such a pair: build/demo/scene and build/demo/trained.ply. The final ranking, which meets the share exactly, is
+not part of the figure. A row of JSON or of the table for each method and share, or drop (error: in dB).
 """
 
 from __future__ import annotations
@@ -17,22 +18,25 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-COLUMNS = ("method", "share", "target", "reached", "error", "strength", "psnr before", "psnr")
+COLUMNS = ("method", "asked", "target", "reached", "error", "strength", "psnr before", "psnr", "count")
 
 
-def row(options: argparse.Namespace, method: str, share: float, folder: Path) -> dict:
+def row(options: argparse.Namespace, method: str, flag: str, asked: float, folder: Path) -> dict:
     words = ["--iterations", options.iterations, "--recovery", options.recovery, "--out", folder / f"{method}.ply", "--quiet", "--json"]
-    command = [sys.executable, "-m", "svrgs_addon", "prune", options.scene, "--colmap", options.colmap, "--method", method, "--target", share, *words]
+    command = [sys.executable, "-m", "svrgs_addon", "prune", options.scene, "--colmap", options.colmap, "--method", method, flag, asked, *words]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([str(word) for word in command], capture_output=True, text=True, env=environment)
     if done.returncode:
-        sys.exit(f"{method} at {share}: {done.stderr.strip().splitlines()[-1]}")
+        sys.exit(f"{method} at {asked}: {done.stderr.strip().splitlines()[-1]}")
     result = json.loads(done.stdout)
-    figures = {name: result[name] for name in ("target", "reached", "strength", "psnr")}
-    if result["reached"] is None:
+    figures = {name: result[name] for name in ("strength", "psnr", "count")}
+    if flag == "--max-drop":
+        figures |= {"target": asked, "reached": result["drop"], "error": result["drop"] - asked}
+    elif result["reached"] is None:
         sys.exit(f"{method} learns no masks: there is nothing to compare")
-    error = result["reached"] / result["target"] - 1
-    return {"method": method, "share": share, **figures, "error": error, "psnr before": result["before"]["psnr"]}
+    else:
+        figures |= {"target": result["target"], "reached": result["reached"], "error": result["reached"] / result["target"] - 1}
+    return {"method": method, "asked": f"{flag} {asked}", **figures, "psnr before": result["before"]["psnr"]}
 
 
 def as_text(value) -> str:
@@ -44,17 +48,22 @@ def main():
     parser.add_argument("--colmap", type=Path, required=True)
     parser.add_argument("--scene", type=Path, required=True)
     parser.add_argument("--methods", default="svr-mask,maskgs", type=lambda text: text.split(","))
-    parser.add_argument("--shares", default="0.5,0.25", type=lambda text: [float(part) for part in text.split(",")])
+    numbers = lambda text: [float(part) for part in text.split(",")]  # noqa: E731
+    parser.add_argument("--shares", default="0.5,0.25", type=numbers)
+    parser.add_argument("--drops", type=numbers, help="instead of shares")
     parser.add_argument("--iterations", type=int, default=3_000)
-    parser.add_argument("--recovery", type=int, default=0)
+    parser.add_argument("--recovery", type=int, help="default: 0, with --drops 5000")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    flag, values = ("--max-drop", options.drops) if options.drops else ("--target", options.shares)
+    if options.recovery is None:
+        options.recovery = 5_000 if options.drops else 0
     if not options.json:
         print("| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS))
     with tempfile.TemporaryDirectory() as folder:
         for method in options.methods:
-            for share in options.shares:
-                found = row(options, method, share, Path(folder))
+            for asked in values:
+                found = row(options, method, flag, asked, Path(folder))
                 print(json.dumps(found) if options.json else "| " + " | ".join(as_text(found[name]) for name in COLUMNS) + " |", flush=True)
 
 

@@ -34,7 +34,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
     lambda_f: FloatProperty(name="λ_F", min=0, soft_min=1e-5, soft_max=1e-3, precision=5, description="Weight of the spatial mask. 0: the method's own")
     target: FloatProperty(name="Target", min=0, max=1, subtype="FACTOR", description="Share of the Gaussians to keep. 0: whatever survives")
     target_count: IntProperty(name="Target Count", min=0, description="Number of Gaussians to keep. 0: whatever survives")
-    max_drop: FloatProperty(name="Max Drop", min=0, precision=2, description="Instead of a target: dB that may be lost before the recovery. 0: no such limit")
+    max_drop: FloatProperty(name="Max Drop", min=0, precision=2, description="Instead of a target: dB that may be lost in the end. 0: no such limit")
     iterations: IntProperty(name="Iterations", min=0, default=PRUNE_ITERATIONS, description="Steps of mask learning")
     recovery: IntProperty(name="Recovery", min=0, default=RECOVERY, description="Steps after it")
     seed: IntProperty(name="Seed", min=0, description="The same seed gives the same result")

@@ -17,7 +17,7 @@ GOALS = [
     ("SHARE", "Percentage", "Keep this share of the Gaussians"),
     ("COUNT", "Count", "Keep this many Gaussians"),
     ("SIZE", "Size", "Keep as many Gaussians as fit into a file of this size"),
-    ("DROP", "Loss", "Remove as much as loses no more than so many dB before the recovery, which wins some back"),
+    ("DROP", "Loss", "Remove as much as loses about so many dB in the end"),
 ]
 
 

@@ -241,6 +241,7 @@ def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
         "lambda_m": settings.lambda_m or None,
         "target": run.target or None,
         "reached": run.control.reached if run.control else None,
+        "drop": run.closing.drop(run) if run.closing else None,
         "strength": run.strength,
         "seconds": clock.total,
         "seconds_by_phase": clock.phases,

@@ -16,7 +16,8 @@ import tiny_dataset
 from svrgs_addon import jobs
 from svrgs_addon.dataset import load_dataset
 from svrgs_addon.errors import SceneError
-from svrgs_addon.finetune import checkpoint, control
+from svrgs_addon.finetune import checkpoint, closing, control
+from svrgs_addon.finetune.closing import Closing
 from svrgs_addon.finetune.control import Control, control_for
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.loop import Run
@@ -104,6 +105,39 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     drop = run.control.start - control.psnr_of(run, None)
     assert run.model.count < 200 and drop <= 1.0
     assert drop > 0.6, "one Gaussian of this tiny scene can be worth tenths of a dB"
+
+
+@pytest.mark.parametrize("method", ["svr-worth", "svr-mask"])
+@pytest.mark.parametrize("allowed", [0.5, 2.0])
+def test_what_the_recovery_wins_back_is_spent(tiny, data, tmp_path, method, allowed):
+    """One Gaussian of this tiny scene can be worth tenths of a dB."""
+    settings = replace(prune_settings(method, 300, 200), max_drop=allowed)
+    result = jobs.prune(tiny.splat, data, settings, jobs.JobOptions(tmp_path / "o.ply"))
+    assert allowed - 0.7 < result["drop"] < allowed + 0.3
+    left = result["curves"]["count"]
+    assert left[-1] < left[list(result["curves"]["iteration"]).index(300)]
+
+
+def test_more_is_cut_where_more_is_won_back():
+    """Never to be more than WON_BACK of the cut's cost."""
+    first = Closing(start=30.0)
+    assert first.won_back(31.0) == closing.WON_BACK
+    for now, share in ((29.5, closing.LESS * 0.5), (28.5, 0.0), (31.0, closing.WON_BACK)):
+        assert Closing(start=30.0, before_cut=30.0, after_cut=29.0).won_back(now) == pytest.approx(share)
+
+
+@pytest.mark.parametrize("stop", [501, 650, 651, 790])
+def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, tmp_path, stop):
+    settings = replace(prune_settings("svr-worth", 500, 300), max_drop=1.0)
+    whole, first, second = (Run(Model.of(load_scene(tiny.splat).scene), data, settings, NativeEngine()) for _ in range(3))
+    while first.iteration < stop:
+        first.advance()
+    first.close()
+    checkpoint.save(first, tmp_path, "same")
+    assert checkpoint.restore(second, tmp_path, "same") and second.closing == first.closing
+    to_the_end(second), to_the_end(whole)
+    assert second.closing == whole.closing and second.closing.before_cut > second.closing.after_cut > 0
+    assert all(value.tobytes() == whole.model.values[name].tobytes() for name, value in second.model.values.items())
 
 
 @pytest.mark.parametrize("goal", [{"target": 90}, {"max_drop": 1.0}], ids=["target", "max-drop"])

@@ -15,11 +15,12 @@ import numpy as np
 from ..arrays import write_arrays
 from ..atomic import atomic_write, check_writable
 from ..errors import FormatError, SceneError
+from .closing import Closing
 from .control import Control
 from .densify import Statistics
 from .loop import Curves, Run
 
-SCHEMA = 6
+SCHEMA = 7
 KEPT = 2  # newest checkpoints kept
 _PARTS = ("values", "first", "second")
 
@@ -59,6 +60,7 @@ def _write(run: Run, target: Path, identity: str):
         "target": run.target,
         "method": run.method.state(),
         "control": asdict(run.control) if run.control else None,
+        "closing": asdict(run.closing) if run.closing else None,
         "loss": run.loss,
         "nonfinite": run.nonfinite,
         "held_back": run.held_back,
@@ -111,6 +113,7 @@ def _apply(run: Run, folder: Path, manifest: dict):
     run.target = manifest["target"]
     run.method.restore(manifest["method"])
     run.control = Control(**manifest["control"]) if manifest["control"] else None
+    run.closing = Closing(**manifest["closing"]) if manifest["closing"] else None
     run.loss, run.seconds = manifest["loss"], manifest["seconds"]
     run.nonfinite, run.held_back = manifest["nonfinite"], manifest["held_back"]
     run.curves = Curves(**manifest["curves"])

@@ -18,6 +18,7 @@ from ..dataset import Dataset
 from ..errors import Cancelled, SceneError, SplatError
 from ..native import RenderOptions
 from . import densify, masks
+from .closing import Closing
 from .control import control_for
 from .engine import Step, StepResult
 from .methods import method_named
@@ -63,6 +64,7 @@ class Run:
         self.antialiased = antialiased
         self.method = method_named(settings.method)
         self.control = control_for(settings, self.method.learns_masks)
+        self.closing = Closing() if settings.max_drop else None
         self.target = settings.target  # 0: none, or a share of a number not known yet
         self.iteration = 0
         self.statistics = densify.Statistics(model.count)
@@ -137,6 +139,8 @@ class Run:
         return as_real(self.dataset.image(view), self.model.dtype, reduction)
 
     def _enter(self, phase: Phase, number: int):
+        if self.closing:
+            self.closing.before(self)
         if phase.active:
             self.method.enter(self.model, self.settings)
             if self.settings.share and not self.target and not _grows(phase, number):
@@ -235,7 +239,7 @@ class Run:
         self.unordered = 0
 
     def _prune(self, phase: Phase, number: int):
-        """What the method drops after a step outside densification, and when its phase ends."""
+        """What goes after a step: by the method outside densification and when its phase ends, and in a recovery that may lose quality."""
         last = number == phase.steps
         if phase.active and self.control and not _grows(phase, number):
             self.control.look(self, phase, number)
@@ -243,6 +247,8 @@ class Run:
             self._keep(self.method.after_step(self, phase, number))
         if phase.active and last:
             self._keep(self.method.decided(self))
+        if self.closing and not phase.active:
+            self._keep(self.closing.cut(self, phase, number))
 
     def _keep(self, keep: np.ndarray | None):
         if keep is None:
