@@ -212,17 +212,17 @@ class Rasterizer:
     def backward_update(self, image_grads: dict, tensors: dict, rates: dict, *, step, betas=(0.9, 0.999), eps=1e-15, wanted=()) -> tuple[dict, int]:
         """backward() and adam() in one, bit for bit, without storing the gradients; uses the view up.
 
-        tensors: {name: (param, m, v)} for the five arrays of the rendered scene, param being the scene's own; rates: {name:
-        one rate, or one per column}; wanted: gradients to return, 'masks' and 'means2d' only. Returns ({name: (V, ...)},
+        tensors: {name: (param, m, v)} for arrays of the rendered scene, param being the scene's own, sh among them; rates: {name:
+        one rate, or one per column} for those; wanted: gradients to return, of anything else. Returns ({name: (V, ...)},
         rows left alone because their gradient was not finite).
         """
-        if unknown := {*wanted} - {"masks", "means2d"}:
-            raise ValueError(f"gradients of what is updated are not kept: {', '.join(sorted(unknown))}")
+        if both := {*wanted} & {*tensors}:
+            raise ValueError(f"gradients of what is updated are not kept: {', '.join(sorted(both))}")
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
         columns, update = {}, _Update(adam=_adam_settings(None, betas, eps, step))
-        for name, shape in self._shapes.items():
+        for name, (param, m, v) in tensors.items():
+            shape = self._shapes[name]
             columns[name] = _rates(rates[name], shape)
-            param, m, v = tensors[name]
             addresses = (_check_out(a, f"{kind} of {name}", shape, self.dtype) for kind, a in (("param", param), ("m", m), ("v", v)))
             setattr(update, name, _Trained(*addresses, columns[name].ctypes.data))
         bad = c.c_int64()

@@ -71,6 +71,29 @@ def test_one_call_does_what_two_do(level, sh_degree):
     assert all((getattr(one, name) != getattr(before, name)).any() for name in ARRAYS)
 
 
+@pytest.mark.parametrize("apart", [("opacity_logits",), ("log_scales",), ("means", "quats")])
+def test_what_is_not_updated_has_its_gradients_instead(apart):
+    r, two, one, before = (make(native.best_level()) for make in (rasterizer, *[lambda level: world(level, 3)] * 3))
+    render(r, one)
+    tensors = {name: (getattr(one, name), *one.moments[name]) for name in ARRAYS if name not in apart}
+    grads, bad = r.backward_update(one.weights, tensors, rates_of(one), step=7, wanted=("masks", *apart))
+    assert bad == 0 and all((getattr(one, name) == getattr(before, name)).all() for name in apart)
+    grads, ids = {name: rows.copy() for name, rows in grads.items()}, r.visible()
+    for name in apart:
+        r.adam(getattr(one, name), *one.moments[name], grads[name], ids, lr=rates_of(one)[name], step=7)
+    expected, _ = in_two_calls(r, two)
+    assert grads["masks"].tobytes() == expected["masks"].tobytes()
+    assert_same(one, two)
+
+
+def test_sh_is_updated_always():
+    r, scene = rasterizer("scalar"), world("scalar", 1)
+    render(r, scene)
+    tensors = {"means": (scene.means, *scene.moments["means"])}
+    with pytest.raises(NativeError, match="missing"):
+        r.backward_update(scene.weights, tensors, rates_of(scene), step=1, wanted=("sh",))
+
+
 @pytest.mark.parametrize("level", LEVELS)
 def test_rows_without_a_finite_gradient_are_left_alone_and_counted(level):
     r, two, one, before = rasterizer(level), world(level, 3), world(level, 3), world(level, 3)

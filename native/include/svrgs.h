@@ -192,8 +192,9 @@ SVRGS_API int32_t svrgs_adam(int32_t level, const svrgs_adam_settings *, real *p
                              const real *grad, const uint32_t *ids, int64_t rows, int32_t width, int64_t *nonfinite);
 
 /* svrgs_backward and svrgs_adam in one, bit for bit: the gradients of the last view go straight into an Adam step on the rows
-   of the visible Gaussians (of the scene's own arrays, which this call may write) and are not stored. `others` may ask for
-   masks and means2d only. The view is used up: what it was made from has changed. */
+   of the visible Gaussians (of the scene's own arrays, which this call may write) and are not stored. What has no param, sh apart, is
+   not updated. `others` may ask for the gradients of such, for masks and for means2d. The view is used up: what it was made from has
+   changed. */
 typedef struct {
   real *param, *m, *v; /* (N, columns) */
   const double *lr;    /* (columns,) */

@@ -197,9 +197,16 @@ int32_t svrgs_backward(svrgs_context* c, const svrgs_image_grads* in, const svrg
 int32_t svrgs_backward_update(svrgs_context* c, const svrgs_image_grads* in, const svrgs_update* update, const svrgs_grads* others, int64_t* nonfinite) {
   return guarded([&] {
     require(c && in && update && others && nonfinite, "an argument is missing");
-    require(!others->means && !others->log_scales && !others->quats && !others->opacity_logits && !others->sh, "gradients of what is updated are not kept");
-    for (const svrgs_trained& t : {update->means, update->log_scales, update->quats, update->opacity_logits, update->sh})
-      require(t.param && t.m && t.v && t.lr, "an array to update is missing");
+    const auto check_trained = [](const svrgs_trained& t, const real* gradient) {
+      require(!t.param || (t.m && t.v && t.lr), "an array to update is missing");
+      require(!t.param || !gradient, "gradients of what is updated are not kept");
+    };
+    require(update->sh.param, "an array to update is missing");
+    check_trained(update->means, others->means);
+    check_trained(update->log_scales, others->log_scales);
+    check_trained(update->quats, others->quats);
+    check_trained(update->opacity_logits, others->opacity_logits);
+    check_trained(update->sh, others->sh);
     check_view(c->context, *in);
     *nonfinite = c->context.backward(*in, *others, update);
   });

@@ -60,14 +60,15 @@ inline void scatter(void* rows, int64_t first, int n, int width, const V* values
 
 inline AdamTensors tensors(const svrgs_trained& t) { return {static_cast<R*>(t.param), static_cast<R*>(t.m), static_cast<R*>(t.v)}; }
 
-// The rates of all tensors of an update.
+// The rates of all tensors of an update, as far as it has them.
 struct Update {
   const svrgs_update* settings;
   AdamRates means, log_scales, quats, opacity_logits, sh;
-  Update(const Frame& f, const svrgs_update& u)
-      : settings(&u), means(adam_rates(u.adam, u.means.lr, 3)), log_scales(adam_rates(u.adam, u.log_scales.lr, 3)),
-        quats(adam_rates(u.adam, u.quats.lr, 4)), opacity_logits(adam_rates(u.adam, u.opacity_logits.lr, 1)),
-        sh(adam_rates(u.adam, u.sh.lr, 3 * f.sh_coefficients)) {}
+  Update(const Frame& f, const svrgs_update& u) : settings(&u) {
+    const auto rates = [&](const svrgs_trained& t, int width) { return t.param ? adam_rates(u.adam, t.lr, width) : AdamRates{}; };
+    means = rates(u.means, 3), log_scales = rates(u.log_scales, 3), quats = rates(u.quats, 4), opacity_logits = rates(u.opacity_logits, 1);
+    sh = rates(u.sh, 3 * f.sh_coefficients);
+  }
 };
 
 // Gradients of the narrow parameters of some visible Gaussians, on their way into an Adam step.
@@ -75,14 +76,24 @@ constexpr int64_t kStaged = 256;
 
 struct Staged {
   R means[3 * kStaged], log_scales[3 * kStaged], quats[4 * kStaged], opacity_logits[kStaged];
+
+  // `out`, but here what is updated, for Gaussians from `first` on.
+  svrgs_grads in_place_of(const svrgs_grads& out, const svrgs_update& u, int64_t first) {
+    svrgs_grads to = out;
+    if (u.means.param) to.means = means - 3 * first;
+    if (u.log_scales.param) to.log_scales = log_scales - 3 * first;
+    if (u.quats.param) to.quats = quats - 4 * first;
+    if (u.opacity_logits.param) to.opacity_logits = opacity_logits - first;
+    return to;
+  }
 };
 
 inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t first, int64_t n) {
-  const uint32_t* ids = f.visible + first;
-  return adam_rows(u.means, tensors(u.settings->means), g.means, ids, 0, n, 3) +
-         adam_rows(u.log_scales, tensors(u.settings->log_scales), g.log_scales, ids, 0, n, 3) +
-         adam_rows(u.quats, tensors(u.settings->quats), g.quats, ids, 0, n, 4) +
-         adam_rows(u.opacity_logits, tensors(u.settings->opacity_logits), g.opacity_logits, ids, 0, n, 1);
+  const auto step = [&](const AdamRates& rates, const svrgs_trained& t, const R* rows, int width) {
+    return t.param ? adam_rows(rates, tensors(t), rows, f.visible + first, 0, n, width) : 0;
+  };
+  return step(u.means, u.settings->means, g.means, 3) + step(u.log_scales, u.settings->log_scales, g.log_scales, 3) +
+         step(u.quats, u.settings->quats, g.quats, 4) + step(u.opacity_logits, u.settings->opacity_logits, g.opacity_logits, 1);
 }
 
 // Visible Gaussians [first, first + n): gradients into the rows of `out`, or into an Adam step. Returns the rows it left alone.
@@ -138,10 +149,7 @@ int64_t gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs
   alignas(64) Staged staged;
   for (int64_t from = begin; from < end; from += kStaged) {
     const int64_t until = std::min(from + kStaged, end);
-    svrgs_grads to = out;
-    to.means = staged.means - 3 * from, to.log_scales = staged.log_scales - 3 * from;
-    to.quats = staged.quats - 4 * from, to.opacity_logits = staged.opacity_logits - from;
-    run(&u, to, from, until);
+    run(&u, staged.in_place_of(out, *update, from), from, until);
     bad += apply(f, u, staged, from, until - from);
   }
   return bad;

@@ -107,23 +107,21 @@ class NativeEngine:
             return result
         if step.slope is not None:
             wanted += ("masks",)
-        stored = step.gates or not step.reaching_all <= {MASK}  # gradients that something is added to, or that others follow from
-        update = self._update_stored if stored else self._update
-        grads, result.nonfinite = update(model, step, image_grads, wanted, result.visible)
+        grads, result.nonfinite = self._update(model, step, image_grads, wanted, result.visible)
         result.means2d = grads.get("means2d")
         if step.slope is not None:
             result.nonfinite += self._step_rows(model, step, MASK, mask_logit_rows(step, grads, result.visible), result.visible)
         return result
 
     def _update(self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...], ids: np.ndarray) -> tuple[dict, int]:
-        tensors = {name: (model.values[name], model.first[name], model.second[name]) for name in PARAMETERS}
-        rates = {name: _row_rates(name, step.rates, model) for name in PARAMETERS}
-        return self.rasterizer.backward_update(image_grads, tensors, rates, step=step.number, betas=BETAS, eps=EPS, wanted=wanted)
-
-    def _update_stored(self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...], ids: np.ndarray) -> tuple[dict, int]:
-        """The same with the gradients in between, for a penalty to be added to them."""
-        grads = self.rasterizer.backward(image_grads, (*PARAMETERS, *wanted))
-        return grads, sum(self._step_rows(model, step, name, grads[name], ids) for name in PARAMETERS)
+        """Gradients into an Adam step at once, but for those that something is added to, or that others follow from."""
+        apart = [name for name in PARAMETERS if name in step.reaching_all or name == "log_scales" and step.gates]
+        at_once = [name for name in PARAMETERS if name not in apart]
+        tensors = {name: (model.values[name], model.first[name], model.second[name]) for name in at_once}
+        rates = {name: _row_rates(name, step.rates, model) for name in at_once}
+        update = self.rasterizer.backward_update
+        grads, bad = update(image_grads, tensors, rates, step=step.number, betas=BETAS, eps=EPS, wanted=(*wanted, *apart))
+        return grads, bad + sum(self._step_rows(model, step, name, grads[name], ids) for name in apart)
 
     def _step_rows(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray) -> int:
         """Adam on one parameter's rows `ids`, or on all rows where something reaches all."""
