@@ -12,6 +12,7 @@ from svrgs_addon.finetune import masks
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.loop import Run
 from svrgs_addon.finetune.methods import METHODS
+from svrgs_addon.finetune.methods import selection
 from svrgs_addon.finetune.methods.selection import LARGEST, SHARES, pressure_shares
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.penalties import OpacityPressure
@@ -56,7 +57,16 @@ def test_what_would_be_missed_least_is_pressed_hardest():
     np.testing.assert_allclose(shares / shares[1], [0.5, 1, 2, LARGEST, LARGEST])
 
 
-def test_shares_follow_their_gaussians():
+def test_from_few_photographs_all_are_pressed_alike(monkeypatch):
+    run, settings = run_of(replace(prune_settings("svr", 160, 0), target=20)), prune_settings("svr", 160, 0)
+    views = len(run.training_cameras)
+    assert views < selection.FEW and run.method.shares(run, settings.phases[0], 1) is None
+    monkeypatch.setattr(selection, "FEW", views)
+    assert len(np.unique(run.method.shares(run, settings.phases[0], 1))) > COUNT // 2
+
+
+def test_shares_follow_their_gaussians(monkeypatch):
+    monkeypatch.setattr(selection, "FEW", 0)
     run = run_of(replace(prune_settings("svr", 160, 0), target=20))
     for _ in range(21):  # a look at the costs every 16 pushes, a push a step
         run.advance()

@@ -97,6 +97,7 @@ inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t f
 }
 
 // Visible Gaussians [first, first + n): gradients into the rows of `out`, or into an Adam step. Returns the rows it left alone.
+template <bool updates>
 inline int gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t first, int n) {
   uint32_t ids[W];
   V s[kSlotWidth];
@@ -119,7 +120,7 @@ inline int gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads&
     g = project_vjp(f, project(f, b), {s[kG], s[kGu], s[kGv], s[kGuu], s[kGuv], s[kGvv], want.depth ? s[kSlotDepth] : splat(0)});
   const int width = 3 * f.sh_coefficients;
   alignas(64) R own[W * 48];
-  R* const rows = update ? own : out.sh ? static_cast<R*>(out.sh) + first * width : nullptr;
+  R* const rows = updates ? own : out.sh ? static_cast<R*>(out.sh) + first * width : nullptr;
   if (want.colour)
     sh_vjp(f, b, ids, n, colour, rows, g.mean);
   else if (rows)
@@ -129,28 +130,28 @@ inline int gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads&
   scatter(out.log_scales, first, n, 3, g.log_scale);
   scatter(out.quats, first, n, 4, g.quat);
   scatter(out.opacity_logits, first, n, 1, &g.opacity_logit);
-  return update ? adam_group(update->sh, tensors(update->settings->sh), f.visible + first, f.visible_count - first, own, n, width) : 0;
+  return updates ? adam_group(update->sh, tensors(update->settings->sh), f.visible + first, f.visible_count - first, own, n, width) : 0;
+}
+
+template <bool updates>
+inline int64_t gradient_batches(const Frame& f, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t begin, int64_t end) {
+  int64_t bad = 0;
+  for (int64_t i = begin; i < end; i += W) bad += gradient_batch<updates>(f, want, out, update, slots, i, static_cast<int>(std::min<int64_t>(W, end - i)));
+  return bad;
 }
 
 // Visible Gaussians [begin, end). Returns how many rows of parameters had a gradient that is not finite, and were left alone.
 int64_t gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update, const void* slots,
                         int64_t begin, int64_t end) {
   const Wanted want = wanted(f, in, out, update);
-  int64_t bad = 0;
-  const auto run = [&](const Update* u, const svrgs_grads& to, int64_t from, int64_t until) {
-    for (int64_t i = from; i < until; i += W)
-      bad += gradient_batch(f, want, to, u, static_cast<const R*>(slots), i, static_cast<int>(std::min<int64_t>(W, until - i)));
-  };
-  if (!update) {
-    run(nullptr, out, begin, end);
-    return bad;
-  }
+  const R* const sums = static_cast<const R*>(slots);
+  if (!update) return gradient_batches<false>(f, want, out, nullptr, sums, begin, end);
   const Update u(f, *update);
   alignas(64) Staged staged;
+  int64_t bad = 0;
   for (int64_t from = begin; from < end; from += kStaged) {
     const int64_t until = std::min(from + kStaged, end);
-    run(&u, staged.in_place_of(out, *update, from), from, until);
-    bad += apply(f, u, staged, from, until - from);
+    bad += gradient_batches<true>(f, want, staged.in_place_of(out, *update, from), &u, sums, from, until) + apply(f, u, staged, from, until - from);
   }
   return bad;
 }

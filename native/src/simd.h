@@ -114,10 +114,25 @@ inline M lanes_of(uint32_t set) {
 #endif
 }
 
+#if SVRGS_LANES == 8
+struct SetRanks {  // how many set bits of every 8 lie below each bit, a byte each
+  uint64_t ranks[256] = {};
+  constexpr SetRanks() {
+    for (int set = 0; set < 256; ++set)
+      for (int i = 0, n = 0; i < 8; n += set >> i++ & 1) ranks[set] |= static_cast<uint64_t>(n) << 8 * i;
+  }
+};
+constexpr SetRanks kSetRanks;
+#endif
+
 // Values that lie one after the other, the first to the lowest set bit's lane and so on; 0 in the other lanes.
 inline V spread(uint32_t set, const R* packed) {
+  [[maybe_unused]] const uint32_t first = (1u << __builtin_popcount(set)) - 1;  // as many lanes
 #if SVRGS_LANES == 16
-  return _mm512_maskz_expand_ps(static_cast<M>(set), _mm512_maskz_loadu_ps(static_cast<M>((1u << __builtin_popcount(set)) - 1), packed));
+  return _mm512_maskz_expand_ps(static_cast<M>(set), _mm512_maskz_loadu_ps(static_cast<M>(first), packed));
+#elif SVRGS_LANES == 8
+  const __m256i from = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(static_cast<long long>(kSetRanks.ranks[set])));
+  return keep(lanes_of(set), _mm256_permutevar8x32_ps(_mm256_maskload_ps(packed, (__m256i)lanes_of(first)), from));
 #else
   V v = {};
   for (; set; set &= set - 1) v[__builtin_ctz(set)] = *packed++;

@@ -2,8 +2,9 @@
 
 How many: as many as are worth more than lambda_F to the objective when pruning starts (worth.py), or the target. Which: those whose
 gradient withstands the pressure of GNS on opacity logits, the rest fading while the others take over; what would be missed least
-(the cost of worth.py) is pressed hardest, and the pressure takes the whole phase. In the recovery some Gaussians are absent from
-each step, as masks had it: the more, the fewer photographs there are to lean on.
+(the cost of worth.py) is pressed hardest, and the pressure takes the whole phase. From few photographs all are pressed alike: what
+these would miss is not what other views would. In the recovery some Gaussians are absent from each step, as masks had it: the more,
+the fewer photographs there are to lean on.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 LOOK_EVERY = 16  # pushes between two looks at the costs
 POWER, LARGEST = 0.5, 100.0  # a share is (cost at the budget's rank / cost)^POWER, within 1/LARGEST and LARGEST
+FEW = 32  # training views: with fewer, costs say nothing
 ABSENT = 6.0  # of as many training views; settings.Phase.absent
 SHARES = "pressure_shares"  # of the model's values: moves with the rows, is stored with them, is not learned
 
@@ -52,8 +54,10 @@ class Selection(GNS):
             run.target = int(stays.sum())
         return super().terms(run, phase, number)
 
-    def shares(self, run: Run, phase: Phase, number: int) -> np.ndarray:
+    def shares(self, run: Run, phase: Phase, number: int) -> np.ndarray | None:
         model = run.model
+        if len(run.training_cameras) < FEW:
+            return None
         if SHARES not in model.values or (number - 1) % (LOOK_EVERY * self.push_every(phase)) == 0:
             cost = costs(model, run.training_cameras, run.engine.rasterizer, run.score_options)
             model.add(SHARES, pressure_shares(cost, run.target).astype(model.dtype))
