@@ -67,6 +67,7 @@ ABLATION = {  # what is changed in the program before it runs
     "by the fourth root, within 3": SELECTION + "selection.POWER, selection.LARGEST = 0.25, 3.0",
     "by the cost itself, within 1000": SELECTION + "selection.POWER, selection.LARGEST = 1.0, 1000.0",
     "three times as many absent": SELECTION + "selection.ABSENT = 18",
+    "by the cost from few photographs too": SELECTION + "selection.FEW = 0",
 }
 STUDIES = {
     "table": TABLE,

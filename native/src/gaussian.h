@@ -166,7 +166,8 @@ inline void jacobian_vjp(const Frame& f, const Projected& p, V inv_z, const V d_
   d_rx *= p.free_x, d_ry *= p.free_y;
 }
 
-inline ParameterGrads project_vjp(const Frame& f, const Projected& p, const ScreenGrads& g) {
+// Always inline: as a call it costs the backward pass 5 % (AVX2).
+[[gnu::always_inline]] inline ParameterGrads project_vjp(const Frame& f, const Projected& p, const ScreenGrads& g) {
   ParameterGrads out;
   const V inv_z = inverse_depth(f, p.c[2]), fx = splat(R(f.fx)), fy = splat(R(f.fy));
   const Whitening l = whitening(p);
