@@ -14,18 +14,18 @@ MARKERS = "osD^v<>PX*hd"
 
 
 def pareto_chart(curves: dict[str, list[tuple[int, float]]], before: tuple[int, float], title: str, path: Path):
-    """curves: points (Gaussians, dB) of each method, by rising count; before: those of the scene that was pruned."""
-    figure, axes = plt.subplots(figsize=(7.5, 5))
-    for k, (method, points) in enumerate(curves.items()):
+    """curves: points (Gaussians, dB) of each method, by rising count; before: those of the scene that was pruned. `svr` is black."""
+    figure, axes = plt.subplots(figsize=(8.5, 5))
+    for k, (method, points) in enumerate(sorted(curves.items())):
         ours = method.startswith("svr")
-        style = {"linewidth": 2 if ours else 1, "markersize": 4, "color": plt.cm.tab20(k % 20)}
+        style = {"linewidth": 2 if ours else 1, "markersize": 4, "color": "black" if method == "svr" else plt.cm.tab20(k % 20)}
         axes.plot(*zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", label=method, **style)
     axes.plot(*before, "k+", markersize=10, label="before")
     axes.set_xscale("log")
     axes.set_xlabel("Gaussians left")
     axes.set_ylabel("PSNR of the test views, dB")
     axes.set_title(title)
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
     _save(figure, path)
 
 

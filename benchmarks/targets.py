@@ -3,6 +3,8 @@
     .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr-mask,maskgs] [--shares 0.5,0.25] [--json]
     .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply --methods svr,svr-mask --drops 0.2,0.5,1 [--recovery N]
 
+Further options (--images DIR, --schedule 0.3) go to `svrgs prune` as they are.
+
 `make demo` leaves such a pair: build/demo/scene and build/demo/trained.ply. The final ranking, which meets the share exactly, is
 not part of the figure. A row of JSON or of the table for each method and share, or drop (error: in dB).
 """
@@ -23,7 +25,7 @@ COLUMNS = ("method", "asked", "target", "reached", "error", "strength", "psnr be
 
 def row(options: argparse.Namespace, method: str, flag: str, asked: float, folder: Path) -> dict:
     words = ["--iterations", options.iterations, "--recovery", options.recovery, "--out", folder / f"{method}.ply", "--quiet", "--json"]
-    command = [sys.executable, "-m", "svrgs_addon", "prune", options.scene, "--colmap", options.colmap, "--method", method, flag, asked, *words]
+    command = [sys.executable, "-m", "svrgs_addon", "prune", options.scene, "--colmap", options.colmap, "--method", method, flag, asked, *words, *options.further]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([str(word) for word in command], capture_output=True, text=True, env=environment)
     if done.returncode:
@@ -54,7 +56,7 @@ def main():
     parser.add_argument("--iterations", type=int, default=3_000)
     parser.add_argument("--recovery", type=int, help="default: 0, with --drops 5000")
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options, options.further = parser.parse_known_args()
     flag, values = ("--max-drop", options.drops) if options.drops else ("--target", options.shares)
     if options.recovery is None:
         options.recovery = 5_000 if options.drops else 0

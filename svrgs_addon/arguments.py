@@ -110,7 +110,7 @@ def _prune(commands):
     )  # fmt: skip
     _size(command, "the Gaussians").add_argument(
         "--max-drop", type=_decibels, default=0.0, metavar="DB",
-        help="as few Gaussians as lose about this much on a few training views in the end; of methods that learn masks",
+        help="as few Gaussians as lose about this much on a few training views in the end; of methods that learn what to prune",
     )  # fmt: skip
     command.add_argument("--out", type=Path, metavar="FILE|DIR", help="a file for one scene, a folder for several (default: beside each scene)")
     command.add_argument("--report", type=Path, metavar="DIR", help="write an HTML page there (one folder a scene if there are several)")

@@ -134,7 +134,7 @@ def check_request(dataset: Dataset, settings: Settings):
         raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
     ranks, asked = method_named(settings.method).ranks, settings.target or settings.share
     if settings.max_drop and not (method_named(settings.method).holds_drop and settings.prunes):
-        raise SceneError(f"method '{settings.method}' cannot take --max-drop: that needs masks, and iterations in which they are learned")
+        raise SceneError(f"method '{settings.method}' cannot take --max-drop: that needs a method that learns what to prune, and iterations in which it does")
     if ranks and not asked:
         raise SceneError(f"method '{settings.method}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
     if asked and not ranks and not settings.prunes:

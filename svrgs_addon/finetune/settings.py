@@ -108,7 +108,7 @@ class Settings:
     min_contribution: float = 0.0  # before all else, drop what never reaches this alpha T in a training view
     target: int = 0  # Gaussians to keep when the method decides; 0: whatever survives
     share: float = 0.0  # instead of a target: of the Gaussians there are once densification has ended
-    max_drop: float = 0.0  # instead of a target: dB that may be lost when the method decides, on a few training views
+    max_drop: float = 0.0  # instead of a target: dB that may be lost in the end, on a few training views
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property

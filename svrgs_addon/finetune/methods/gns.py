@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..control import fewest_within
 from ..model import Model
 from ..penalties import OpacityPressure, sigmoid
 from ..scores import top
 from ..settings import Densify, Phase, Rates
+from ..worth import worth
 from .base import Keep, Method
 
 if TYPE_CHECKING:
@@ -38,6 +40,7 @@ class GNS(Method):
 
     lambda_m: float = 2e-4  # r at first
     share: float = 0.25
+    holds_drop: bool = True  # by what is worth most; what is won back is spent afterwards (closing.py)
     goal_zero: float = GOAL_ZERO / STEPS  # share of the phase after which the opacity at the budget's rank should be 0
     least_between: int = 8  # steps from one push to the next
     factor: float = 1.0
@@ -55,6 +58,9 @@ class GNS(Method):
         return [*_pressure(iterations, 5e-6, Rates().position_last), *super().prune_phases(iterations, recovery, prune_every)]
 
     def terms(self, run: Run, phase: Phase, number: int) -> dict:
+        if not run.target:
+            value = worth(run.model, run.training_cameras, run.engine.rasterizer, run.score_options)
+            run.target = int(fewest_within(run, value, run.closing.start - run.settings.max_drop).sum())
         rates = phase.rates.at(number, run.extent)
         if self.trimmed:
             calm = number > self.trimmed + phase.steps * EASE / STEPS

@@ -35,7 +35,6 @@ class Selection(GNS):
     share: float = 0.0
     goal_zero: float = 1.0
     least_between: int = 4
-    holds_drop: bool = True
     drop_held_by: str = "svr-worth"  # a budget must be known when pressure begins
 
     def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
