@@ -13,7 +13,7 @@ from .errors import SceneError
 # Bytes, measured as the growth of the process (docs/reliability.md).
 READING = 1.3  # times a file's size: its arrays, and copies of some while they are mended
 ROW_FLOATS = 13  # of a Gaussian beside its SH coefficients: place, size, turn, opacity, mask, origin
-MOMENTS = 2  # arrays of the optimiser for each of them
+MOMENTS = 1  # arrays of the optimiser for each of them
 BORN_COPIES = 2  # of a new Gaussian's values while it joins the others
 PROJECTED = 150  # of a Gaussian on the screen
 RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 400

@@ -17,7 +17,7 @@ import numpy as np
 from .camera import Camera
 from .errors import Cancelled, NativeError
 
-INTERFACE_VERSION = 7
+INTERFACE_VERSION = 8
 LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
 MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
@@ -25,8 +25,9 @@ COUNTS = ("hits", "kept")
 LOSS_IMAGES = ("rgb", "depth", "alpha", "mask")  # those a gradient may come from
 MOMENTS = ("uu", "uv", "vv", "uuu", "uuv", "uvv", "vvv", "uuuu", "uuuv", "uuvv", "uvvv", "vvvv")
 GRADS = ("means", "log_scales", "quats", "opacity_logits", "sh", "masks", "means2d")
+MOMENT_TYPES = {np.dtype(np.float32): np.dtype(np.uint32), np.dtype(np.float64): np.dtype(np.complex128)}  # of Adam: finetune/moments.py
 SKIPS = {"exact_tiles": 1, "block_tests": 2, "opacity_bounds": 4, "termination": 8}
-STAGES = ("project", "tiles", "sort", "blend", "raster_grads", "parameter_grads", "loss")
+STAGES = ("project", "tiles", "sort", "blend", "raster_grads", "parameter_grads", "loss", "adam")
 LIBRARY_VARIABLE = "SVRGS_LIBRARY"  # environment: another build of the library, to measure it
 _LIBRARY = {"win32": "svrgs.dll", "darwin": "libsvrgs.dylib"}.get(sys.platform, "libsvrgs.so")
 _CANCELLED, _TOO_LARGE = 3, 4
@@ -47,8 +48,8 @@ _Options = _struct("_Options", sh_degree=c.c_int32, antialiased=c.c_int32, full=
 _Images = _struct("_Images", rgb=_real, depth=_real, alpha=_real, mask=_real, hits=_real, kept=_real, transmittance=_real)
 _ImageGrads = _struct("_ImageGrads", rgb=_real, depth=_real, alpha=_real, mask=_real)
 _Grads = _struct("_Grads", **{name: _real for name in GRADS})
-_Adam = _struct("_Adam", lr=c.c_void_p, **{name: c.c_double for name in ("beta1", "beta2", "eps", "bias1", "bias2")})
-_Trained = _struct("_Trained", param=_real, m=_real, v=_real, lr=c.c_void_p)
+_Adam = _struct("_Adam", lr=c.c_void_p, beta1=c.c_double, beta2=c.c_double, eps=c.c_double, step=c.c_int64)
+_Trained = _struct("_Trained", param=_real, moments=c.c_void_p, lr=c.c_void_p)
 _Update = _struct("_Update", adam=_Adam, **{name: _Trained for name in GRADS[:5]})
 _Work = _struct("_Work", **{name: c.c_int64 for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")})
 _Machine = _struct("_Machine", fma=c.c_double, read=c.c_double, update=c.c_double)
@@ -212,7 +213,7 @@ class Rasterizer:
     def backward_update(self, image_grads: dict, tensors: dict, rates: dict, *, step, betas=(0.9, 0.999), eps=1e-15, wanted=()) -> tuple[dict, int]:
         """backward() and adam() in one, bit for bit, without storing the gradients; uses the view up.
 
-        tensors: {name: (param, m, v)} for arrays of the rendered scene, param being the scene's own, sh among them; rates: {name:
+        tensors: {name: (param, moments)} for arrays of the rendered scene, param being the scene's own, sh among them; rates: {name:
         one rate, or one per column} for those; wanted: gradients to return, of anything else. Returns ({name: (V, ...)},
         rows left alone because their gradient was not finite).
         """
@@ -220,10 +221,9 @@ class Rasterizer:
             raise ValueError(f"gradients of what is updated are not kept: {', '.join(sorted(both))}")
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
         columns, update = {}, _Update(adam=_adam_settings(None, betas, eps, step))
-        for name, (param, m, v) in tensors.items():
-            shape = self._shapes[name]
-            columns[name] = _rates(rates[name], shape)
-            addresses = (_check_out(a, f"{kind} of {name}", shape, self.dtype) for kind, a in (("param", param), ("m", m), ("v", v)))
+        for name, (param, moments) in tensors.items():
+            columns[name] = _rates(rates[name], self._shapes[name])
+            addresses = self._trained(param, moments, self._shapes[name], f" of {name}")
             setattr(update, name, _Trained(*addresses, columns[name].ctypes.data))
         bad = c.c_int64()
         _call("svrgs_backward_update", self._context, c.byref(grads_in), c.byref(update), c.byref(grads_out), c.byref(bad))
@@ -265,24 +265,27 @@ class Rasterizer:
               c.c_double(ssim_weight), c.c_void_p(grad.ctypes.data if want_grad else None), values)
         return values[0], values[1], grad
 
-    def adam(self, param, m, v, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
-        """One Adam step on rows `ids` (uint32, ascending, or None: all) of param, m, v (N, ...), given grad (rows, ...).
+    def adam(self, param, moments, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
+        """One Adam step on rows `ids` (uint32, ascending, or None: all) of param and moments (N, ...), given grad (rows, ...).
 
-        lr: one rate, or one per column of a flattened row; step counts from 1 (bias correction). Returns the number of rows
-        skipped because their gradient was not finite.
+        moments: of MOMENT_TYPES, zero to begin with; finetune/moments.py reads them. lr: one rate, or one per column of a
+        flattened row; step counts from 1. Returns the number of rows skipped because their gradient was not finite.
         """
         shape = np.shape(param)
         rates = _rates(lr, shape)
         rows = len(param) if ids is None else len(ids)
         settings = _adam_settings(rates.ctypes.data, betas, eps, step)
         bad = c.c_int64()
-        addresses = [_check_out(a, name, shape, self.dtype) for name, a in (("param", param), ("m", m), ("v", v))]
+        addresses = [*self._trained(param, moments, shape)]
         addresses.append(_check(grad, "grad", (rows, *shape[1:]), self.dtype))
         addresses.append(_check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
         if ids is not None and rows and (ids[-1] >= len(param) or (ids[1:] <= ids[:-1]).any()):
             raise ValueError(f"ids must ascend, below {len(param)}")
-        _call("svrgs_adam", c.c_int32(LEVELS[self.level]), c.byref(settings), *map(c.c_void_p, addresses), c.c_int64(rows), c.c_int32(len(rates)), c.byref(bad))
+        _call("svrgs_adam", self._context, c.byref(settings), *map(c.c_void_p, addresses), c.c_int64(rows), c.c_int32(len(rates)), c.byref(bad))
         return bad.value
+
+    def _trained(self, param, moments, shape: tuple, of: str = "") -> tuple[int, int]:
+        return _check_out(param, f"param{of}", shape, self.dtype), _check_out(moments, f"moments{of}", shape, MOMENT_TYPES[self.dtype])
 
     def _gradients(self, image_grads: dict, wanted):
         """What the library reads, what it writes, and pointers to the latter."""
@@ -329,7 +332,7 @@ def _rates(lr, shape: tuple) -> np.ndarray:
 
 
 def _adam_settings(rates: int | None, betas, eps: float, step: int) -> _Adam:
-    return _Adam(rates, *betas, eps, 1 - betas[0] ** step, 1 - betas[1] ** step)
+    return _Adam(rates, *betas, eps, step)
 
 
 def _image_shape(name: str, height: int, width: int) -> tuple:

@@ -26,9 +26,8 @@ def gaussians(scales, opacity: float = 0.5, quats=None) -> Model:
     model.opacity_logits[:] = logit(opacity)
     if quats is not None:
         model.quats[:] = quats
-    for moments in (model.first, model.second):
-        for array in moments.values():
-            array[:] = 1
+    for array in model.moments.values():
+        array[:] = 1
     return model
 
 
@@ -67,8 +66,7 @@ def test_small_gaussians_are_cloned_where_they_are():
     for name, value in model.values.items():
         np.testing.assert_array_equal(value[:2], before[name])
         np.testing.assert_array_equal(value[2], before[name][0])
-        for moments in (model.first, model.second):
-            assert (moments[name][:2] == 1).all() and (moments[name][2:] == 0).all()
+        assert (model.moments[name][:2] == 1).all() and (model.moments[name][2:] == 0).all()
     assert model.origin.tolist() == [0, 1, -1]
 
 
@@ -82,7 +80,7 @@ def test_large_gaussians_are_split_in_two_and_go():
     np.testing.assert_allclose(np.exp(children["log_scales"]), np.tile([0.0125, 0.063125, 0.0125], (2, 1)), rtol=1e-5)
     for name in ("quats", "opacity_logits", "sh", MASK):
         np.testing.assert_array_equal(children[name], np.stack([parent[name]] * 2))
-    assert all((moments[name][3:] == 0).all() for moments in (model.first, model.second) for name in model.values)
+    assert all((model.moments[name][3:] == 0).all() for name in model.values)
     assert (children["means"][0] != children["means"][1]).any()
 
 
@@ -133,4 +131,4 @@ def test_opacities_are_reset_to_a_hundredth_at_most():
     for name in model.values:
         moved = name == "opacity_logits"
         assert moved or (model.values[name] == before[name]).all()
-        assert all((moments[name] == (0 if moved else 1)).all() for moments in (model.first, model.second))
+        assert (model.moments[name] == (0 if moved else 1)).all()

@@ -57,7 +57,7 @@ def hundred_steps(tiny, data) -> tuple[str, str]:
         kept[str(run.iteration)] = run.model.origin.copy()
     run.close()
     assert 5 < len(kept["100"]) < len(kept["1"]), "pruning events should have bitten"
-    state = {f"{part}.{name}": array for part in ("values", "first", "second") for name, array in getattr(run.model, part).items()}
+    state = {f"{part}.{name}": array for part in ("values", "moments") for name, array in getattr(run.model, part).items()}
     return hashed(state), hashed(kept)
 
 

@@ -14,6 +14,7 @@ from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import masks, torch_engine
 from svrgs_addon.finetune.engine import BETAS, NativeEngine, Step
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
+from svrgs_addon.finetune.moments import packed, unpacked
 from svrgs_addon.finetune.settings import Rates
 from svrgs_addon.finetune.torch_engine import TorchEngine
 from svrgs_addon.native import Rasterizer, RenderOptions
@@ -39,7 +40,7 @@ CASES = {  # spatial mask, lambda_f, lambda_m
 # Differences are relative to the largest value of each array: in float64 after STEPS independent steps, in float32 after
 # single steps from the same state.
 PARAMETER_BOUND = {F64: 1e-13, F32: 4e-6}  # worst seen 1.5e-14; 7.9e-7 over all SIMD levels
-MOMENT_BOUND = {F64: 1e-12, F32: 1e-4}  # worst seen 2.3e-13; 1.8e-5
+MOMENT_BOUND = {F64: 1e-12, F32: 2**-7}  # worst seen 2.3e-13; in 16 bits, the last of which may be rounded either way
 LOSS_BOUND = {F64: 1e-13, F32: 2e-5}  # worst seen 1.3e-14; 3.8e-6
 
 
@@ -62,7 +63,7 @@ def world(dtype: np.dtype, degree: int = 3, with_masks: bool = True, seed: int =
 
 def twin(model: Model) -> Model:
     """The same model in memory of its own."""
-    parts = ({name: array.copy() for name, array in arrays.items()} for arrays in (model.values, model.first, model.second))
+    parts = ({name: array.copy() for name, array in arrays.items()} for arrays in (model.values, model.moments))
     return Model(*parts, origin=model.origin.copy())
 
 
@@ -82,7 +83,10 @@ def difference(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def arrays(model: Model) -> dict[str, np.ndarray]:
-    parts = {"values": model.values, "first": model.first, "second": model.second}
+    """Values, first and second moments, by name."""
+    moments = {name: unpacked(array) for name, array in model.moments.items()}
+    first, second = ({name: pair[k] for name, pair in moments.items()} for k in range(2))
+    parts = {"values": model.values, "first": first, "second": second}
     return {f"{part} {name}": array for part, found in parts.items() for name, array in found.items()}
 
 
@@ -159,7 +163,7 @@ def test_each_kind_of_mask_gradient_gives_another_step():
             continue
         model, photographs = world(F64)
         TorchEngine("float64").step(model, make_step(model, photographs, 1, case))
-        ends.append(model.first[MASK].tobytes())
+        ends.append(model.moments[MASK].tobytes())
     assert len(set(ends)) == len(ends)
 
 
@@ -192,7 +196,7 @@ def test_gaussians_out_of_view_do_not_move(engine, case):
     model, photographs = world(F64)
     rng = np.random.default_rng(1)
     for name, value in model.values.items():  # moments that a dense Adam would act upon
-        model.first[name][:], model.second[name][:] = rng.normal(size=value.shape), rng.random(value.shape)
+        model.moments[name] = packed(rng.normal(size=value.shape), rng.random(value.shape), 1)
     before = twin(model)
     result = engine.step(model, make_step(model, photographs, 5, case))
     unseen = np.setdiff1d(np.arange(COUNT), result.visible)
@@ -229,11 +233,11 @@ def test_centre_gradients_are_not_told_where_nobody_asked(engine):
 @pytest.mark.parametrize("engine", engines(F32), ids=["native", "torch"])
 def test_a_step_writes_into_the_arrays_of_the_model(engine):
     model, photographs = world(F32)
-    owned = {name: id(array) for name, array in arrays(model).items()}
+    owned = [id(array) for array in (*model.values.values(), *model.moments.values())]
     photographs[1].flags.writeable = False  # as photographs are
     engine.step(model, make_step(model, photographs, 1))
-    assert {name: id(array) for name, array in arrays(model).items()} == owned
-    assert all(np.abs(moment).max() > 0 for moment in model.first.values())
+    assert [id(array) for array in (*model.values.values(), *model.moments.values())] == owned
+    assert all(moments.any() for moments in model.moments.values())
 
 
 def test_a_gradient_that_is_not_finite_stops_only_its_gaussians():
@@ -317,7 +321,7 @@ def test_the_gradient_of_a_step_is_that_of_the_reference(engine, kind):
     expected = reference_gradients(model, step)
     engine.step(model, step)
     for name in (MASK,) if kind == "self" else model.values:  # the self term is defined for masks only
-        assert difference(expected[name].numpy() * (1 - BETAS[0]), model.first[name]) < 1e-13, name
+        assert difference(expected[name].numpy() * (1 - BETAS[0]), unpacked(model.moments[name])[0]) < 1e-13, name
 
 
 def test_without_torch_the_engine_says_what_to_install(monkeypatch):

@@ -42,7 +42,7 @@ def to_the_end(run: Run) -> Run:
 
 
 def bits(model: Model) -> dict[str, bytes]:
-    parts = {"values": model.values, "first": model.first, "second": model.second, "": {"origin": model.origin}}
+    parts = {"values": model.values, "moments": model.moments, "": {"origin": model.origin}}
     return {f"{part} {name}": array.tobytes() for part, found in parts.items() for name, array in found.items()}
 
 

@@ -193,7 +193,7 @@ COARSE = Phase("train", 40, Rates(), densify.Densify(start=5, until=31, every=10
 
 
 def state(run: Run) -> dict[str, bytes]:
-    parts = {"value": run.model.values, "first": run.model.first, "second": run.model.second}
+    parts = {"value": run.model.values, "moments": run.model.moments}
     arrays = {f"{part} {name}": array for part, found in parts.items() for name, array in found.items()}
     return {name: array.tobytes() for name, array in {**arrays, "losses": run.views.losses, "left out": run.views.left_out}.items()}
 

@@ -144,7 +144,7 @@ read = memory.peak() - start
 native.Rasterizer().forward(scene, camera)
 drawn = memory.peak() - start
 trial = Trial(Case("room", scene, camera))
-for array in (*trial.model.first.values(), *trial.model.second.values()):
+for array in trial.model.moments.values():
     array += 0
 trial.step()
 tuned = memory.peak() - start

@@ -41,7 +41,7 @@ def to_the_end(run: Run) -> Run:
 
 
 def state(run: Run) -> dict:
-    parts = {"values": run.model.values, "first": run.model.first, "second": run.model.second, "": {"origin": run.model.origin}}
+    parts = {"values": run.model.values, "moments": run.model.moments, "": {"origin": run.model.origin}}
     arrays = {f"{part} {name}": array.tobytes() for part, found in parts.items() for name, array in found.items()}
     return arrays | {"method": run.method.state(), "target": run.target, "loss": run.loss}
 
@@ -187,7 +187,7 @@ def test_logits_follow_their_gaussians(method):
     rng = np.random.default_rng(0)
     run.model.values[MASK][:] = marks = rng.uniform(3, 4, run.model.count).astype(np.float32)
     run.model.sh[:, 0, 0] = marks  # a second copy, in an array that clones and splits leave alone
-    run.model.first[MASK][:] = run.model.second[MASK][:] = 0
+    run.model.moments[MASK][:] = 0
     before = run.model.count
     run.statistics.total[:], run.statistics.views[:] = 1.0, 1  # everything grows
     run._densify(run.settings.phases[0], 10, run.settings.phases[0].densify)

@@ -18,7 +18,7 @@ def numbered(n: int, with_masks: bool = True) -> Model:
     model = Model.of(scenes.random_scene(n, sh_degree=1))
     if with_masks:
         model.add_masks(0.0)
-    for scale, arrays in ((1, model.values), (100, model.first), (10_000, model.second)):
+    for scale, arrays in ((1, model.values), (100, model.moments)):
         for array in arrays.values():
             array[:] = (scale * np.arange(1, n + 1)).reshape(-1, *[1] * (array.ndim - 1))
     return model
@@ -34,11 +34,11 @@ def test_rows_move_together(kept, block, monkeypatch):
     model.append({name: value[1:3] * 0 - 7 for name, value in model.values.items()})
     rows = np.arange(12)[index]
     assert model.count == len(rows) + 2 and model.origin.tolist() == [*rows, -1, -1]
-    for scale, arrays, new in ((1, model.values, -7), (100, model.first, 0), (10_000, model.second, 0)):
+    for scale, arrays, new in ((1, model.values, -7), (100, model.moments, 0)):
         for name, array in arrays.items():
             flat = array.reshape(len(array), -1)
             expected = np.concatenate([scale * (rows + 1.0), [new, new]])
-            assert array.dtype == np.float32 and array.flags.c_contiguous, name
+            assert array.dtype == (np.float32 if scale == 1 else np.uint32) and array.flags.c_contiguous, name
             assert (flat == expected[:, None]).all(), name
 
 
@@ -46,10 +46,10 @@ def test_rows_change_places_together():
     model, order = numbered(12), np.random.default_rng(0).permutation(12)
     model.reorder(order)
     assert model.origin.tolist() == order.tolist()
-    for scale, arrays in ((1, model.values), (100, model.first), (10_000, model.second)):
+    for scale, arrays in ((1, model.values), (100, model.moments)):
         assert arrays.keys() == {*PARAMETERS, MASK}
         for name, array in arrays.items():
-            assert array.dtype == np.float32 and array.flags.c_contiguous, name
+            assert array.dtype == (np.float32 if scale == 1 else np.uint32) and array.flags.c_contiguous, name
             assert (array.reshape(12, -1) == scale * (order[:, None] + 1.0)).all(), name
 
 
@@ -90,7 +90,7 @@ def test_masks_come_and_go_without_touching_the_rest():
     model = numbered(4, with_masks=False)
     before = bits(model)
     model.add_masks(9.0)
-    assert (model.mask_logits == 9).all() and not model.first[MASK].any() and not model.second[MASK].any()
+    assert (model.mask_logits == 9).all() and not model.moments[MASK].any()
     model.forget_extras()
     assert bits(model) == before and not model.learns_masks
     with pytest.raises(AttributeError):

@@ -69,7 +69,7 @@ def test_stages_take_time(scene):
     backward("scalar", image_weights(CAMERA), scene.count)
     seconds = rasterizer("scalar").stage_seconds()
     assert tuple(seconds) == native.STAGES
-    assert all(0 < seconds[name] < 10 for name in native.STAGES if name != "loss")
+    assert all(0 < seconds[name] < 10 for name in native.STAGES if name not in ("loss", "adam"))
 
 
 def test_peaks_are_those_of_a_computer():

@@ -535,8 +535,8 @@ def call_backward(r, **weights):
     return r.backward(weights)
 
 
-def call_adam(r, param, m, v, grad, ids):
-    return r.adam(param, m, v, grad, ids, lr=0.1, step=1)
+def call_adam(r, param, moments, grad, ids):
+    return r.adam(param, moments, grad, ids, lr=0.1, step=1)
 
 
 CALLS = {  # call: {argument: (a right value, written to, may be None)}
@@ -563,8 +563,7 @@ CALLS = {  # call: {argument: (a right value, written to, may be None)}
     Rasterizer.loss: {"image": (real(5, 6, 3), False, False), "target": (real(5, 6, 3), False, False)},
     call_adam: {
         "param": (real(7, 3), True, False),
-        "m": (real(7, 3), True, False),
-        "v": (real(7, 3), True, False),
+        "moments": (np.zeros((7, 3), np.uint32), True, False),
         "grad": (real(4, 3), False, False),
         "ids": (np.arange(4, dtype=np.uint32), False, True),
     },

@@ -11,6 +11,7 @@ import scenes
 from native_helpers import ARRAYS, LEVELS, image_weights, rasterizer, typed
 from svrgs_addon import native
 from svrgs_addon.errors import NativeError
+from svrgs_addon.finetune.moments import packed
 from svrgs_addon.native import RenderOptions
 
 CAMERA = scenes.camera(41, 29)
@@ -18,13 +19,13 @@ COUNT = 70
 RATES = {"means": 1e-3, "log_scales": 5e-3, "quats": 1e-3, "opacity_logits": 0.05, "sh": 2e-3}
 
 
-def world(level: str, sh_degree: int):
+def world(level: str, sh_degree: int, count: int = COUNT):
     """A scene with moments of an earlier step, masks, and image gradients, in the level's type."""
     dtype, rng = rasterizer(level).dtype, np.random.default_rng(3)
-    scene = typed(scenes.random_scene(COUNT, 5, sh_degree, scale=0.3), dtype)
+    scene = typed(scenes.random_scene(count, 5, sh_degree, scale=0.3), dtype)
     moments = {name: [rng.normal(0, 1e-3, getattr(scene, name).shape).astype(dtype) for _ in range(2)] for name in ARRAYS}
-    moments = {name: (m, np.abs(v)) for name, (m, v) in moments.items()}
-    masks = scenes.random_masks(COUNT, 5).astype(np.uint8)
+    moments = {name: packed(m, np.abs(v), 6) for name, (m, v) in moments.items()}
+    masks = scenes.random_masks(count, 5).astype(np.uint8)
     weights = {name: np.ascontiguousarray(image_weights(CAMERA)[name], dtype) for name in ("rgb", "mask")}
     return SimpleNamespace(**vars(scene), moments=moments, masks=masks, weights=weights)
 
@@ -43,19 +44,19 @@ def in_two_calls(r, scene):
     render(r, scene)
     grads = r.backward(scene.weights, (*ARRAYS, "masks", "means2d"))
     rates, ids = rates_of(scene), r.visible()
-    bad = sum(r.adam(getattr(scene, name), *scene.moments[name], grads[name], ids, lr=rates[name], step=7) for name in ARRAYS)
+    bad = sum(r.adam(getattr(scene, name), scene.moments[name], grads[name], ids, lr=rates[name], step=7) for name in ARRAYS)
     return {name: grads[name].copy() for name in ("masks", "means2d")}, bad
 
 
 def in_one_call(r, scene):
     render(r, scene)
-    tensors = {name: (getattr(scene, name), *scene.moments[name]) for name in ARRAYS}
+    tensors = {name: (getattr(scene, name), scene.moments[name]) for name in ARRAYS}
     return r.backward_update(scene.weights, tensors, rates_of(scene), step=7, wanted=("masks", "means2d"))
 
 
 def assert_same(a, b):
     for name in ARRAYS:
-        for left, right in zip((getattr(a, name), *a.moments[name]), (getattr(b, name), *b.moments[name]), strict=True):
+        for left, right in zip((getattr(a, name), a.moments[name]), (getattr(b, name), b.moments[name]), strict=True):
             assert left.tobytes() == right.tobytes(), name
 
 
@@ -71,16 +72,29 @@ def test_one_call_does_what_two_do(level, sh_degree):
     assert all((getattr(one, name) != getattr(before, name)).any() for name in ARRAYS)
 
 
+@pytest.mark.parametrize("count", [16, 262, 264, 520])
+def test_parameters_may_end_anywhere(count):
+    """Within the whole vectors that narrow rows are updated in, and these across the blocks gradients are made in."""
+    level = native.best_level()
+    r, two, one = rasterizer(level), world(level, 1, count), world(level, 1, count)
+    for scene in (two, one):
+        scene.opacity_logits[:] = 3
+        scene.opacity_logits[:5] = -20
+    in_two_calls(r, two), in_one_call(r, one)
+    assert r.visible()[-1] == count - 1
+    assert_same(one, two)
+
+
 @pytest.mark.parametrize("apart", [("opacity_logits",), ("log_scales",), ("means", "quats")])
 def test_what_is_not_updated_has_its_gradients_instead(apart):
     r, two, one, before = (make(native.best_level()) for make in (rasterizer, *[lambda level: world(level, 3)] * 3))
     render(r, one)
-    tensors = {name: (getattr(one, name), *one.moments[name]) for name in ARRAYS if name not in apart}
+    tensors = {name: (getattr(one, name), one.moments[name]) for name in ARRAYS if name not in apart}
     grads, bad = r.backward_update(one.weights, tensors, rates_of(one), step=7, wanted=("masks", *apart))
     assert bad == 0 and all((getattr(one, name) == getattr(before, name)).all() for name in apart)
     grads, ids = {name: rows.copy() for name, rows in grads.items()}, r.visible()
     for name in apart:
-        r.adam(getattr(one, name), *one.moments[name], grads[name], ids, lr=rates_of(one)[name], step=7)
+        r.adam(getattr(one, name), one.moments[name], grads[name], ids, lr=rates_of(one)[name], step=7)
     expected, _ = in_two_calls(r, two)
     assert grads["masks"].tobytes() == expected["masks"].tobytes()
     assert_same(one, two)
@@ -89,7 +103,7 @@ def test_what_is_not_updated_has_its_gradients_instead(apart):
 def test_sh_is_updated_always():
     r, scene = rasterizer("scalar"), world("scalar", 1)
     render(r, scene)
-    tensors = {"means": (scene.means, *scene.moments["means"])}
+    tensors = {"means": (scene.means, scene.moments["means"])}
     with pytest.raises(NativeError, match="missing"):
         r.backward_update(scene.weights, tensors, rates_of(scene), step=1, wanted=("sh",))
 
@@ -129,8 +143,8 @@ def test_a_view_is_used_up():
 def test_what_is_updated_must_be_the_rendered_scene_in_shape():
     r, scene = rasterizer("scalar"), world("scalar", 1)
     render(r, scene)
-    tensors = {name: (getattr(scene, name), *scene.moments[name]) for name in ARRAYS}
-    with pytest.raises(TypeError, match="m of quats"):
-        r.backward_update(scene.weights, tensors | {"quats": (scene.quats, scene.quats[:3], scene.quats)}, rates_of(scene), step=1)
+    tensors = {name: (getattr(scene, name), scene.moments[name]) for name in ARRAYS}
+    with pytest.raises(TypeError, match="moments of quats"):
+        r.backward_update(scene.weights, tensors | {"quats": (scene.quats, scene.moments["quats"][:3])}, rates_of(scene), step=1)
     with pytest.raises(ValueError, match="not kept: means"):
         r.backward_update(scene.weights, tensors, rates_of(scene), step=1, wanted=("means",))

@@ -117,7 +117,7 @@ def advance(run: Run, until: int) -> Run:
 
 
 def state(run: Run) -> dict[str, bytes]:
-    parts = {"value": run.model.values, "first": run.model.first, "second": run.model.second, "": {"origin": run.model.origin}}
+    parts = {"value": run.model.values, "moments": run.model.moments, "": {"origin": run.model.origin}}
     return {f"{part} {name}": array.tobytes() for part, found in parts.items() for name, array in found.items()}
 
 
@@ -159,6 +159,6 @@ def test_the_order_changes_nothing_but_the_speed():
 def test_every_array_of_a_run_is_ordered_alike():
     """Row by row, one array says of each Gaussian what the others do: those of a run without an order, found again by origin."""
     plain, ordered = (advance(run_of(recovery_phase(12), spatial_order=on), 12).model for on in (False, True))
-    for part in ("values", "first", "second"):
+    for part in ("values", "moments"):
         for name, array in getattr(ordered, part).items():
             np.testing.assert_array_equal(array, getattr(plain, part)[name][ordered.origin], err_msg=f"{part} {name}")

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 7
+#define SVRGS_INTERFACE_VERSION 8
 
 typedef void real; /* float or double, by the context's level */
 
@@ -51,9 +51,9 @@ enum svrgs_skip {
   SVRGS_TERMINATION = 8     /* a tile ends where all its pixels have stopped */
 };
 
-/* Parts of svrgs_forward (the first four), svrgs_backward (two) and svrgs_loss. */
+/* Parts of svrgs_forward (the first four), svrgs_backward (two), svrgs_loss and svrgs_adam. */
 enum svrgs_stage {
-  SVRGS_PROJECT, SVRGS_TILES, SVRGS_SORT, SVRGS_BLEND, SVRGS_RASTER_GRADS, SVRGS_PARAMETER_GRADS, SVRGS_LOSS, SVRGS_STAGES
+  SVRGS_PROJECT, SVRGS_TILES, SVRGS_SORT, SVRGS_BLEND, SVRGS_RASTER_GRADS, SVRGS_PARAMETER_GRADS, SVRGS_LOSS, SVRGS_ADAM, SVRGS_STAGES
 };
 
 typedef struct svrgs_context svrgs_context; /* buffers of one renderer; use from one thread at a time */
@@ -149,7 +149,7 @@ SVRGS_API int32_t svrgs_count_work(svrgs_context *, int32_t count_pixels, svrgs_
 SVRGS_API int32_t svrgs_stage_seconds(svrgs_context *, double seconds[SVRGS_STAGES]);
 
 /* What all threads of the pool reach together: fused multiply-adds at this level (2 operations a lane), reading memory, and
-   reading four streams while writing three of them, as Adam does; operations and bytes per second. */
+   reading three streams while writing two of them, as Adam does; operations and bytes per second. */
 typedef struct {
   double fma, read, update;
 } svrgs_machine;
@@ -181,23 +181,30 @@ SVRGS_API int32_t svrgs_removal(svrgs_context *, const real *residuals, double *
 SVRGS_API int32_t svrgs_loss(svrgs_context *, const real *image, const real *target, int32_t height, int32_t width,
                              double l1_weight, double ssim_weight, real *grad, double values[2]);
 
-/* One Adam step (Kingma and Ba) of `rows` rows of `width` values; grad is (rows, width). Row r updates row ids[r] of
-   param, m, v (ids ascending; NULL: row r). lr: one rate per column, (width,). bias1 = 1 - beta1^t, bias2 = 1 - beta2^t. Rows whose gradient is not finite are
-   left alone and counted in *nonfinite. */
+/* One Adam step (Kingma and Ba), the `step`th (from 1), of `rows` rows of `width` values; grad is (rows, width). Row r updates row
+   ids[r] of param and moments (ids ascending; NULL: row r). lr: one rate per column, (width,). Rows whose gradient is not
+   finite are left alone and counted in *nonfinite.
+
+   moments: both of a value side by side, 0 to begin with. double: m, v. float: a word of 32 bits, m in the upper half, rounded
+   to the nearest of bfloat16, and v in the lower, without its sign (it has none) and the last 15 bits of its mantissa. A step
+   may add 0.1 % to v, less than half of what its last bit counts for, so it is rounded up as often as it is near to that: bits(v) + n,
+   then cut, n = (x ^ x >> 15) * 0x85ebca6b >> 17, x = bits(m), as they are stored, ^ step * 0x9e3779b1. */
 typedef struct {
   const double *lr;
-  double beta1, beta2, eps, bias1, bias2;
+  double beta1, beta2, eps;
+  int64_t step;
 } svrgs_adam_settings;
-SVRGS_API int32_t svrgs_adam(int32_t level, const svrgs_adam_settings *, real *param, real *m, real *v,
-                             const real *grad, const uint32_t *ids, int64_t rows, int32_t width, int64_t *nonfinite);
+SVRGS_API int32_t svrgs_adam(svrgs_context *, const svrgs_adam_settings *, real *param, void *moments, const real *grad,
+                             const uint32_t *ids, int64_t rows, int32_t width, int64_t *nonfinite);
 
 /* svrgs_backward and svrgs_adam in one, bit for bit: the gradients of the last view go straight into an Adam step on the rows
    of the visible Gaussians (of the scene's own arrays, which this call may write) and are not stored. What has no param, sh apart, is
    not updated. `others` may ask for the gradients of such, for masks and for means2d. The view is used up: what it was made from has
    changed. */
 typedef struct {
-  real *param, *m, *v; /* (N, columns) */
-  const double *lr;    /* (columns,) */
+  real *param;      /* (N, columns) */
+  void *moments;    /* (N, columns), as in svrgs_adam */
+  const double *lr; /* (columns,) */
 } svrgs_trained;
 typedef struct {
   svrgs_adam_settings adam; /* its lr is not read */

@@ -2,17 +2,25 @@
 
 constexpr int kAdamWidth = 64;  // widest row, values
 
+struct Pair {
+  R m, v;
+};
+using Packed = std::conditional_t<sizeof(R) == 4, uint32_t, Pair>;  // both moments of a value: svrgs.h
+
 struct AdamRates {  // constants of a step, in the level's type
   R rate[W * kAdamWidth];  // lr / bias1 by column, repeated
   V beta1, beta2, rest1, rest2, root_bias2, eps;
+  uint32_t salt;  // of the step's roundings
 };
 
 inline AdamRates adam_rates(const svrgs_adam_settings& a, const double* lr, int width) {
   AdamRates s;
-  for (int k = 0; k < width; ++k) s.rate[k] = static_cast<R>(lr[k] / a.bias1);
+  const double steps = static_cast<double>(a.step), bias1 = 1 - std::pow(a.beta1, steps), bias2 = 1 - std::pow(a.beta2, steps);
+  for (int k = 0; k < width; ++k) s.rate[k] = static_cast<R>(lr[k] / bias1);
   for (int i = 1; i < W; ++i) std::copy_n(s.rate, width, s.rate + i * width);
   s.beta1 = splat(R(a.beta1)), s.rest1 = splat(R(1 - a.beta1)), s.beta2 = splat(R(a.beta2)), s.rest2 = splat(R(1 - a.beta2));
-  s.root_bias2 = splat(R(1 / std::sqrt(a.bias2))), s.eps = splat(R(a.eps));
+  s.root_bias2 = splat(R(1 / std::sqrt(bias2))), s.eps = splat(R(a.eps));
+  s.salt = static_cast<uint32_t>(a.step) * 0x9e3779b1u;
   return s;
 }
 
@@ -20,15 +28,42 @@ struct Moments {
   V m, v;
 };
 
-inline Moments next_moments(const AdamRates& a, V m, V v, V g) { return {fma(a.beta1, m, a.rest1 * g), fma(a.beta2, v, a.rest2 * g * g)}; }
+inline Moments load_moments(const Pair* p) {
+  Moments n;
+  for (int i = 0; i < W; ++i) n.m[i] = p[i].m, n.v[i] = p[i].v;
+  return n;
+}
+inline void store_moments(const AdamRates&, Pair* p, const Moments& n, M set) {
+  for (int i = 0; i < W; ++i)
+    if (bits(set) >> i & 1) p[i] = {n.m[i], n.v[i]};
+}
+
+inline U load_words(const uint32_t* p) {
+  U word;
+  __builtin_memcpy(&word, p, sizeof word);
+  return word;
+}
+inline Moments load_moments(const uint32_t* p) {
+  const U word = load_words(p);
+  return {(V)(word & 0xffff0000u), (V)(word << 16 >> 1)};
+}
+inline U packed(const AdamRates& a, const Moments& n) {
+  const U m = ((U)n.m + 0x8000u) & 0xffff0000u, x = m ^ a.salt, noise = (x ^ x >> 15) * 0x85ebca6bu >> 17;
+  return m | ((U)n.v + noise) >> 15;
+}
+inline void store_moments(const AdamRates& a, uint32_t* p, const Moments& n, M set) {
+  const V word = select(set, (V)packed(a, n), (V)load_words(p));
+  __builtin_memcpy(p, &word, sizeof word);
+}
+
+inline Moments next_moments(const AdamRates& a, const Moments& n, V g) { return {fma(a.beta1, n.m, a.rest1 * g), fma(a.beta2, n.v, a.rest2 * g * g)}; }
 inline V moved(const AdamRates& a, const R* rate, const Moments& n, V param) {
   return fnma(load(rate) * n.m, reciprocal(fma(sqrt(n.v), a.root_bias2, a.eps)), param);
 }
 
-inline void adam_lanes(const AdamRates& a, const R* rate, R* param, R* m, R* v, V g) {
-  const Moments n = next_moments(a, load(m), load(v), g);
-  store(m, n.m);
-  store(v, n.v);
+inline void adam_lanes(const AdamRates& a, const R* rate, R* param, Packed* moments, V g) {
+  const Moments n = next_moments(a, load_moments(moments), g);
+  store_moments(a, moments, n, lanes_of((1u << W) - 1));
   store(param, moved(a, rate, n, load(param)));
 }
 
@@ -39,7 +74,8 @@ inline bool row_finite(const R* row, int width) {
 }
 
 struct AdamTensors {
-  R *param, *m, *v;
+  R* param;
+  Packed* moments;
 };
 
 // Rows of whole vectors, in place. Returns 1 if the gradient is not finite, and the row left alone.
@@ -47,7 +83,7 @@ inline int adam_wide(const AdamRates& a, const AdamTensors& t, int64_t at, const
   V zero = splat(0);
   for (int k = 0; k < width; k += W) zero += load(grad + k) * R(0);
   if (!(sum(zero) == 0)) return 1;
-  for (int k = 0; k < width; k += W) adam_lanes(a, a.rate + k, t.param + at + k, t.m + at + k, t.v + at + k, load(grad + k));
+  for (int k = 0; k < width; k += W) adam_lanes(a, a.rate + k, t.param + at + k, t.moments + at + k, load(grad + k));
   return 0;
 }
 
@@ -57,17 +93,17 @@ inline int adam_narrow(const AdamRates& a, const AdamTensors& t, const uint32_t*
   const int width = fixed ? fixed : any_width;
   if (n < 1 || n > W || width < 1 || width > kAdamWidth) __builtin_unreachable();
   constexpr int kRoom = W * (fixed ? fixed : kAdamWidth);
-  alignas(64) R p[kRoom], m[kRoom], v[kRoom], g[kRoom];
+  alignas(64) R p[kRoom], g[kRoom];
+  alignas(64) Packed moments[kRoom];
   for (int i = 0; i < n; ++i) {
     const int64_t at = static_cast<int64_t>(ids[i]) * width;
     __builtin_memcpy(p + i * width, t.param + at, sizeof(R) * width);
-    __builtin_memcpy(m + i * width, t.m + at, sizeof(R) * width);
-    __builtin_memcpy(v + i * width, t.v + at, sizeof(R) * width);
+    __builtin_memcpy(moments + i * width, t.moments + at, sizeof(Packed) * width);
   }
   __builtin_memcpy(g, grad, sizeof(R) * n * width);
   const int values = n * width;
-  for (int i = values; i < (values + W - 1) / W * W; ++i) p[i] = m[i] = v[i] = g[i] = 0;
-  for (int i = 0; i < values; i += W) adam_lanes(a, a.rate + i, p + i, m + i, v + i, load(g + i));
+  for (int i = values; i < (values + W - 1) / W * W; ++i) p[i] = g[i] = 0, moments[i] = {};
+  for (int i = 0; i < values; i += W) adam_lanes(a, a.rate + i, p + i, moments + i, load(g + i));
   int bad = 0;
   for (int i = 0; i < n; ++i) {
     if (!row_finite(grad + i * width, width)) {
@@ -76,8 +112,7 @@ inline int adam_narrow(const AdamRates& a, const AdamTensors& t, const uint32_t*
     }
     const int64_t at = static_cast<int64_t>(ids[i]) * width;
     __builtin_memcpy(t.param + at, p + i * width, sizeof(R) * width);
-    __builtin_memcpy(t.m + at, m + i * width, sizeof(R) * width);
-    __builtin_memcpy(t.v + at, v + i * width, sizeof(R) * width);
+    __builtin_memcpy(t.moments + at, moments + i * width, sizeof(Packed) * width);
   }
   return bad;
 }
@@ -85,10 +120,10 @@ inline int adam_narrow(const AdamRates& a, const AdamTensors& t, const uint32_t*
 inline void prefetch_row(const AdamTensors& t, int64_t at, int width) {
   constexpr int kLine = 64 / sizeof(R);
   for (int k = 0; k < width; k += kLine)
-    for (const R* array : {t.param, t.m, t.v}) __builtin_prefetch(array + at + k, 1);
+    __builtin_prefetch(t.param + at + k, 1), __builtin_prefetch(t.moments + at + k, 1);
 }
 
-constexpr int kRowsAhead = 8;
+constexpr int kRowsAhead = 8, kNarrowAhead = 256;
 
 // n <= W rows; ids names them in the tensors, and `known` >= n of those to come; grad holds theirs one after the other.
 // Returns how many were left alone.
@@ -105,50 +140,54 @@ inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* 
   return bad;
 }
 
-// Narrow rows ids[begin, end), W rows of the tensor at a time where they lie: those that are not named keep their values. Another
-// thread may be at the first and the last of these, or the tensor may end within it: there rows are taken one by one.
+// The first and the last of the rows that a thread has to itself.
+struct Own {
+  uint32_t first, last;
+};
+
+// Narrow rows ids[begin, end), W rows of the tensor at a time where they lie: those that are not named keep their values. Where
+// `own` begins and ends another thread may be at the same W, or the tensor may end within them: there rows are taken one by one.
 template <int width>
-inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int64_t begin, int64_t end) {
+inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int64_t begin, int64_t end, Own own) {
   int64_t bad = 0;
-  for (int64_t r = begin; r < end;) {
-    const int64_t from = r, base = ids[r] / W * W;
-    uint64_t named = 0;  // a bit for each value of the W rows
-    for (; r < end && ids[r] < base + W; ++r) named |= ((1ull << width) - 1) << width * (ids[r] - base);
+  for (int64_t r = begin, next; r < end; r = next) {
+    const uint32_t base = ids[r] / W * W, rows = rows_from(base, ids + r, end - r);
+    next = r + __builtin_popcount(rows);
     V g[width], zero = splat(0);
-    const R* packed = grad + from * width;
+    const R* packed = grad + r * width;  // the named rows' gradients
+    if (base + kNarrowAhead <= ids[end - 1]) prefetch_row(t, (base + int64_t{kNarrowAhead}) * width, W * width);
     for (int k = 0; k < width; ++k) {
-      const uint32_t set = named >> W * k & ((1u << W) - 1);
+      const uint32_t set = bits(lanes_of_rows<width>(rows, k));
       g[k] = spread(set, packed), zero += g[k] * R(0);
       packed += __builtin_popcount(set);
     }
-    if (from == begin || r == end || !(sum(zero) == 0)) {
-      bad += adam_narrow<width>(a, t, ids + from, grad + from * width, static_cast<int>(r - from), width);
+    if (base == own.first / W * W || base == own.last / W * W || !(sum(zero) == 0)) {
+      bad += adam_narrow<width>(a, t, ids + r, grad + r * width, static_cast<int>(next - r), width);
       continue;
     }
     for (int k = 0; k < width; ++k) {
-      const int64_t at = base * width + W * k;
-      const M set = lanes_of(named >> W * k & ((1u << W) - 1));
-      const V m = load(t.m + at), v = load(t.v + at), param = load(t.param + at);
-      const Moments n = next_moments(a, m, v, g[k]);
-      store(t.m + at, select(set, n.m, m));
-      store(t.v + at, select(set, n.v, v));
+      const int64_t at = static_cast<int64_t>(base) * width + W * k;
+      const M set = lanes_of_rows<width>(rows, k);
+      const V param = load(t.param + at);
+      const Moments n = next_moments(a, load_moments(t.moments + at), g[k]);
+      store_moments(a, t.moments + at, n, set);
       store(t.param + at, select(set, moved(a, a.rate + W * k, n, param), param));
     }
   }
   return bad;
 }
 
-// Rows [begin, end) of one tensor; ids null: row r is r.
-int64_t adam_rows(const AdamRates& a, const AdamTensors& t, const R* grad, const uint32_t* ids, int64_t begin, int64_t end, int width) {
-  if (W >= 8 && ids && width == 1) return adam_in_place<1>(a, t, ids, grad, begin, end);
-  if (W >= 8 && ids && width == 3) return adam_in_place<3>(a, t, ids, grad, begin, end);
-  if (W >= 8 && ids && width == 4) return adam_in_place<4>(a, t, ids, grad, begin, end);
+// Rows [begin, end) of one tensor; ids null: row r is r, and `own` is not read.
+int64_t adam_rows(const AdamRates& a, const AdamTensors& t, const R* grad, const uint32_t* ids, int64_t begin, int64_t end, int width, Own own) {
+  if (W >= 8 && ids && width == 1) return adam_in_place<1>(a, t, ids, grad, begin, end, own);
+  if (W >= 8 && ids && width == 3) return adam_in_place<3>(a, t, ids, grad, begin, end, own);
+  if (W >= 8 && ids && width == 4) return adam_in_place<4>(a, t, ids, grad, begin, end, own);
   int64_t bad = 0;
   for (int64_t r = begin; r < end; r += W) {
     const int n = static_cast<int>(std::min<int64_t>(W, end - r));
-    uint32_t own[W];
-    for (int i = 0; i < n && !ids; ++i) own[i] = static_cast<uint32_t>(r + i);
-    bad += adam_group(a, t, ids ? ids + r : own, ids ? end - r : n, grad + r * width, n, width);
+    uint32_t all[W];
+    for (int i = 0; i < n && !ids; ++i) all[i] = static_cast<uint32_t>(r + i);
+    bad += adam_group(a, t, ids ? ids + r : all, ids ? end - r : n, grad + r * width, n, width);
   }
   return bad;
 }

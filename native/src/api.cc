@@ -198,7 +198,7 @@ int32_t svrgs_backward_update(svrgs_context* c, const svrgs_image_grads* in, con
   return guarded([&] {
     require(c && in && update && others && nonfinite, "an argument is missing");
     const auto check_trained = [](const svrgs_trained& t, const real* gradient) {
-      require(!t.param || (t.m && t.v && t.lr), "an array to update is missing");
+      require(!t.param || (t.moments && t.lr), "an array to update is missing");
       require(!t.param || !gradient, "gradients of what is updated are not kept");
     };
     require(update->sh.param, "an array to update is missing");
@@ -247,16 +247,11 @@ int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int3
   });
 }
 
-int32_t svrgs_adam(int32_t level, const svrgs_adam_settings* settings, real* param, real* m, real* v, const real* grad, const uint32_t* ids, int64_t rows, int32_t width, int64_t* nonfinite) {
+int32_t svrgs_adam(svrgs_context* c, const svrgs_adam_settings* settings, real* param, void* moments, const real* grad, const uint32_t* ids, int64_t rows, int32_t width, int64_t* nonfinite) {
   return guarded([&] {
-    require(settings && settings->lr && nonfinite && (rows == 0 || (param && m && v && grad)), "an argument is missing");
+    require(c && settings && settings->lr && nonfinite && (rows == 0 || (param && moments && grad)), "an argument is missing");
     require(rows >= 0 && width > 0 && width <= 64, "rows must not be negative, width must be 1 to 64");
-    const svrgs::Kernels& k = kernels(level);
-    std::atomic<int64_t> bad{0};
-    svrgs::parallel_blocks(rows, 2048, [&](int64_t begin, int64_t end) {
-      bad += k.adam_rows(*settings, param, m, v, grad, ids, begin, end, width);
-    });
-    *nonfinite = bad;
+    *nonfinite = c->context.adam(*settings, param, moments, grad, ids, rows, width);
   });
 }
 

@@ -207,6 +207,17 @@ svrgs_work Context::work(bool count_pixels) const {
   return work;
 }
 
+// Returns the rows left alone.
+int64_t Context::adam(const svrgs_adam_settings& settings, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t rows, int width) {
+  std::atomic<int64_t> nonfinite{0};
+  timed(SVRGS_ADAM, [&] {
+    parallel_blocks(rows, kVisibleGrain, [&](int64_t begin, int64_t end) {
+      nonfinite += kernels_.adam_rows(settings, param, moments, grad, ids, begin, end, width);
+    });
+  });
+  return nonfinite;
+}
+
 void Context::loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]) {
   timed(SVRGS_LOSS, [&] { loss_tiles(image, target, height, width, l1_weight, ssim_weight, grad, values); });
 }

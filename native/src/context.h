@@ -49,6 +49,7 @@ class Context {
   void scores(const Scores&);
   void moments(double* rows);
   void removal(const void* residuals, double* cost);
+  int64_t adam(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t rows, int width);
   void loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
 
   const uint32_t* visible() const { return frame_.visible; }

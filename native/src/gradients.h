@@ -58,7 +58,7 @@ inline void scatter(void* rows, int64_t first, int n, int width, const V* values
   if (rows) rows_of(values, n, width, static_cast<R*>(rows) + first * width);
 }
 
-inline AdamTensors tensors(const svrgs_trained& t) { return {static_cast<R*>(t.param), static_cast<R*>(t.m), static_cast<R*>(t.v)}; }
+inline AdamTensors tensors(const svrgs_trained& t) { return {static_cast<R*>(t.param), static_cast<Packed*>(t.moments)}; }
 
 // The rates of all tensors of an update, as far as it has them.
 struct Update {
@@ -88,9 +88,9 @@ struct Staged {
   }
 };
 
-inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t first, int64_t n) {
+inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t first, int64_t n, Own own) {
   const auto step = [&](const AdamRates& rates, const svrgs_trained& t, const R* rows, int width) {
-    return t.param ? adam_rows(rates, tensors(t), rows, f.visible + first, 0, n, width) : 0;
+    return t.param ? adam_rows(rates, tensors(t), rows, f.visible + first, 0, n, width, own) : 0;
   };
   return step(u.means, u.settings->means, g.means, 3) + step(u.log_scales, u.settings->log_scales, g.log_scales, 3) +
          step(u.quats, u.settings->quats, g.quats, 4) + step(u.opacity_logits, u.settings->opacity_logits, g.opacity_logits, 1);
@@ -151,7 +151,8 @@ int64_t gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs
   int64_t bad = 0;
   for (int64_t from = begin; from < end; from += kStaged) {
     const int64_t until = std::min(from + kStaged, end);
-    bad += gradient_batches<true>(f, want, staged.in_place_of(out, *update, from), &u, sums, from, until) + apply(f, u, staged, from, until - from);
+    bad += gradient_batches<true>(f, want, staged.in_place_of(out, *update, from), &u, sums, from, until);
+    bad += apply(f, u, staged, from, until - from, {f.visible[begin], f.visible[end - 1]});
   }
   return bad;
 }

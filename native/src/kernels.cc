@@ -35,10 +35,11 @@ void loss_pass(const LossArguments& a, int64_t tile, void* scratch) {
   a.tile_l1[tile] = t.l1, a.tile_ssim[tile] = t.ssim;
 }
 
-int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* m, void* v, const void* grad, const uint32_t* ids,
+int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* moments, const void* grad, const uint32_t* ids,
                   int64_t begin, int64_t end, int width) {
-  const AdamTensors t = {static_cast<R*>(param), static_cast<R*>(m), static_cast<R*>(v)};
-  return adam_rows(adam_rates(a, a.lr, width), t, static_cast<const R*>(grad), ids, begin, end, width);
+  const AdamTensors t = {static_cast<R*>(param), static_cast<Packed*>(moments)};
+  const Own own = ids ? Own{ids[begin], ids[end - 1]} : Own{};
+  return adam_rows(adam_rates(a, a.lr, width), t, static_cast<const R*>(grad), ids, begin, end, width, own);
 }
 }  // namespace svrgs::SVRGS_LEVEL
 

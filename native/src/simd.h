@@ -114,6 +114,47 @@ inline M lanes_of(uint32_t set) {
 #endif
 }
 
+// Which of the W rows from `base` on ascending `ids` name, a bit each; ids[0] is one of them, and `known` are there.
+inline uint32_t rows_from(uint32_t base, const uint32_t* ids, int64_t known) {
+  [[maybe_unused]] constexpr uint32_t all = (1ull << W) - 1;
+#if SVRGS_LANES == 16
+  if (known >= W) return all & static_cast<uint32_t>(_mm512_reduce_or_epi32(_mm512_sllv_epi32(_mm512_set1_epi32(1), _mm512_sub_epi32(_mm512_loadu_si512(ids), _mm512_set1_epi32(static_cast<int>(base))))));
+#elif SVRGS_LANES == 8
+  if (known >= W) {
+    const __m256i place = _mm256_sub_epi32(_mm256_loadu_si256(reinterpret_cast<const __m256i*>(ids)), _mm256_set1_epi32(static_cast<int>(base)));
+    const __m256i bit = _mm256_sllv_epi32(_mm256_set1_epi32(1), place);
+    const __m128i half = _mm_or_si128(_mm256_castsi256_si128(bit), _mm256_extracti128_si256(bit, 1));
+    const uint64_t pair = static_cast<uint64_t>(_mm_extract_epi64(half, 0) | _mm_extract_epi64(half, 1));
+    return all & static_cast<uint32_t>(pair | pair >> 32);
+  }
+#endif
+  uint32_t rows = 0;
+  for (int64_t i = 0; i < known && ids[i] - base < W; ++i) rows |= 1u << (ids[i] - base);
+  return rows;
+}
+
+template <int width>
+struct RowBits {  // the row, as a bit, of each value of W rows
+  IntR bit[W * width] = {};
+  constexpr RowBits() {
+    for (int i = 0; i < W * width; ++i) bit[i] = IntR(1) << i / width;
+  }
+};
+template <int width>
+constexpr RowBits<width> kRowBits;
+
+// The lanes that hold values of `rows` in the kth vector of W rows.
+template <int width>
+inline M lanes_of_rows(uint32_t rows, int k) {
+  I bit;
+  __builtin_memcpy(&bit, kRowBits<width>.bit + W * k, sizeof bit);
+#if SVRGS_LANES == 16
+  return _mm512_test_epi32_mask((__m512i)bit, _mm512_set1_epi32(static_cast<int>(rows)));
+#else
+  return (bit & (I{} + static_cast<IntR>(rows))) != 0;
+#endif
+}
+
 #if SVRGS_LANES == 8
 struct SetRanks {  // how many set bits of every 8 lie below each bit, a byte each
   uint64_t ranks[256] = {};

@@ -43,7 +43,7 @@ MASK = 4  # of the mask's logit, or dL/dM
 SORT = 3 * 2 * 8  # three radix passes read and write key and id, 4 B each
 PAIR = 8 + 8 + 2  # a tile entry is written and read once, its hit flags are written
 EXTENT = 2 * 16  # first tile, rows and tiles of a Gaussian, read and written
-ADAM_STREAMS = 6  # value and two moments, read and written
+ADAM_STREAMS = 4  # value and a word of both its moments, read and written
 
 LOSS_FLOP = 0.25e9 / (640 * 360 * 3)  # per pixel and channel: four blurs of 11 + 11 taps, three more for the gradient
 LOSS_BYTES = 12  # image and target read, gradient written

@@ -72,6 +72,6 @@ def _round(trial: Trial, peaks: list[dict]) -> dict[str, float]:
         **{name: second[name] for name in ("raster_grads", "parameter_grads")},
         "backward": backward,
         "loss": loss,
-        "adam": seconds(trial.adam, grads, ids),
+        "adam": trial.adam(grads, ids),
         "step": seconds(trial.step),
     }

@@ -80,7 +80,7 @@ def _sparse_adam(trial: Trial, repeat: int) -> dict:
     dense = {name: np.zeros((trial.model.count, *grad.shape[1:]), grad.dtype) for name, grad in grads.items()}
     for name, grad in grads.items():
         dense[name][ids] = grad
-    return _entry("sparse_adam", "adam", lambda: {"on": seconds(trial.adam, grads, ids), "off": seconds(trial.adam, dense, None)}, repeat, None)
+    return _entry("sparse_adam", "adam", lambda: {"on": trial.adam(grads, ids), "off": trial.adam(dense, None)}, repeat, None)
 
 
 def _sh_bands(trial: Trial, repeat: int) -> dict:

@@ -59,13 +59,15 @@ class Trial:
         """Gradients of the last forward, a row per visible Gaussian."""
         return self.rasterizer.backward(self.image_grads, wanted)
 
-    def adam(self, grads: dict[str, np.ndarray], ids: np.ndarray | None):
-        """Moves every parameter and mask logit of rows `ids` (None: all) by next to nothing."""
+    def adam(self, grads: dict[str, np.ndarray], ids: np.ndarray | None) -> float:
+        """Moves every parameter and mask logit of rows `ids` (None: all) by next to nothing. Returns the seconds this took inside the library."""
         self.steps += 1
+        total = 0.0
         for name in (*PARAMETERS, MASK):
-            arrays = self.model.values[name], self.model.first[name], self.model.second[name]
             grad = grads["masks" if name == MASK else name]
-            self.rasterizer.adam(*arrays, grad, ids, lr=RATE, step=self.steps)
+            self.rasterizer.adam(self.model.values[name], self.model.moments[name], grad, ids, lr=RATE, step=self.steps)
+            total += self.rasterizer.stage_seconds()["adam"]
+        return total
 
     def step(self, without=()):
         """A whole fine-tuning step: forward, loss, backward, Adam."""

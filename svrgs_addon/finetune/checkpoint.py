@@ -20,9 +20,9 @@ from .control import Control
 from .densify import Statistics
 from .loop import Curves, Run
 
-SCHEMA = 7
+SCHEMA = 8
 KEPT = 2  # newest checkpoints kept
-_PARTS = ("values", "first", "second")
+_PARTS = ("values", "moments")
 
 
 def save(run: Run, folder: Path, identity: str) -> Path:

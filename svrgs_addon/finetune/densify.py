@@ -82,5 +82,4 @@ def reset_opacity(model: Model):
     """opacity <- min(opacity, 0.01), its moments zeroed."""
     limit = np.log(RESET_OPACITY / (1 - RESET_OPACITY))
     np.minimum(model.opacity_logits, limit, out=model.values["opacity_logits"])
-    model.first["opacity_logits"][:] = 0
-    model.second["opacity_logits"][:] = 0
+    model.moments["opacity_logits"][:] = 0

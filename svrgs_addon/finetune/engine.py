@@ -117,7 +117,7 @@ class NativeEngine:
         """Gradients into an Adam step at once, but for those that something is added to, or that others follow from."""
         apart = [name for name in PARAMETERS if name in step.reaching_all or name == "log_scales" and step.gates]
         at_once = [name for name in PARAMETERS if name not in apart]
-        tensors = {name: (model.values[name], model.first[name], model.second[name]) for name in at_once}
+        tensors = {name: (model.values[name], model.moments[name]) for name in at_once}
         rates = {name: _row_rates(name, step.rates, model) for name in at_once}
         update = self.rasterizer.backward_update
         grads, bad = update(image_grads, tensors, rates, step=step.number, betas=BETAS, eps=EPS, wanted=(*wanted, *apart))
@@ -133,9 +133,8 @@ class NativeEngine:
                 dense += step.penalty.grad(model.values[name])
             dense[ids] += rows
             rows, ids = dense, None
-        tensors = model.values[name], model.first[name], model.second[name]
         rates = _row_rates(name, step.rates, model)
-        return self.rasterizer.adam(*tensors, rows, ids, lr=rates, step=step.number, betas=BETAS, eps=EPS)
+        return self.rasterizer.adam(model.values[name], model.moments[name], rows, ids, lr=rates, step=step.number, betas=BETAS, eps=EPS)
 
 
 def mask_logit_rows(step: Step, grads: dict[str, np.ndarray], ids: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import SceneError
 from ..scene import SH_C0, SH_COEFFICIENTS, Scene
+from .moments import none_yet
 
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 MASK = "mask_logits"
@@ -19,7 +20,7 @@ INITIAL_OPACITY = 0.1
 
 
 class Model:
-    """N Gaussians in training: `values`, and their first and second Adam moments under the same names.
+    """N Gaussians in training: `values`, and their Adam `moments` (moments.py) under the same names.
 
     Values are the arrays of Scene (raw, shapes as there) and, while masks are learned, mask_logits (N,); all of one
     real dtype. origin (N,) int64: the row of the source scene each Gaussian came from, -1 for new ones. beside: the
@@ -27,12 +28,10 @@ class Model:
     """
 
     def __init__(
-        self, values: dict[str, np.ndarray], first: dict | None = None, second: dict | None = None,
-        origin: np.ndarray | None = None, beside: dict | None = None,
-    ):  # fmt: skip
+        self, values: dict[str, np.ndarray], moments: dict | None = None, origin: np.ndarray | None = None, beside: dict | None = None
+    ):
         self.values = values
-        self.first = first or {name: np.zeros(v.shape, v.dtype) for name, v in values.items()}
-        self.second = second or {name: np.zeros(v.shape, v.dtype) for name, v in values.items()}
+        self.moments = moments or {name: none_yet(array) for name, array in values.items()}
         self.origin = np.arange(self.count) if origin is None else origin
         self.beside = beside or {}
 
@@ -66,11 +65,11 @@ class Model:
 
     def add(self, name: str, values: np.ndarray):
         """Gives every Gaussian one more value (N,), or another in its place; its moments start at zero."""
-        self.values[name], self.first[name], self.second[name] = values, np.zeros_like(values), np.zeros_like(values)
+        self.values[name], self.moments[name] = values, none_yet(values)
 
     def forget_extras(self):
         """Masks, and whatever else was added."""
-        for arrays in (self.values, self.first, self.second):
+        for arrays in (self.values, self.moments):
             for name in arrays.keys() - set(PARAMETERS):
                 del arrays[name]
 
@@ -84,7 +83,7 @@ class Model:
 
     def _move(self, rows: np.ndarray, moved: Callable[[np.ndarray, np.ndarray], np.ndarray]):
         """moved(array, rows) is array[rows]."""
-        for arrays in (self.values, self.first, self.second):
+        for arrays in (self.values, self.moments):
             for name in arrays:
                 arrays[name] = moved(arrays[name], rows)
         self.origin = self.origin[rows]
@@ -93,15 +92,14 @@ class Model:
         """Adds new Gaussians with zero moments; rows: an array for every name in `values`."""
         added = len(rows["means"])
         for name, new in rows.items():
-            zeros = np.zeros(new.shape, self.dtype)
-            self.values[name] = np.concatenate([self.values[name], new.astype(self.dtype)])
-            self.first[name] = np.concatenate([self.first[name], zeros])
-            self.second[name] = np.concatenate([self.second[name], zeros])
+            new = new.astype(self.dtype)
+            self.values[name] = np.concatenate([self.values[name], new])
+            self.moments[name] = np.concatenate([self.moments[name], none_yet(new)])
         self.origin = np.concatenate([self.origin, np.full(added, -1)])
 
     def forget_moments(self):
-        """At the end of a run, two thirds of its memory."""
-        self.first, self.second = {}, {}
+        """At the end of a run, half of its memory."""
+        self.moments = {}
 
     def scene(self) -> Scene:
         """The model as a Scene, rows in the source's order and new ones after them, and what the source says beside its arrays

@@ -1,6 +1,6 @@
 """The torch engine: one optimisation step in torch, term by term; the readable twin of engine.py and its oracle.
 
-Its tensors share memory with the model's arrays, so checkpoints, densification and pruning work the same after either
+Its parameters share memory with the model's, and the moments are packed as there, so checkpoints, densification and pruning work the same after either
 engine. For a loss of your own, override TorchEngine.loss.
 """
 
@@ -14,6 +14,7 @@ from ..errors import SceneError
 from ..native import GRADS, Rasterizer
 from .engine import BETAS, EPS, Step, StepResult
 from .model import MASK, PARAMETERS, Model
+from .moments import packed, unpacked
 
 try:
     import torch
@@ -151,18 +152,21 @@ def _tensors(arrays: dict[str, np.ndarray]) -> dict[str, Tensor]:
 def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) -> int:
     """One Adam step on the rows `ids`, in the model's memory. Returns how many rows were left out because not finite."""
     learned = {name: leaf for name, leaf in leaves.items() if leaf.grad is not None}
-    first, second = _tensors(model.first), _tensors(model.second)
+    moments = {name: unpacked(array) for name, array in model.moments.items()}
+    first, second = (_tensors({name: pair[k] for name, pair in moments.items()}) for k in range(2))
     optimizer = torch.optim.Adam([{"params": [leaf], "lr": step.rates[name]} for name, leaf in learned.items()], betas=BETAS, eps=EPS)
     for name, leaf in learned.items():
         steps_before = torch.tensor(step.number - 1.0)
         optimizer.state[leaf] = {"step": steps_before, "exp_avg": first[name], "exp_avg_sq": second[name]}
     skipped, bad = _rows_left_alone(learned, step, ids)
-    state = [(tensor, skipped[name]) for name, leaf in learned.items() for tensor in (leaf, first[name], second[name])]
     with torch.no_grad():
-        saved = [tensor[rows] for tensor, rows in state]
+        saved = {name: leaf[skipped[name]] for name, leaf in learned.items()}
         optimizer.step()
-        for (tensor, rows), old in zip(state, saved, strict=True):
-            tensor[rows] = old
+        for name, leaf in learned.items():
+            leaf[skipped[name]] = saved[name]
+    for name in learned.keys() - {"sh_rest"}:
+        moved = ~skipped[name].numpy()
+        model.moments[name][moved] = packed(*moments[name], step.number)[moved]
     return bad
 
 

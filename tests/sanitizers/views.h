@@ -135,11 +135,11 @@ inline Results run(const Case& c, svrgs_context* context, int32_t level) {
   for (const auto& part : {rgb, depth, alpha, mask, left}) append(r, part);
 
   const std::vector<double> rates(3 * c.k, 1e-3);
-  const svrgs_adam_settings adam = {rates.data(), 0.9, 0.999, 1e-15, 0.1, 0.001};
-  std::vector<float> param(c.sh), m(c.sh.size()), second(c.sh.size());
-  if (v) require(svrgs_adam(level, &adam, param.data(), m.data(), second.data(), sh.data(), ids, v, 3 * c.k, &bad) == SVRGS_OK, "an Adam step");
-  append(r, m);
-  append(r, second);
+  const svrgs_adam_settings adam = {rates.data(), 0.9, 0.999, 1e-15, 1};
+  std::vector<float> param(c.sh);
+  std::vector<uint32_t> words(c.sh.size());
+  if (v) require(svrgs_adam(context, &adam, param.data(), words.data(), sh.data(), ids, v, 3 * c.k, &bad) == SVRGS_OK, "an Adam step");
+  append(r, param);
   return r;
 }
 
