@@ -155,8 +155,8 @@ def assert_moments_agree(found: np.ndarray, expected: np.ndarray, dtype):
             np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
         return
     assert (found == expected).mean() >= PACKED_ALIKE
-    for a, b in zip(unpacked(found), unpacked(expected), strict=True):
-        np.testing.assert_allclose(a, b, rtol=2**-6, atol=1e-12)
+    for a, b, bits in zip(unpacked(found), unpacked(expected), (8, 3), strict=True):
+        np.testing.assert_allclose(a, b, rtol=2**-bits, atol=1e-12)
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -190,8 +190,8 @@ def test_adam_takes_other_settings_and_a_rate_per_column(level):
 
 
 @pytest.mark.parametrize("level", FLOAT_LEVELS)
-def test_moments_in_16_bits_follow_those_in_32_without_bias(level):
-    """Over 3,000 steps: m 0.2 % of the gradient's spread about the true one, v 2.4 % of itself, both in the mean on it."""
+def test_packed_moments_follow_those_in_64_bits_without_bias(level):
+    """Over 3,000 steps: m 0.013 % of the gradient's spread about the true one, v 14 % of itself, both in the mean on it."""
     r, rng = rasterizer(level), np.random.default_rng(4)
     scale = 10.0 ** rng.uniform(-8, 1, 4096)
     param = np.zeros(4096, r.dtype)
@@ -202,8 +202,8 @@ def test_moments_in_16_bits_follow_those_in_32_without_bias(level):
         m, v = 0.9 * m + 0.1 * grad, 0.999 * v + 0.001 * grad.astype(np.float64) ** 2
     found_m, found_v = unpacked(moments)
     error, ratio = (found_m - m) / scale, found_v / v
-    assert abs(error.mean()) < 2e-4 and error.std() < 4e-3
-    assert abs(ratio.mean() - 1) < 2e-3 and ratio.std() < 0.04
+    assert abs(error.mean()) < 1e-5 and error.std() < 3e-4
+    assert abs(ratio.mean() - 1) < 8e-3 and ratio.std() < 0.2
 
 
 @pytest.mark.parametrize("level", LEVELS)

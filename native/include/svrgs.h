@@ -185,10 +185,10 @@ SVRGS_API int32_t svrgs_loss(svrgs_context *, const real *image, const real *tar
    ids[r] of param and moments (ids ascending; NULL: row r). lr: one rate per column, (width,). Rows whose gradient is not
    finite are left alone and counted in *nonfinite.
 
-   moments: both of a value side by side, 0 to begin with. double: m, v. float: a word of 32 bits, m in the upper half, rounded
-   to the nearest of bfloat16, and v in the lower, without its sign (it has none) and the last 15 bits of its mantissa. A step
-   may add 0.1 % to v, less than half of what its last bit counts for, so it is rounded up as often as it is near to that: bits(v) + n,
-   then cut, n = (x ^ x >> 15) * 0x85ebca6b >> 17, x = bits(m), as they are stored, ^ step * 0x9e3779b1. */
+   moments: both of a value side by side, 0 to begin with. double: m, v. float: a word of 32 bits, in its upper 20 m, rounded to
+   nearest, without the last 12 bits of its mantissa, in its lower 12 v without its sign (it has none) and the last 19. A step
+   adds 0.1 % to v, far less than half of what its last bit counts for, so it is rounded up as often as it is near to that: bits(v) + n,
+   then cut, n = (x ^ x >> 15) * 0x85ebca6b >> 13, x = bits(m), as they are stored, ^ step * 0x9e3779b1. */
 typedef struct {
   const double *lr;
   double beta1, beta2, eps;

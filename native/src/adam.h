@@ -45,11 +45,11 @@ inline U load_words(const uint32_t* p) {
 }
 inline Moments load_moments(const uint32_t* p) {
   const U word = load_words(p);
-  return {(V)(word & 0xffff0000u), (V)(word << 16 >> 1)};
+  return {(V)(word & 0xfffff000u), (V)(word << 20 >> 1)};
 }
 inline U packed(const AdamRates& a, const Moments& n) {
-  const U m = ((U)n.m + 0x8000u) & 0xffff0000u, x = m ^ a.salt, noise = (x ^ x >> 15) * 0x85ebca6bu >> 17;
-  return m | ((U)n.v + noise) >> 15;
+  const U m = ((U)n.m + 0x800u) & 0xfffff000u, x = m ^ a.salt, noise = (x ^ x >> 15) * 0x85ebca6bu >> 13;
+  return m | ((U)n.v + noise) >> 19;
 }
 inline void store_moments(const AdamRates& a, uint32_t* p, const Moments& n, M set) {
   const V word = select(set, (V)packed(a, n), (V)load_words(p));
