@@ -46,7 +46,7 @@ test: setup $(WHEELS)
 
 # The address sanitizer's runtime comes first in Python's process; leaks are not looked for, since Python keeps memory to its end.
 SAFE := build/sanitize
-SANITIZED := tests/test_native_stress.py tests/test_native_invariants.py tests/test_native_update.py tests/test_native_removal.py
+SANITIZED := tests/test_native_training_kernels.py tests/test_native_stress.py tests/test_native_invariants.py tests/test_native_update.py tests/test_native_removal.py
 ASAN_RUNTIME = $(shell $(CXX) -print-file-name=libasan.so) $(shell $(CXX) -print-file-name=libstdc++.so)
 CORPUS := tests/fuzz/corpus
 CLANG ?= clang++-16

@@ -139,7 +139,12 @@ inline Results run(const Case& c, svrgs_context* context, int32_t level) {
   std::vector<float> param(c.sh);
   std::vector<uint32_t> words(c.sh.size());
   if (v) require(svrgs_adam(context, &adam, param.data(), words.data(), sh.data(), ids, v, 3 * c.k, &bad) == SVRGS_OK, "an Adam step");
-  append(r, param);
+  std::vector<float> adam_moments(2 * words.size());
+  for (size_t i = 0; i < words.size(); ++i) {
+    const uint32_t both[2] = {words[i] & 0xfffff000u, words[i] << 20 >> 1};
+    std::memcpy(&adam_moments[2 * i], both, sizeof both);
+  }
+  append(r, adam_moments);
   return r;
 }
 
