@@ -191,7 +191,7 @@ sys.exit(cli.main(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize("size", [3_000, 20_000, 60_000])
+@pytest.mark.parametrize("size", [3_000, 20_000, 40_000])
 def test_a_first_checkpoint_that_cannot_be_written_is_one_sentence(tiny, tmp_path, size):
     """Nothing else on the terminal, and no file or folder of it."""
     words = ["prune", tiny.splat, "--colmap", tiny.folder, "--iterations", "4", "--recovery", "0", "--quiet", "--out", tmp_path / "o.ply"]

@@ -1,23 +1,20 @@
 // Stage 6: sums each visible Gaussian's slots in tile order and carries them back to its parameters.
 
-using Four = R __attribute__((vector_size(4 * sizeof(R))));
-
 struct SlotSums {
-  Four part[kSlotWidth / 4];
+  R value[kSlotWidth];
 };
 
 inline SlotSums sum_slots(const Frame& f, const R* slots, const SplatTiles& t) {
   SlotSums out = {};
   for (uint32_t i = 0; i < t.tiles; ++i) {
     if (!f.hits[t.slot + i]) continue;
-    SlotSums slot;
-    __builtin_memcpy(&slot, slots + static_cast<int64_t>(t.slot + i) * kSlotWidth, sizeof slot);
-    for (int k = 0; k < kSlotWidth / 4; ++k) out.part[k] += slot.part[k];
+    const R* slot = slots + static_cast<int64_t>(t.slot + i) * kSlotWidth;
+    for (int k = 0; k < kSlotWidth; ++k) out.value[k] += slot[k];
   }
   return out;
 }
 
-// dL/dcolour of a batch ...
+// dL/dcolour of a batch, zero where the colour was clamped at 0 ...
 struct ColourGrads {
   V rgb[3];
 };
@@ -44,8 +41,9 @@ inline void sh_vjp(const Frame& f, const Batch& b, const uint32_t* ids, int n, c
   for (int k = 0; k < 3; ++k) mean[k] += (d[k] - along * dir.d[k]) * dir.inv_length;
 }
 
-// What dL/dM from F is multiplied by for EVEN: the fixed footprint over the Gaussian's own (its 1/255 ellipse).
-inline R even_weight(const Splat<R>& s) {
+// What dL/dM from F is multiplied by: 1, or for EVEN the fixed footprint over the Gaussian's own (its 1/255 ellipse).
+inline R spatial_weight(const Frame& f, const Splat<R>& s) {
+  if (f.mask_kind != kMaskEven) return 1;
   const R area = R(3.141592653589793) * (s.log2_opacity - R(kLog2Cut)) / (s.l11 * s.l22);
   return R(SVRGS_EVEN_AREA) / std::max(area, R(1));
 }
@@ -103,15 +101,17 @@ template <bool updates>
 inline int gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t first, int n) {
   uint32_t ids[W];
   V s[kSlotWidth];
+  ColourGrads colour;
   for (int i = 0; i < W; ++i) {
     ids[i] = f.visible[first + (i < n ? i : n - 1)];
     if (want.colour && first + i + W < f.visible_count) prefetch_sh(f, f.visible[first + i + W]);
     const uint32_t place = f.places[first + (i < n ? i : n - 1)];
     const SlotSums sums = sum_slots(f, slots, f.tiles[place]);
-    for (int k = 0; k < kSlotWidth; ++k) s[k][i] = sums.part[k / 4][k % 4];
-    if (f.mask_kind == kMaskEven) s[kSlotSpatial][i] *= even_weight(static_cast<const Splat<R>*>(f.splats)[place]);
+    for (int k = 0; k < kSlotWidth; ++k) s[k][i] = sums.value[k];
+    const Splat<R>& splat = static_cast<const Splat<R>*>(f.splats)[place];
+    s[kSlotMask][i] += spatial_weight(f, splat) * sums.value[kSlotSpatial];
+    for (int c = 0; c < 3; ++c) colour.rgb[c][i] = splat.rgb[c] > 0 ? sums.value[kSlotRed + c] : R(0);
   }
-  s[kSlotMask] += s[kSlotSpatial];
   if (want.mask) scatter(out.masks, first, n, 1, &s[kSlotMask]);
   if (!want.shape && !want.colour) return 0;
   const Batch b = load_batch(f, ids);
@@ -122,7 +122,7 @@ inline int gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads&
   alignas(64) R own[W * 48];
   R* const rows = updates ? own : out.sh ? static_cast<R*>(out.sh) + first * width : nullptr;
   if (want.colour)
-    sh_vjp(f, b, ids, n, {{s[kSlotRed], s[kSlotGreen], s[kSlotBlue]}}, rows, g.mean);
+    sh_vjp(f, b, ids, n, colour, rows, g.mean);
   else if (rows)
     __builtin_memset(rows, 0, sizeof(R) * n * width);
   scatter(out.means2d, first, n, 2, g.mean2d);

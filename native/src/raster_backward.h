@@ -130,13 +130,11 @@ inline void accumulate(const Frame& f, const Wanted& want, BackwardBlock& t, con
   a.guu = fma(gu, e.u, a.guu), a.guv = fma(gu, e.v, a.guv), a.gvv = fma(gv, e.v, a.gvv);
 }
 
-// In the order of enum Slot; nothing for a colour that was clamped at 0.
-inline void write_slot(const Sums& a, const Local& l, R* slot) {
+// In the order of enum Slot.
+inline void write_slot(const Sums& a, R* slot) {
   sum4(a.g, a.gu, a.gv, a.guu, slot);
   sum4(a.guv, a.gvv, a.red, a.green, slot + 4);
   sum4(a.blue, a.mask, a.depth, a.spatial, slot + 8);
-  for (int c = 0; c < 3; ++c)
-    if (!(l.rgb[c] > 0)) slot[kSlotRed + c] = 0;
 }
 
 inline Wanted wanted(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update) {
@@ -209,7 +207,7 @@ void backward_tile_as(const Frame& f, const Wanted& want, const svrgs_image_grad
       ahead = evaluate_block(next.local, lanes.block[__builtin_ctzll(left ? left : coming->blocks)]);
       for (int h = 0; h < kSub; ++h) accumulate<spatial, scenario>(f, want, blocks[b], now->local, hits.part[h], h * W, a);
     }
-    write_slot(a, now->local, now->slot);
+    write_slot(a, now->slot);
     std::swap(now, coming);
   }
 }
