@@ -195,6 +195,7 @@ def fine_tune(model: Model, dataset: Dataset, settings: Settings, options: JobOp
     loop.run_to_end(run, observe, options.stop, lambda: checkpoint.save(run, options.folder, identity), lambda: curve_psnr(run))
     clock.phases |= run.seconds
     model.forget_moments()
+    run.engine = make_engine(options.engine)  # one without the buffers of the steps, before others need memory
     scene = model.scene()
     with clock.phase("write"):
         write_scene(options.out, scene)
