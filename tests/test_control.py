@@ -100,7 +100,7 @@ def test_masks_alone_come_near_the_target(tiny, data, method, target):
 
 
 def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
-    """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB, and some are lost to a few that grow in front."""
+    """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB, and now and then a run loses several."""
     drops = []
     for seed in range(1, 6):
         run = to_the_end(steered_run(tiny, data, "svr-mask", max_drop=1.0, seed=seed))
