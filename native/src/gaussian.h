@@ -8,6 +8,10 @@ struct Batch {  // raw parameters of W Gaussians, transposed
   V log_scale[3], quat[4], opacity_logit;
 };
 
+inline void place_mean(const Frame& f, Batch& b) {  // b.mean as it is stored
+  for (int k = 0; k < 3; ++k) b.offset[k] = wide(b.mean[k]) - f.position[k], b.mean[k] = narrow(b.offset[k]);
+}
+
 inline Batch load_batch(const Frame& f, const uint32_t* ids) {
   const R *means = static_cast<const R*>(f.means), *scales = static_cast<const R*>(f.log_scales),
           *quats = static_cast<const R*>(f.quats), *logits = static_cast<const R*>(f.opacity_logits);
@@ -18,7 +22,19 @@ inline Batch load_batch(const Frame& f, const uint32_t* ids) {
     for (int k = 0; k < 4; ++k) b.quat[k][i] = quats[4 * g + k];
     b.opacity_logit[i] = logits[g];
   }
-  for (int k = 0; k < 3; ++k) b.offset[k] = wide(b.mean[k]) - f.position[k], b.mean[k] = narrow(b.offset[k]);
+  place_mean(f, b);
+  return b;
+}
+
+constexpr int kNumbers = 11;  // of a Gaussian, SH aside: mean 3, log-scale 3, quaternion 4, opacity
+
+// The same from columns of them, `stride` values apart.
+inline Batch load_columns(const Frame& f, const R* columns, int stride) {
+  Batch b;
+  for (int k = 0; k < 3; ++k) b.mean[k] = load(columns + k * stride), b.log_scale[k] = load(columns + (3 + k) * stride);
+  for (int k = 0; k < 4; ++k) b.quat[k] = load(columns + (6 + k) * stride);
+  b.opacity_logit = load(columns + 10 * stride);
+  place_mean(f, b);
   return b;
 }
 

@@ -14,6 +14,12 @@ inline SlotSums sum_slots(const Frame& f, const R* slots, const SplatTiles& t) {
   return out;
 }
 
+[[gnu::always_inline]] inline void prefetch_sh(const Frame& f, uint32_t g) {
+  const int width = 3 * (f.sh_degree + 1) * (f.sh_degree + 1), line = 64 / sizeof(R);
+  const R* row = static_cast<const R*>(f.sh) + static_cast<int64_t>(g) * f.sh_coefficients * 3;
+  for (int k = 0; k < width; k += line) __builtin_prefetch(row + k);
+}
+
 // dL/dcolour of a batch, zero where the colour was clamped at 0 ...
 struct ColourGrads {
   V rgb[3];

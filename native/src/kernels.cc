@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <limits>
 #include <type_traits>
+#include <utility>
 #if SVRGS_LANES >= 8
 #include <immintrin.h>
 #endif

@@ -37,36 +37,30 @@ inline T reach2(const Frame& f, T log2_opacity) {
   return (f.without & SVRGS_OPACITY_BOUNDS ? T{} : log2_opacity) + (kReachMargin - R(kLog2Cut));
 }
 
-// SH rows are far apart where not every Gaussian is visible: the processor does not foresee them.
-inline void prefetch_sh(const Frame& f, uint32_t g) {
-  const int size = f.sh_half ? 2 : sizeof(R);
-  const char* row = static_cast<const char*>(f.sh) + static_cast<int64_t>(g) * f.sh_coefficients * 3 * size;
-  for (int k = 0; k < 3 * (f.sh_degree + 1) * (f.sh_degree + 1) * size; k += 64) __builtin_prefetch(row + k);
+constexpr int kStretch = 32;  // Gaussians looked at before those of them that may be seen are projected
+constexpr int kFetched = W;   // of those that may be seen, how many ahead SH rows and places to write are fetched
+
+// Asks for so many bytes: SH rows are far apart where not every Gaussian is visible, and the processor does not foresee them. Always inline: GCC drops calls of a function that does nothing else.
+template <int bytes>
+[[gnu::always_inline]] inline void fetch(const void* p) {
+  for (int k = 0; k < bytes; k += 64) __builtin_prefetch(static_cast<const char*>(p) + k);
 }
 
-// The first n of W rows of `width` values; what lies behind the scene's end reads as 0.
+// The first n of W rows of `width` values, in columns; what lies behind the scene's end is 0.
 template <int width>
-inline const R* padded(const void* array, int64_t first, int n, R* spare) {
+inline void columns_from(const void* array, int64_t first, int n, V* columns) {
   const R* at = static_cast<const R*>(array) + first * width;
-  if (n >= W) return at;
-  std::fill_n(spare, W * width, R(0));
+  if (n >= W) return columns_of<width>(at, columns);
+  R spare[W * width] = {};
   std::copy_n(at, n * width, spare);
-  return spare;
+  columns_of<width>(spare, columns);
 }
 
-// Which of the n <= W Gaussians from `first` on may be seen: in front of the camera, not too faint, and near enough to the
-// image. One bit each. It errs on the side of projecting: a ball of the largest scale, fully opaque, bounds the ellipse.
-inline uint32_t may_be_seen(const Frame& f, int64_t first, int n) {
-  R spare[7 * W];
-  const R *means = padded<3>(f.means, first, n, spare), *scales = padded<3>(f.log_scales, first, n, spare + 3 * W),
-          *logits = padded<1>(f.opacity_logits, first, n, spare + 6 * W);
-  V x, y, z, scale;
-  for (int i = 0; i < W; ++i) {
-    x[i] = means[3 * i], y[i] = means[3 * i + 1], z[i] = means[3 * i + 2];
-    scale[i] = std::max(std::max(scales[3 * i], scales[3 * i + 1]), scales[3 * i + 2]);
-  }
+// Which of W Gaussians may be seen: in front of the camera, not too faint, and near enough to the image. One bit each.
+// It errs on the side of projecting: a ball of the largest scale, fully opaque, bounds the ellipse.
+inline uint32_t may_be_seen(const Frame& f, const V mean[3], V largest_scale, V opacity_logit) {
   const double* m = f.viewmat;
-  const D wx = wide(x), wy = wide(y), wz = wide(z);
+  const D wx = wide(mean[0]), wy = wide(mean[1]), wz = wide(mean[2]);
   const auto camera = [&](int row) { return narrow(m[4 * row] * wx + m[4 * row + 1] * wy + m[4 * row + 2] * wz + m[4 * row + 3]); };
   const V depth = camera(2), inv = inverse_depth(f, depth), rx = camera(0) * inv, ry = camera(1) * inv;
   const M front = both(less(splat(R(kNear)), depth), less(depth, splat(R(kFar))));
@@ -77,56 +71,81 @@ inline uint32_t may_be_seen(const Frame& f, int64_t first, int n) {
     const V tx = min(magnitude(rx), limit_x), ty = min(magnitude(ry), limit_y);
     stretch = splat(1) + tx * tx + ty * ty;
   }
-  const V size = exp(scale) * splat(R(std::max(f.fx, f.fy))) * inv;  // of the largest scale across the view, pixels
+  const V size = exp(largest_scale) * splat(R(std::max(f.fx, f.fy))) * inv;  // across the view, pixels
   const V reach = splat(kWhiten) * root(splat(kReachMargin - R(kLog2Cut)));
   const V radius = reach * sqrt(fma(size * size, stretch, splat(R(kBlur)))) * R(1.001) + R(1);
   const V px = rx * R(f.fx) + R(f.cx), py = ry * R(f.fy) + R(f.cy), spread_x = radius + magnitude(px) * R(1e-3), spread_y = radius + magnitude(py) * R(1e-3);
   const M outside = either(either(less(px + spread_x, splat(0)), less(splat(R(f.width)), px - spread_x)),
                            either(less(py + spread_y, splat(0)), less(splat(R(f.height)), py - spread_y)));
-  return bits(both(and_not(outside, front), at_least(load(logits), splat(R(kLogitCut))))) & ((1u << n) - 1);
+  return bits(both(and_not(outside, front), at_least(opacity_logit, splat(R(kLogitCut)))));
 }
 
-using Four = R __attribute__((vector_size(4 * sizeof(R))));
+constexpr int kSide = W / 4;  // SH coefficients that lie side by side in a vector, three values each
 
-inline Four load_four(const R* p) {
-  Four v;
-  __builtin_memcpy(&v, p, sizeof v);
-  return v;
-}
-inline Four load_four(const _Float16* p) {
-  _Float16 __attribute__((vector_size(8))) v;
-  __builtin_memcpy(&v, p, sizeof v);
-  return __builtin_convertvector(v, Four);
-}
-
-// 0.5 + sum_k basis_k sh_k of one Gaussian; lane i of `basis` is its own. Three channels and a spare.
-template <int last, class T>
-inline Four sh_sum(const V* basis, int i, const T* row) {
-  Four c[2] = {{R(0.5), R(0.5), R(0.5), 0}, {}};
-  for (int k = 0; k < last; ++k) c[k % 2] += basis[k][i] * load_four(row + 3 * k);  // takes a value of the next coefficient along, ...
-  const T* end = row + 3 * last;
-  return c[0] + c[1] + basis[last][i] * Four{R(end[0]), R(end[1]), R(end[2]), 0};  // ... which the last one does not have
-}
-
-template <class T>
-inline Four sh_colour(int degree, const V* basis, int i, const T* row) {
-  switch (degree) {
-    case 0: return sh_sum<0>(basis, i, row);
-    case 1: return sh_sum<3>(basis, i, row);
-    case 2: return sh_sum<8>(basis, i, row);
-    default: return sh_sum<15>(basis, i, row);
+// Adds basis_k sh_k of one Gaussian, from the block-th vector of coefficients on, to lanes 3 apart; `basis` and `row` are its own.
+template <int used, int block = 0, class T>
+inline V sh_sum(const R* basis, const T* row, V sum) {
+  constexpr int first = block * kSide, left = 3 * (used - first);
+  if constexpr (left <= 0) {
+    return sum;
+  } else {
+    const V some = load(basis + first / W * W), weights = shuffle(some, some, [](int lane) { return first % W + std::min(lane / 3, kSide - 1); });
+    V values;
+    if constexpr (left >= W)
+      values = load(row + 3 * first);
+    else
+      values = load_first<left>(row + 3 * first);
+    return sh_sum<used, block + 1>(basis, row, fma(weights, values, sum));
   }
 }
 
-inline Four colour(const Frame& f, const V* basis, int i, uint32_t g) {
-  const int64_t at = static_cast<int64_t>(g) * f.sh_coefficients * 3;
-  return f.sh_half ? sh_colour(f.sh_degree, basis, i, static_cast<const _Float16*>(f.sh) + at) : sh_colour(f.sh_degree, basis, i, static_cast<const R*>(f.sh) + at);
+// Colours of W Gaussians, before they are clamped; what lies behind them in `ids` is fetched.
+template <int degree, class T>
+inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, const T* sh, V rgb[3]) {
+  constexpr int used = (degree + 1) * (degree + 1);
+  const auto row = [&](int i) { return sh + static_cast<int64_t>(ids[i]) * f.sh_coefficients * 3; };
+  V basis[kRow];
+  sh_basis(degree, direction, basis);
+  for (int c = 0; c < 3; ++c) rgb[c] = splat(R(0.5));
+  if constexpr (W >= 4) {
+    for (int k = used; k < kRow; ++k) basis[k] = splat(0);
+    alignas(64) R rows[W * kRow];
+    rows_of<used>(basis, rows);
+    V sums[W];
+    for (int i = 0; i < W; ++i) {
+      fetch<3 * used * sizeof(T)>(row(i + kFetched));
+      sums[i] = sh_sum<used>(rows + kRow * i, row(i), splat(0));
+    }
+    transpose(sums);
+    for (int lane = 0; lane < 3 * kSide; ++lane) rgb[lane % 3] += sums[lane];
+  } else {
+    for (int c = 0; c < 3; ++c)
+      for (int k = 0; k < used; ++k) rgb[c][0] += basis[k][0] * static_cast<R>(row(0)[3 * k + c]);
+  }
 }
 
-inline bool finite(R x) { return std::fabs(x) <= std::numeric_limits<R>::max(); }
-inline M finite(V x) { return at_least(splat(std::numeric_limits<R>::max()), magnitude(x)); }
-inline bool sane(R colour) { return std::fabs(colour) <= R(kColourMax); }
+template <class T>
+inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, V rgb[3]) {
+  const T* sh = static_cast<const T*>(f.sh);
+  switch (f.sh_degree) {
+    case 0: return colours<0>(f, direction, ids, sh, rgb);
+    case 1: return colours<1>(f, direction, ids, sh, rgb);
+    case 2: return colours<2>(f, direction, ids, sh, rgb);
+    default: return colours<3>(f, direction, ids, sh, rgb);
+  }
+}
 
+inline M finite(V x) { return at_least(splat(std::numeric_limits<R>::max()), magnitude(x)); }
+inline M sane(V colour) { return at_least(splat(R(kColourMax)), magnitude(colour)); }
+
+// The first of them, and the one behind the last, for vectors of whole numbers with begin < end.
+struct TileRange {
+  U begin, end;
+};
+inline TileRange tile_range(const Reach& r) {
+  const auto tile = [](V pixel) { return (U)__builtin_convertvector(pixel, I) / kTile; };
+  return {tile(r.begin), tile(r.end - R(1)) + 1};
+}
 inline Span tile_range(int begin, int end) { return {static_cast<uint16_t>(begin / kTile), static_cast<uint16_t>((end - 1) / kTile + 1)}; }
 
 // W Gaussians on the screen: what Splat and SplatTiles hold, colours aside.
@@ -161,52 +180,104 @@ inline Screen to_screen(const Frame& f, const Batch& b) {
   return s;
 }
 
-// Where the visible Gaussians of a range go, one after the other.
+constexpr int kPending = kStretch + kFetched + 2 * W;
+
+// Gaussians of a range on their way: those that may be seen, in columns, and where the visible ones go, one after the other.
 struct Projection {
-  int64_t place;  // of the next one
-  uint32_t *ids, *depth_keys;
+  R numbers[kNumbers][kPending] = {}, masks[kPending] = {};
+  uint32_t ids[kPending] = {};
+  int count = 0;   // of those that wait
+  int64_t place;   // of the next visible one
+  uint32_t *visible, *depth_keys;
 };
 
-// Projects n <= W Gaussians and adds the visible ones.
-inline void project_batch(const Frame& f, uint32_t* ids, int n, Projection& out) {
-  for (int i = n; i < W; ++i) ids[i] = ids[0];
-  const Batch b = load_batch(f, ids);
+// A splat's values in columns, in the order of Splat.
+inline void splat_columns(const Screen& s, const V rgb[3], V mask, V* columns) {
+  constexpr int words = sizeof(double) / sizeof(R);  // of a centre's coordinate
+  columns_of<words>(reinterpret_cast<const R*>(&s.x), columns), columns_of<words>(reinterpret_cast<const R*>(&s.y), columns + words);
+  const V rest[] = {s.l11, s.l12, s.l22, s.log2_opacity, rgb[0], rgb[1], rgb[2], s.depth, s.inv_l11, s.y_extreme, mask, s.slope};
+  std::copy_n(rest, 12, columns + 2 * words);
+  std::fill(columns + 2 * words + 12, columns + kRow, splat(0));
+}
+
+// Projects the n <= W Gaussians that wait from `first` on and adds the visible ones.
+inline void project_batch(const Frame& f, int first, int n, Projection& out) {
+  V rgb[3], columns[kRow];
+  const Batch b = load_columns(f, out.numbers[0] + first, kPending);
   const Screen s = to_screen(f, b);
-  V basis[16] = {};
-  sh_basis(f.sh_degree, direction(f, b.mean).d, basis);
-  for (uint32_t left = bits(s.visible) & ((1u << n) - 1); left; left &= left - 1) {
+  const uint32_t* ids = out.ids + first;
+  uint32_t visible = bits(s.visible) & ((1u << n) - 1);
+  f.sh_half ? colours<_Float16>(f, direction(f, b.mean).d, ids, rgb) : colours<R>(f, direction(f, b.mean).d, ids, rgb);
+  visible &= bits(both(sane(rgb[0]), both(sane(rgb[1]), sane(rgb[2]))));
+  for (V& channel : rgb) channel = max(channel, splat(0));
+  splat_columns(s, rgb, f.masks ? load(out.masks + first) : splat(1), columns);
+  alignas(64) R rows[W * kRow];
+  rows_of(columns, rows);
+  const TileRange down = tile_range(s.rows), across = tile_range(s.columns);
+  const U rows_word = down.begin | (down.end - down.begin) << 16, columns_word = across.begin | across.end << 16;
+  int64_t place = out.place;
+  for (uint32_t left = visible; left; left &= left - 1, ++place) {
     const int i = __builtin_ctz(left);
-    const uint32_t g = ids[i];
-    Four c = colour(f, basis, i, g);
-    if (!sane(c[0]) || !sane(c[1]) || !sane(c[2])) continue;
-    c = c < 0 ? Four{} : c;
-    const R mask = f.masks && !f.masks[g] ? R(0) : R(1);
-    static_cast<Splat<R>*>(f.splats)[out.place] = {s.x[i], s.y[i], s.l11[i], s.l12[i], s.l22[i], s.log2_opacity[i], {c[0], c[1], c[2]}, s.depth[i],
-                                                   s.inv_l11[i], s.y_extreme[i], mask, s.slope[i]};
-    const Span rows = tile_range(static_cast<int>(s.rows.begin[i]), static_cast<int>(s.rows.end[i]));
-    f.tiles[out.place] = {0, 0, rows.begin, static_cast<uint16_t>(rows.end - rows.begin),
-                          tile_range(static_cast<int>(s.columns.begin[i]), static_cast<int>(s.columns.end[i])), 0};
+    __builtin_memcpy(static_cast<Splat<R>*>(f.splats) + place, rows + kRow * i, sizeof(Splat<R>));
+    __builtin_prefetch(static_cast<Splat<R>*>(f.splats) + place + kFetched, 1);
+    __builtin_prefetch(f.tiles + place + kFetched, 1);
+    SplatTiles& t = f.tiles[place];
+    const uint32_t words[] = {static_cast<uint32_t>(rows_word[i]), static_cast<uint32_t>(columns_word[i])};
+    __builtin_memcpy(&t.row, words, sizeof words);
     const float depth = static_cast<float>(s.depth[i]);
-    __builtin_memcpy(out.depth_keys + out.place, &depth, 4);  // positive floats order as their bits
-    out.ids[out.place++] = g;
+    __builtin_memcpy(out.depth_keys + place, &depth, 4);  // positive floats order as their bits
+    out.visible[place] = ids[i];
   }
+  out.place = place;
+}
+
+// 1 or 0 of each; those behind the scene's end are 0.
+inline V load_masks(const Frame& f, int64_t first, int n) {
+  int8_t __attribute__((vector_size(W))) bytes = {};
+  __builtin_memcpy(&bytes, f.masks + first, static_cast<size_t>(n));
+  return -__builtin_convertvector(bytes != 0, V);
+}
+
+// Adds those of the n <= W Gaussians from `first` on that may be seen to those that wait.
+inline void enqueue(const Frame& f, int64_t first, int n, Projection& p) {
+  V numbers[kNumbers];
+  V *means = numbers, *scales = numbers + 3;
+  columns_from<3>(f.means, first, n, means);
+  columns_from<3>(f.log_scales, first, n, scales);
+  columns_from<1>(f.opacity_logits, first, n, numbers + 10);
+  const uint32_t set = may_be_seen(f, means, max(max(scales[0], scales[1]), scales[2]), numbers[10]) & ((1u << n) - 1);
+  if (!set) return;
+  columns_from<4>(f.quats, first, n, numbers + 6);
+  const int at = p.count;
+  for (int k = 0; k < kNumbers; ++k) pack(set, numbers[k], p.numbers[k] + at);
+  if (f.masks) pack(set, load_masks(f, first, n), p.masks + at);
+  pack_lanes(set, static_cast<uint32_t>(first), p.ids + at);
+  p.count = at + __builtin_popcount(set);
+}
+
+// Projects those that wait in whole batches, as long as kFetched more do.
+inline void project_waiting(const Frame& f, Projection& p) {
+  int done = 0;
+  for (; p.count - done >= W + kFetched; done += W) project_batch(f, done, W, p);
+  p.count -= done;
+  for (int i = 0; i < W + kFetched; i += W) {
+    for (R* numbers : p.numbers) store(numbers + i, load(numbers + i + done));
+    if (f.masks) store(p.masks + i, load(p.masks + i + done));
+  }
+  std::copy_n(p.ids + done, W + kFetched, p.ids);
 }
 
 // Gaussians [begin, end): the visible ones' splats, ids and depth keys, from place `begin` on; returns their number.
-int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* ids, uint32_t* depth_keys) {
-  Projection out = {begin, ids, depth_keys};
-  uint32_t pending[W];
-  int waiting = 0;
-  for (int64_t first = begin; first < end; first += W) {
-    for (uint32_t left = may_be_seen(f, first, static_cast<int>(std::min<int64_t>(W, end - first))); left; left &= left - 1) {
-      const uint32_t g = static_cast<uint32_t>(first + __builtin_ctz(left));
-      prefetch_sh(f, g);
-      pending[waiting++] = g;
-      if (waiting == W) project_batch(f, pending, W, out), waiting = 0;
-    }
+int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* visible, uint32_t* depth_keys) {
+  Projection p;
+  p.place = begin, p.visible = visible, p.depth_keys = depth_keys;
+  for (int64_t from = begin; from < end; from += kStretch) {
+    const int64_t until = std::min(from + kStretch, end);
+    for (int64_t first = from; first < until; first += W) enqueue(f, first, static_cast<int>(std::min<int64_t>(W, until - first)), p);
+    project_waiting(f, p);
   }
-  if (waiting) project_batch(f, pending, waiting, out);
-  return out.place - begin;
+  for (int i = 0; i < p.count; i += W) project_batch(f, i, std::min(W, p.count - i), p);
+  return p.place - begin;
 }
 
 // Stage 2: the exact tiles of one visible Gaussian of several tile rows, row by row; returns how many.

@@ -23,6 +23,17 @@ inline V load(const R* p) {
   return v;
 }
 inline void store(R* p, V v) { __builtin_memcpy(p, &v, sizeof v); }
+inline V load(const _Float16* p) {
+#if SVRGS_LANES == 16
+  return _mm512_cvtph_ps(_mm256_loadu_si256(reinterpret_cast<const __m256i*>(p)));
+#elif SVRGS_LANES == 8
+  return _mm256_cvtph_ps(_mm_loadu_si128(reinterpret_cast<const __m128i*>(p)));
+#else
+  _Float16 __attribute__((vector_size(2 * W))) v;
+  __builtin_memcpy(&v, p, sizeof v);
+  return __builtin_convertvector(v, V);
+#endif
+}
 // load(p + N), |N| < 16, near an aligned p: every unaligned load of 64 bytes is two, so these are joined from the aligned ones.
 template <int N>
 inline V load_at(const R* p) {
@@ -103,6 +114,62 @@ inline R largest(V v) {
 }
 #endif
 
+// Lane i of the result is lane from(i) of a or, from W on, of b; any where from(i) is -1. `from` captures nothing.
+template <class From, int... lane>
+inline V shuffle(V a, V b, From, std::integer_sequence<int, lane...>) {
+  return __builtin_shufflevector(a, b, From{}(lane)...);
+}
+template <class From>
+inline V shuffle(V a, V b, From from) {
+  return shuffle(a, b, from, std::make_integer_sequence<int, W>{});
+}
+
+// Column `column` of W rows of `width` values that lie one after the other, as far as their first part + 1 vectors hold it.
+template <int width, int column, int part = width - 1>
+inline V column_of(const R* rows) {
+  if constexpr (part == 0) {
+    return load(rows);
+  } else {
+    return shuffle(column_of<width, column, part - 1>(rows), load(rows + W * part), [](int i) {
+      const int at = width * i + column;
+      return at / W == part ? W + at % W : part > 1 ? i : at < W ? at : -1;
+    });
+  }
+}
+template <int width, int... column>
+inline void columns_of(const R* rows, V* out, std::integer_sequence<int, column...>) {
+  ((out[column] = column_of<width, column>(rows)), ...);
+}
+template <int width>
+inline void columns_of(const R* rows, V* out) {
+  columns_of<width>(rows, out, std::make_integer_sequence<int, width>{});
+}
+
+// W rows of W values become columns, or columns rows. Always inline, as rows_of is: in registers.
+template <int half = W / 2>
+[[gnu::always_inline]] inline void transpose(V* rows) {
+  if constexpr (half > 0) {
+    for (int pair = 0; pair < W / 2; ++pair) {
+      V &top = rows[pair / half * half * 2 + pair % half], &bottom = (&top)[half];
+      const V a = top, b = bottom;
+      top = shuffle(a, b, [](int lane) { return lane & half ? W + lane - half : lane; });
+      bottom = shuffle(a, b, [](int lane) { return lane & half ? W + lane : lane + half; });
+    }
+    transpose<half / 2>(rows);
+  }
+}
+
+constexpr int kRow = 16;  // values of a projected Gaussian, or of an SH basis
+
+// W rows of kRow values from their columns, the first `used` of which count.
+template <int used = kRow>
+[[gnu::always_inline]] inline void rows_of(V* columns, R* rows) {
+  for (int part = 0; part < used; part += W) {
+    transpose(columns + part);
+    for (int i = 0; i < W; ++i) store(rows + kRow * i + part, columns[part + i]);
+  }
+}
+
 // One lane a bit of `set`.
 inline M lanes_of(uint32_t set) {
 #if SVRGS_LANES == 16
@@ -112,6 +179,19 @@ inline M lanes_of(uint32_t set) {
   for (int i = 0; i < W; ++i) bit[i] = IntR(1) << i;
   return (bit & (I{} + static_cast<IntR>(set))) == bit;
 #endif
+}
+
+// The first n <= W values from p on, 0 behind them.
+template <int n, class T>
+inline V load_first(const T* p) {
+#if SVRGS_LANES == 16
+  if constexpr (std::is_same_v<T, R>) return _mm512_maskz_loadu_ps(static_cast<M>((1u << n) - 1), p);
+#elif SVRGS_LANES == 8
+  if constexpr (std::is_same_v<T, R>) return _mm256_maskload_ps(p, (__m256i)lanes_of((1u << n) - 1));
+#endif
+  T spare[W] = {};
+  std::copy_n(p, n, spare);
+  return load(spare);
 }
 
 // Which of the W rows from `base` on ascending `ids` name, a bit each; ids[0] is one of them, and `known` are there.
@@ -207,6 +287,28 @@ inline int append_lanes(uint8_t* list, int count, int first, uint32_t set) {
   list[count] = static_cast<uint8_t>(first);
 #endif
   return count + __builtin_popcount(set);
+}
+
+// Writes the lanes of `set` from `to` on, one after the other, and anything behind them: W values in all.
+inline void pack(uint32_t set, V v, R* to) {
+#if SVRGS_LANES == 16
+  store(to, _mm512_maskz_compress_ps(static_cast<M>(set), v));
+#elif SVRGS_LANES == 8
+  const __m256i from = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(static_cast<long long>(kSetBits.positions[set])));
+  store(to, _mm256_permutevar8x32_ps(v, from));
+#else
+  for (; set; set &= set - 1) *to++ = v[__builtin_ctz(set)];
+#endif
+}
+
+// The same for first + lane.
+inline void pack_lanes(uint32_t set, uint32_t first, uint32_t* to) {
+#if SVRGS_LANES == 16
+  const __m512i lanes = _mm512_add_epi32(_mm512_set1_epi32(static_cast<int>(first)), _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
+  _mm512_storeu_si512(to, _mm512_maskz_compress_epi32(static_cast<M>(set), lanes));
+#else
+  for (; set; set &= set - 1) *to++ = first + static_cast<uint32_t>(__builtin_ctz(set));
+#endif
 }
 
 // The sums of four vectors, to out[0..3].
