@@ -123,11 +123,15 @@ inline void prefetch_row(const AdamTensors& t, int64_t at, int width) {
     __builtin_prefetch(t.param + at + k, 1), __builtin_prefetch(t.moments + at + k, 1);
 }
 
-constexpr int kRowsAhead = 8, kNarrowAhead = 256;
+inline void prefetch_grads(const R* grad, int values) {
+  for (int k = 0; k < values; k += 64 / sizeof(R)) __builtin_prefetch(grad + k);
+}
 
-// n <= W rows; ids names them in the tensors, and `known` >= n of those to come; grad holds theirs one after the other.
-// Returns how many were left alone.
-inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, int64_t known, const R* grad, int n, int width) {
+constexpr int kRowsAhead = 8, kGradsAhead = 16, kNarrowAhead = 256;
+
+// n <= W rows; ids names them in the tensors, and `known` >= n of those to come; grad holds theirs one after the other, and
+// `ready` >= n of those to come. Returns how many were left alone.
+inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, int64_t known, const R* grad, int64_t ready, int n, int width) {
   if (width == 1) return adam_narrow<1>(a, t, ids, grad, n, 1);
   if (width == 3) return adam_narrow<3>(a, t, ids, grad, n, 3);
   if (width == 4) return adam_narrow<4>(a, t, ids, grad, n, 4);
@@ -135,6 +139,7 @@ inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* 
   int bad = 0;
   for (int i = 0; i < n; ++i) {
     if (i + kRowsAhead < known) prefetch_row(t, static_cast<int64_t>(ids[i + kRowsAhead]) * width, width);
+    if (i + kGradsAhead < ready) prefetch_grads(grad + (i + kGradsAhead) * width, width);
     bad += adam_wide(a, t, static_cast<int64_t>(ids[i]) * width, grad + i * width, width);
   }
   return bad;
@@ -156,6 +161,7 @@ inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uin
     V g[width], zero = splat(0);
     const R* packed = grad + r * width;  // the named rows' gradients
     if (base + kNarrowAhead <= ids[end - 1]) prefetch_row(t, (base + int64_t{kNarrowAhead}) * width, W * width);
+    if (r + kNarrowAhead < end) prefetch_grads(packed + kNarrowAhead * width, W * width);
     for (int k = 0; k < width; ++k) {
       const uint32_t set = bits(lanes_of_rows<width>(rows, k));
       g[k] = spread(set, packed), zero += g[k] * R(0);
@@ -187,7 +193,7 @@ int64_t adam_rows(const AdamRates& a, const AdamTensors& t, const R* grad, const
     const int n = static_cast<int>(std::min<int64_t>(W, end - r));
     uint32_t all[W];
     for (int i = 0; i < n && !ids; ++i) all[i] = static_cast<uint32_t>(r + i);
-    bad += adam_group(a, t, ids ? ids + r : all, ids ? end - r : n, grad + r * width, n, width);
+    bad += adam_group(a, t, ids ? ids + r : all, ids ? end - r : n, grad + r * width, end - r, n, width);
   }
   return bad;
 }

@@ -136,7 +136,7 @@ inline int gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads&
   scatter(out.log_scales, first, n, 3, g.log_scale);
   scatter(out.quats, first, n, 4, g.quat);
   scatter(out.opacity_logits, first, n, 1, &g.opacity_logit);
-  return updates ? adam_group(update->sh, tensors(update->settings->sh), f.visible + first, f.visible_count - first, own, n, width) : 0;
+  return updates ? adam_group(update->sh, tensors(update->settings->sh), f.visible + first, f.visible_count - first, own, n, n, width) : 0;
 }
 
 template <bool updates>
