@@ -37,13 +37,20 @@ inline T reach2(const Frame& f, T log2_opacity) {
   return (f.without & SVRGS_OPACITY_BOUNDS ? T{} : log2_opacity) + (kReachMargin - R(kLog2Cut));
 }
 
-constexpr int kStretch = 32;  // Gaussians looked at before those of them that may be seen are projected
-constexpr int kFetched = W;   // of those that may be seen, how many ahead SH rows and places to write are fetched
+constexpr int kStretch = 64;        // Gaussians looked at before those of them that may be seen are projected
+constexpr int kInputsFetched = 128; // how many ahead what is looked at is fetched
+constexpr int kFetched = W;         // of those that may be seen, how many ahead SH rows and places to write are fetched
 
 // Asks for so many bytes: SH rows are far apart where not every Gaussian is visible, and the processor does not foresee them. Always inline: GCC drops calls of a function that does nothing else.
 template <int bytes>
 [[gnu::always_inline]] inline void fetch(const void* p) {
   for (int k = 0; k < bytes; k += 64) __builtin_prefetch(static_cast<const char*>(p) + k);
+}
+
+// W rows of `width` values.
+template <int width>
+[[gnu::always_inline]] inline void fetch_rows(const void* array, int64_t first) {
+  fetch<W * width * sizeof(R)>(static_cast<const R*>(array) + first * width);
 }
 
 // The first n of W rows of `width` values, in columns; what lies behind the scene's end is 0.
@@ -180,13 +187,13 @@ inline Screen to_screen(const Frame& f, const Batch& b) {
   return s;
 }
 
-constexpr int kPending = kStretch + kFetched + 2 * W;
+constexpr int kPending = 128 + kStretch + 2 * W;
 
 // Gaussians of a range on their way: those that may be seen, in columns, and where the visible ones go, one after the other.
 struct Projection {
   R numbers[kNumbers][kPending] = {}, masks[kPending] = {};
   uint32_t ids[kPending] = {};
-  int count = 0;   // of those that wait
+  int first = 0, last = 0;  // of those that wait, and behind them
   int64_t place;   // of the next visible one
   uint32_t *visible, *depth_keys;
 };
@@ -240,31 +247,34 @@ inline V load_masks(const Frame& f, int64_t first, int n) {
 
 // Adds those of the n <= W Gaussians from `first` on that may be seen to those that wait.
 inline void enqueue(const Frame& f, int64_t first, int n, Projection& p) {
+  const int64_t coming = first + kInputsFetched;
   V numbers[kNumbers];
   V *means = numbers, *scales = numbers + 3;
+  if (coming < f.count) fetch_rows<3>(f.means, coming), fetch_rows<3>(f.log_scales, coming), fetch_rows<1>(f.opacity_logits, coming);
   columns_from<3>(f.means, first, n, means);
   columns_from<3>(f.log_scales, first, n, scales);
   columns_from<1>(f.opacity_logits, first, n, numbers + 10);
   const uint32_t set = may_be_seen(f, means, max(max(scales[0], scales[1]), scales[2]), numbers[10]) & ((1u << n) - 1);
   if (!set) return;
+  if (coming < f.count) fetch_rows<4>(f.quats, coming);
   columns_from<4>(f.quats, first, n, numbers + 6);
-  const int at = p.count;
+  const int at = p.last;
   for (int k = 0; k < kNumbers; ++k) pack(set, numbers[k], p.numbers[k] + at);
   if (f.masks) pack(set, load_masks(f, first, n), p.masks + at);
   pack_lanes(set, static_cast<uint32_t>(first), p.ids + at);
-  p.count = at + __builtin_popcount(set);
+  p.last = at + __builtin_popcount(set);
 }
 
-// Projects those that wait in whole batches, as long as kFetched more do.
+// Projects those that wait in whole batches, as long as kFetched more do, and makes room for the next stretch.
 inline void project_waiting(const Frame& f, Projection& p) {
-  int done = 0;
-  for (; p.count - done >= W + kFetched; done += W) project_batch(f, done, W, p);
-  p.count -= done;
+  for (; p.last - p.first >= W + kFetched; p.first += W) project_batch(f, p.first, W, p);
+  if (p.last + kStretch + W <= kPending) return;
   for (int i = 0; i < W + kFetched; i += W) {
-    for (R* numbers : p.numbers) store(numbers + i, load(numbers + i + done));
-    if (f.masks) store(p.masks + i, load(p.masks + i + done));
+    for (R* numbers : p.numbers) store(numbers + i, load(numbers + i + p.first));
+    if (f.masks) store(p.masks + i, load(p.masks + i + p.first));
   }
-  std::copy_n(p.ids + done, W + kFetched, p.ids);
+  std::copy_n(p.ids + p.first, W + kFetched, p.ids);
+  p.last -= p.first, p.first = 0;
 }
 
 // Gaussians [begin, end): the visible ones' splats, ids and depth keys, from place `begin` on; returns their number.
@@ -276,7 +286,7 @@ int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* visi
     for (int64_t first = from; first < until; first += W) enqueue(f, first, static_cast<int>(std::min<int64_t>(W, until - first)), p);
     project_waiting(f, p);
   }
-  for (int i = 0; i < p.count; i += W) project_batch(f, i, std::min(W, p.count - i), p);
+  for (; p.first < p.last; p.first += W) project_batch(f, p.first, std::min(W, p.last - p.first), p);
   return p.place - begin;
 }
 

@@ -184,8 +184,13 @@ struct BlockHits {
   return hits;
 }
 
-// Of a tile. Never inline: beside the loop's own it costs that its registers (AVX2: gradients of pixels +40 %).
-[[gnu::noinline]] BlockHits evaluate_first(const Visit& visit, const AllLanes& lanes) {
+// Of a tile. Beside the loop's own, inline, it costs that its registers where a block is several vectors (AVX2: gradients of pixels +40 %).
+#if SVRGS_LANES == 16
+inline
+#else
+[[gnu::noinline]]
+#endif
+BlockHits evaluate_first(const Visit& visit, const AllLanes& lanes) {
   return evaluate_block(visit.local, lanes.block[__builtin_ctzll(visit.blocks)]);
 }
 
