@@ -149,18 +149,20 @@ def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
 def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
     """Drops what no view misses: opacity < 1/255, which is exact, and alpha T below settings.min_contribution in every
     training view, as far as a target count allows. Methods that rank drop all but the target count.
+
+    Both are selected at once, when nothing else is held: copies would be the job's peak of memory.
     """
-    scene = scene.select(~invisible(scene))
-    method = method_named(settings.method)
-    looks = [dataset.cameras[i] for i in dataset.train_indices], Rasterizer(), render_options(scene, settings.background)
+    method, faint = method_named(settings.method), invisible(scene)
+    views = [dataset.cameras[i] for i in dataset.train_indices]
+    keep = ~faint
     if settings.min_contribution:
-        _, peaks, _ = scores.contribution(scene, *looks)
-        keep = (peaks >= settings.min_contribution) | scores.top(peaks, settings.target)
-        masks.refuse_emptying(keep, scene.count, settings.target)
-        scene = scene.select(keep)
+        _, peaks, _ = scores.contribution(scene, views, Rasterizer(), render_options(scene, settings.background))
+        keep &= (peaks >= settings.min_contribution) | scores.top(np.where(faint, -1, peaks), settings.target)
+        masks.refuse_emptying(keep, scene.count - int(faint.sum()), settings.target)
+    scene = scene if keep.all() else scene.select(keep)
     if not method.ranks:
         return scene
-    keep = scores.top(method.score(scene, *looks), settings.target)
+    keep = scores.top(method.score(scene, views, Rasterizer(), render_options(scene, settings.background)), settings.target)
     masks.refuse_emptying(keep, scene.count, settings.target)
     return scene.select(keep)
 

@@ -23,10 +23,13 @@ import tiny_dataset
 from svrgs_addon import jobs
 from svrgs_addon.dataset import load_dataset
 from svrgs_addon.errors import Cancelled, FormatError, SceneError
+from svrgs_addon.finetune import scores
 from svrgs_addon.finetune.plan import prune_settings, train_settings
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.formats import read_ply, write_ply
+from svrgs_addon.native import Rasterizer, RenderOptions
 from svrgs_addon.progress import StopRequest
+from svrgs_addon.splat_files import invisible, load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 # Masks that start undecided, so that pruning events bite within few steps.
@@ -134,6 +137,21 @@ def test_a_pruned_file_keeps_the_order_of_its_source(tiny, data, tmp_path):
     assert 5 < left.count < source.count and (np.diff(rows) > 0).all()
     moved = np.linalg.norm(left.means - source.means[rows], axis=1)
     assert moved.max() < 0.05 < np.median(np.linalg.norm(source.means - source.means.mean(axis=0), axis=1))
+
+
+@pytest.mark.parametrize(("method", "min_contribution", "target"), [("svr", 0.0, 0), ("svr", 0.2, 0), ("svr", 0.9, 150), ("contribution", 0.1, 40)])
+def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, min_contribution, target):
+    """Faint ones are no part of what is looked at, though all of a scene is drawn once."""
+    scene = load_scene(tiny.splat).scene
+    settings = prune_settings(method, 0 if method == "contribution" else 10, 0, target=target, min_contribution=min_contribution)
+    views = [data.cameras[i] for i in data.train_indices]
+    left = scene.select(~invisible(scene))
+    for limit, count in ((min_contribution, target), (np.inf, target if method == "contribution" else left.count)):
+        score, peaks, _ = scores.contribution(left, views, Rasterizer(), RenderOptions())
+        left = left.select((peaks >= limit) | scores.top(peaks if np.isfinite(limit) else score, count))
+    cut = jobs.first_cut(scene, data, settings)
+    assert 0 < cut.count < scene.count
+    np.testing.assert_array_equal(cut.means, left.means)
 
 
 def test_a_stop_at_the_last_step_finishes(tiny, data, whole, tmp_path):

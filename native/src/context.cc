@@ -67,12 +67,12 @@ void Context::project() {
   std::vector<int64_t> offset = kept;
   f.visible_count = prefix(offset);
   uint32_t *visible = visible_.reserve<uint32_t>(f.visible_count), *places = places_.reserve<uint32_t>(f.visible_count);
-  Keyed* sorted = sorted_.reserve<Keyed>(f.visible_count);
+  Keyed* unsorted = unsorted_.reserve<Keyed>(f.visible_count);
   parallel_for(static_cast<int64_t>(kept.size()), [&](int64_t c) {
     for (int64_t i = 0; i < kept[c]; ++i) {
       const int64_t from = c * kProjectGrain + i, to = offset[c] + i;
       visible[to] = ids[from], places[to] = static_cast<uint32_t>(from);
-      sorted[to] = {keys[from], places[to]};
+      unsorted[to] = {keys[from], places[to]};
     }
   });
   f.visible = visible, f.places = places;
@@ -120,8 +120,8 @@ void Context::find_tiles(int64_t max_pairs) {
 void Context::sort_and_bin() {
   Frame& f = frame_;
   const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y;
-  Keyed* sorted = sorted_.reserve<Keyed>(f.visible_count);
-  sort_by_depth(sorted, scratch_.reserve<Keyed>(f.visible_count), f.visible_count);
+  Keyed* unsorted = unsorted_.reserve<Keyed>(f.visible_count);
+  const Keyed* sorted = sort_by_depth(unsorted, slots_.reserve<Keyed>(f.visible_count), f.visible_count);
   int64_t* tile_begin = tile_begin_.reserve<int64_t>(tiles + 1);
   TileEntry* entries = entries_.reserve<TileEntry>(pairs_);
   bin_tiles(f, sorted, tile_begin, entries, counts_.reserve<uint32_t>(binning_chunks(f.visible_count) * tiles));

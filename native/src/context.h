@@ -79,7 +79,8 @@ class Context {
   int64_t pairs_ = 0, rows_ = 0;
   bool holds_view_ = false;
   double seconds_[SVRGS_STAGES] = {};
-  Buffer splats_, tiles_, spans_, ids_, keys_, visible_, places_, sorted_, scratch_, tile_begin_, entries_, counts_, hits_, state_, slots_;
+  Buffer splats_, tiles_, spans_, ids_, keys_, visible_, places_, unsorted_, tile_begin_, entries_, counts_, hits_, state_;
+  Buffer slots_;  // of the pixels' sums; before, where depths are sorted
   Buffer loss_scratch_, tile_values_;
 };
 

@@ -46,12 +46,12 @@ void for_tiles(const Frame& f, uint32_t place, F&& visit) {
 
 }  // namespace
 
-void sort_by_depth(Keyed* items, Keyed* scratch, int64_t count) {
+Keyed* sort_by_depth(Keyed* items, Keyed* scratch, int64_t count) {
   for (int pass = 0; pass < kPasses; ++pass) {
     radix_pass(items, scratch, count, pass * kRadixBits);
     std::swap(items, scratch);
   }
-  std::copy_n(items, count, scratch);  // an odd number of passes ends in the scratch; put it back
+  return items;
 }
 
 int64_t binning_chunks(int64_t visible) { return std::clamp<int64_t>(visible / 4096, 1, 16); }
