@@ -283,9 +283,9 @@ int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3
         items[i] = {bits >> 31 ? ~bits : bits | 1u << 31, static_cast<uint32_t>(i)};  // unsigned integers in the order of the floats
       }
     });
-    svrgs::sort_by_depth(items.get(), items.get() + count, count);
+    const svrgs::Keyed* sorted = svrgs::sort_by_depth(items.get(), items.get() + count, count);
     svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
-      for (int64_t i = begin; i < end; ++i) order[i] = items[i].place;
+      for (int64_t i = begin; i < end; ++i) order[i] = sorted[i].place;
     });
   });
 }

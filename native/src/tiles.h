@@ -9,7 +9,7 @@ struct Keyed {
 };
 
 // Stable sort by key: equal depths keep the order of ids. Returns where the sorted items are: in `items`, or in `scratch`, as many.
-Keyed* sort_by_depth(Keyed* items, Keyed* scratch, int64_t count);
+[[nodiscard]] Keyed* sort_by_depth(Keyed* items, Keyed* scratch, int64_t count);
 
 // Number of scan chunks of tile binning; counts: [chunks][tiles].
 int64_t binning_chunks(int64_t visible);
