@@ -25,7 +25,7 @@ struct Span {  // tiles [begin, end) of one tile row
 struct SplatTiles {   // where a visible Gaussian's tiles are
   uint32_t span;      // first of its rows in Frame::spans, if it has several
   uint32_t slot;      // first of its (Gaussian, tile) slots
-  uint16_t row, rows; // tile rows it touches
+  uint16_t row, rows; // tile rows it touches; these and its columns are written as two words (project.h)
   Span columns;       // of all its rows together
   uint32_t tiles;     // how many tiles it touches
 };

@@ -37,11 +37,12 @@ inline T reach2(const Frame& f, T log2_opacity) {
   return (f.without & SVRGS_OPACITY_BOUNDS ? T{} : log2_opacity) + (kReachMargin - R(kLog2Cut));
 }
 
-constexpr int kStretch = 64;        // Gaussians looked at before those of them that may be seen are projected
-constexpr int kInputsFetched = 128; // how many ahead what is looked at is fetched
-constexpr int kFetched = W;         // of those that may be seen, how many ahead SH rows and places to write are fetched
+constexpr int kStretch = 64;         // Gaussians looked at before those of them that may be seen are projected
+constexpr int kInputsFetched = 128;  // how many ahead what is looked at is fetched
+constexpr int kFetched = W;          // of those that may be seen, how many ahead SH rows and places to write are fetched
 
-// Asks for so many bytes: SH rows are far apart where not every Gaussian is visible, and the processor does not foresee them. Always inline: GCC drops calls of a function that does nothing else.
+// Asks for so many bytes: SH rows are far apart where not every Gaussian is visible, and the processor does not foresee them.
+// Always inline: GCC drops calls of a function that does nothing else.
 template <int bytes>
 [[gnu::always_inline]] inline void fetch(const void* p) {
   for (int k = 0; k < bytes; k += 64) __builtin_prefetch(static_cast<const char*>(p) + k);
@@ -187,7 +188,7 @@ inline Screen to_screen(const Frame& f, const Batch& b) {
   return s;
 }
 
-constexpr int kPending = 128 + kStretch + 2 * W;
+constexpr int kPending = 128 + kStretch + 2 * W;  // room, so that those that wait are moved seldom
 
 // Gaussians of a range on their way: those that may be seen, in columns, and where the visible ones go, one after the other.
 struct Projection {
@@ -230,7 +231,7 @@ inline void project_batch(const Frame& f, int first, int n, Projection& out) {
     __builtin_prefetch(f.tiles + place + kFetched, 1);
     SplatTiles& t = f.tiles[place];
     const uint32_t words[] = {static_cast<uint32_t>(rows_word[i]), static_cast<uint32_t>(columns_word[i])};
-    __builtin_memcpy(&t.row, words, sizeof words);
+    __builtin_memcpy(&t.row, words, sizeof words);  // row, rows, columns
     const float depth = static_cast<float>(s.depth[i]);
     __builtin_memcpy(out.depth_keys + place, &depth, 4);  // positive floats order as their bits
     out.visible[place] = ids[i];
