@@ -114,7 +114,7 @@ inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, c
   const auto row = [&](int i) { return sh + static_cast<int64_t>(ids[i]) * f.sh_coefficients * 3; };
   V basis[kRow];
   sh_basis(degree, direction, basis);
-  for (int c = 0; c < 3; ++c) rgb[c] = splat(R(0.5));
+  for (int c = 0; c < 3; ++c) rgb[c] = splat(0);
   if constexpr (W >= 4) {
     for (int k = used; k < kRow; ++k) basis[k] = splat(0);
     alignas(64) R rows[W * kRow];
@@ -130,6 +130,7 @@ inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, c
     for (int c = 0; c < 3; ++c)
       for (int k = 0; k < used; ++k) rgb[c][0] += basis[k][0] * static_cast<R>(row(0)[3 * k + c]);
   }
+  for (int c = 0; c < 3; ++c) rgb[c] += R(0.5);  // last: what is summed is smaller, and rounds less
 }
 
 template <class T>
