@@ -1,26 +1,8 @@
 // From a tile's kept state to output images, and from image gradients to lanes. Images are row-major, tiles are stored block
 // by block.
 
-constexpr int kLogTable = 1024;
-
 // 1 / log(1 + n), n whole; 0 for n = 0, so that F := 0 with zero gradient where no Gaussian is on the ray.
-inline R inverse_log(R n) {
-  struct Table {
-    R value[kLogTable];
-    Table() {
-      value[0] = 0;
-      for (int i = 1; i < kLogTable; ++i) value[i] = static_cast<R>(1.0 / std::log1p(static_cast<double>(i)));
-    }
-  };
-  static const Table table;
-  const int i = static_cast<int>(n);
-  return i < kLogTable ? table.value[i] : static_cast<R>(1.0 / std::log1p(static_cast<double>(n)));
-}
-
-inline V inverse_log(V n) {
-  for (int i = 0; i < W; ++i) n[i] = inverse_log(R(n[i]));
-  return n;
-}
+inline V inverse_log(V n) { return keep(less(splat(0), n), splat(R(1.4426950408889634)) / log2(n + R(1))); }
 
 // One of a block's kept values, W lanes of it.
 inline V kept(const R* state, Field k) { return load(state + k * kBlockPixels); }
@@ -50,35 +32,59 @@ inline void for_blocks(const Frame& f, int64_t tile, F&& visit) {
   }
 }
 
-// Calls visit(image index, lane) for the block's pixels inside the image.
+// Calls visit(image index, lane) for the first pixel of each of the block's rows inside the image.
 template <class F>
-inline void for_pixels(const Frame& f, BlockPlace p, F&& visit) {
-  for (int y = 0; y < p.rows; ++y)
-    for (int x = 0; x < p.columns; ++x) visit(p.first + static_cast<int64_t>(y) * f.width + x, y * kBlockWidth + x);
+inline void for_rows(const Frame& f, BlockPlace p, F&& visit) {
+  for (int y = 0; y < p.rows; ++y) visit(p.first + static_cast<int64_t>(y) * f.width, y * kBlockWidth);
 }
 
-// Writes one channel of a block's pixels; value(state of W lanes) gives W of them.
-template <class T, class F>
-inline void write_block(const Frame& f, BlockPlace place, const R* block, T* image, int channels, F&& value) {
-  alignas(64) R lanes[kBlockPixels];
-  for (int h = 0; h < kSub; ++h) store(lanes + h * W, value(block + h * W));
-  for_pixels(f, place, [&](int64_t at, int lane) { image[channels * at] = static_cast<T>(lanes[lane]); });
+inline bool is_whole(BlockPlace p) { return p.rows == kBlockHeight && p.columns == kBlockWidth; }
+
+// A block of an image (H, W, channels): kBlockPixels values a channel, 0 outside the image.
+template <int channels>
+inline void read_block(const Frame& f, BlockPlace p, const void* image, R (*values)[kBlockPixels]) {
+  const R* const from = static_cast<const R*>(image);
+  R pixels[channels * kBlockPixels];
+  if (is_whole(p)) {
+    for_rows(f, p, [&](int64_t at, int lane) { std::copy_n(from + channels * at, channels * kBlockWidth, pixels + channels * lane); });
+  } else {
+    std::fill_n(pixels, channels * kBlockPixels, R(0));
+    for_rows(f, p, [&](int64_t at, int lane) { std::copy_n(from + channels * at, channels * p.columns, pixels + channels * lane); });
+  }
+  for (int h = 0; h < kSub; ++h) {
+    V columns[channels];
+    columns_of<channels>(pixels + channels * h * W, columns);
+    for (int c = 0; c < channels; ++c) store(values[c] + h * W, columns[c]);
+  }
+}
+
+// The way back; value(state of W lanes, channel) gives W values. T may be of another type than they are.
+template <int channels, class T, class F>
+inline void write_block(const Frame& f, BlockPlace p, const R* block, T* image, F&& value) {
+  R pixels[channels * kBlockPixels];
+  for (int h = 0; h < kSub; ++h) {
+    V columns[channels];
+    for (int c = 0; c < channels; ++c) columns[c] = value(block + h * W, c);
+    interleave<channels>(columns, pixels + channels * h * W);
+  }
+  const int columns = is_whole(p) ? kBlockWidth : p.columns;  // known, for most blocks, when compiling
+  for_rows(f, p, [&](int64_t at, int lane) { std::copy_n(pixels + channels * lane, channels * columns, image + channels * at); });
 }
 
 void write_tile(const Frame& f, int64_t tile, const svrgs_images& out) {
   const R* const state = tile_state(f, tile);
   for_blocks(f, tile, [&](int b, BlockPlace p) {
     const R* const block = block_state(const_cast<R*>(state), b, 0);
-    const auto write = [&](auto* image, int channels, auto&& value) { write_block(f, p, block, image, channels, value); };
+    const auto write = [&](auto* image, auto&& value) { write_block<1>(f, p, block, image, [&](const R* s, int) { return value(s); }); };
     const auto real = [](void* image) { return static_cast<R*>(image); };
-    for (int c = 0; c < 3 && out.rgb; ++c)
-      write(real(out.rgb) + c, 3, [&](const R* s) { return fma(kept(s, kFinalT), splat(static_cast<R>(f.background[c])), kept(s, Field(kRed + c))); });
-    if (out.depth) write(real(out.depth), 1, [](const R* s) { return kept(s, kDepth); });
-    if (out.alpha) write(real(out.alpha), 1, [](const R* s) { return splat(1) - kept(s, kFinalT); });
-    if (out.mask) write(real(out.mask), 1, [&](const R* s) { return spatial_mask(f, s); });
-    if (out.transmittance) write(real(out.transmittance), 1, [](const R* s) { return kept(s, kFullT); });
+    if (out.rgb)
+      write_block<3>(f, p, block, real(out.rgb), [&](const R* s, int c) { return fma(kept(s, kFinalT), splat(static_cast<R>(f.background[c])), kept(s, Field(kRed + c))); });
+    if (out.depth) write(real(out.depth), [](const R* s) { return kept(s, kDepth); });
+    if (out.alpha) write(real(out.alpha), [](const R* s) { return splat(1) - kept(s, kFinalT); });
+    if (out.mask) write(real(out.mask), [&](const R* s) { return spatial_mask(f, s); });
+    if (out.transmittance) write(real(out.transmittance), [](const R* s) { return kept(s, kFullT); });
     const auto count = [&](const R* s, Field k) { return f.mask_kind == kMaskNone ? splat(0) : kept(s, k); };
-    if (out.hits) write(out.hits, 1, [&](const R* s) { return count(s, kCount); });
-    if (out.kept) write(out.kept, 1, [&](const R* s) { return count(s, kCount) - count(s, kDropped); });
+    if (out.hits) write(out.hits, [&](const R* s) { return count(s, kCount); });
+    if (out.kept) write(out.kept, [&](const R* s) { return count(s, kCount) - count(s, kDropped); });
   });
 }

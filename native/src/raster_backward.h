@@ -11,19 +11,16 @@ struct alignas(64) BackwardBlock {
   R T[kBlockPixels], behind[kBlockPixels];  // behind: g.(everything not yet blended, background included)
   R rgb[3][kBlockPixels], depth[kBlockPixels], alpha[kBlockPixels];  // g
   R mask[kBlockPixels];     // dL/dF over F's denominator
-  R full_T[kBlockPixels];   // T_N
+  R mask_T[kBlockPixels];   // the same times T_N
   R value[kBlockPixels];    // F, scenario A
   R to_come[kBlockPixels];  // scenarios: sum behind of (M - F) alpha T w^2 (A), of M T (B)
 };
 
 inline void read_gradients(const Frame& f, const svrgs_image_grads& g, BlockPlace place, BackwardBlock& t) {
-  const auto read = [&](const void* image, int channels, int channel, R* lanes) {
-    for_pixels(f, place, [&](int64_t at, int lane) { lanes[lane] = static_cast<const R*>(image)[channels * at + channel]; });
-  };
-  for (int c = 0; c < 3 && g.rgb; ++c) read(g.rgb, 3, c, t.rgb[c]);
-  if (g.depth) read(g.depth, 1, 0, t.depth);
-  if (g.alpha) read(g.alpha, 1, 0, t.alpha);
-  if (g.mask && f.mask_kind != kMaskNone) read(g.mask, 1, 0, t.mask);
+  if (g.rgb) read_block<3>(f, place, g.rgb, t.rgb);
+  if (g.depth) read_block<1>(f, place, g.depth, &t.depth);
+  if (g.alpha) read_block<1>(f, place, g.alpha, &t.alpha);
+  if (g.mask && f.mask_kind != kMaskNone) read_block<1>(f, place, g.mask, &t.mask);
 }
 
 // What the lanes from `h` on start with, given their image gradients and kept state.
@@ -36,14 +33,16 @@ inline void start_lanes(const Frame& f, const svrgs_image_grads& g, const R* sta
   store(t.T + h, splat(1));
   store(t.behind + h, behind);
   if (!g.mask || f.mask_kind == kMaskNone) return;
-  const V n = kept(state, kCount), d = load(t.mask + h), F = spatial_mask(f, state);
-  store(t.full_T + h, kept(state, kFullT));
+  const V n = kept(state, kCount), d = load(t.mask + h);
   if (f.mask_kind == kMaskA) {
+    const V F = spatial_mask(f, state);
     store(t.value + h, F);
     store(t.mask + h, keep(less(splat(0), n), d / kept(state, kSum0)));
     store(t.to_come + h, kept(state, kSum3) - F * kept(state, kSum2));
   } else {
-    store(t.mask + h, d * inverse_log(n));
+    const V scaled = d * inverse_log(n);
+    store(t.mask + h, scaled);
+    store(t.mask_T + h, scaled * kept(state, kFullT));
     if (f.mask_kind == kMaskB) store(t.to_come + h, kept(state, kSum1));
   }
 }
@@ -74,8 +73,8 @@ template <bool scenario>
 inline SpatialGrads spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha, V T, V inv, R mask, M counted) {
   const V d = load(t.mask + h), one = splat(1);
   if constexpr (!scenario) {
-    const V share = f.mask_kind == kMaskSelf ? T : load(t.full_T + h) * inv;
-    return {d * fnma(alpha, share, one), -splat(mask) * d * share};
+    const V share = f.mask_kind == kMaskSelf ? d * T : load(t.mask_T + h) * inv;
+    return {fnma(alpha, share, d), splat(-mask) * share};
   } else if (f.mask_kind == kMaskA) {
     const V weight = alpha * T, w = one / (weight + splat(static_cast<R>(f.eps_a))), F = load(t.value + h);
     const V to_come = add_if(counted, load(t.to_come + h), (F - splat(mask)) * weight * w * w), behind = to_come * inv;
@@ -121,8 +120,8 @@ inline void accumulate(const Frame& f, const Wanted& want, BackwardBlock& t, con
   if constexpr (spatial) {
     const M counted = f.full ? e.hit : live;
     const SpatialGrads d = spatial_vjp<scenario>(f, t, h, alpha, T, inv, l.mask, counted);
-    a.spatial += keep(counted, d.mask);
-    if (f.mask_to_shape) g += keep(both(counted, free), alpha * d.alpha);
+    a.spatial = add_if(counted, a.spatial, d.mask);
+    if (f.mask_to_shape) g = add_if(both(counted, free), g, alpha * d.alpha);
   }
   if (!want.shape) return;
   const V gu = g * e.u, gv = g * e.v;

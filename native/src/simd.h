@@ -145,6 +145,26 @@ inline void columns_of(const R* rows, V* out) {
   columns_of<width>(rows, out, std::make_integer_sequence<int, width>{});
 }
 
+// The kth vector of the W rows of `width` values that columns make.
+template <int width, int k, int column = width - 1>
+inline V of_columns(const V* columns) {
+  if constexpr (column == 0)
+    return shuffle(columns[0], columns[0], [](int lane) { return (W * k + lane) / width; });
+  else
+    return shuffle(of_columns<width, k, column - 1>(columns), columns[column], [](int lane) {
+      const int at = W * k + lane;
+      return at % width == column ? W + at / width : lane;
+    });
+}
+// The way back from columns_of.
+template <int width, int k = 0>
+inline void interleave(const V* columns, R* rows) {
+  if constexpr (k < width) {
+    store(rows + W * k, of_columns<width, k>(columns));
+    interleave<width, k + 1>(columns, rows);
+  }
+}
+
 // W rows of W values become columns, or columns rows. Always inline, as rows_of is: in registers.
 template <int half = W / 2>
 [[gnu::always_inline]] inline void transpose(V* rows) {

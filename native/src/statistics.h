@@ -109,15 +109,9 @@ inline V sensitivity(const Local& l, const Hit& e, V& T, V left[3]) {
 // Slot of each pair: by how much the sum of squared residuals (H, W, 3) would grow without the Gaussian, sum of d^2 - 2 r d.
 void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slots) {
   const TileOrigin o = tile_origin(f, tile);
-  const R* const r = static_cast<const R*>(residuals);
   Remaining t(f, tile);
-  V doubled[kBlocks][kSub][3] = {};
-  for (int y = o.y * kTile; y < std::min((o.y + 1) * kTile, f.height); ++y)
-    for (int x = o.x * kTile; x < std::min((o.x + 1) * kTile, f.width); ++x) {
-      const int column = x % kTile, row = y % kTile, lane = row % kBlockHeight * kBlockWidth + column % kBlockWidth;
-      V(&block)[kSub][3] = doubled[row / kBlockHeight * kBlockColumns + column / kBlockWidth];
-      for (int c = 0; c < 3; ++c) block[lane / W][c][lane % W] = 2 * r[(static_cast<int64_t>(y) * f.width + x) * 3 + c];
-    }
+  R residual[kBlocks][3][kBlockPixels] = {};
+  for_blocks(f, tile, [&](int b, BlockPlace place) { read_block<3>(f, place, residuals, residual[b]); });
   for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
     const TileEntry entry = f.entries[e];
     const Local l = localise(splat_of(f, entry), o);
@@ -127,7 +121,7 @@ void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slo
       for (int b = __builtin_ctzll(left), h = 0; h < kSub; ++h) {
         const Lanes& lanes = all_lanes().block[b];
         const Share s = share(l, evaluate(l, lanes.x[h], lanes.y[h]), t.T[b][h], t.rgb[b][h]);
-        for (int c = 0; c < 3; ++c) cost = fma(s.rgb[c], s.rgb[c] - doubled[b][h][c], cost);
+        for (int c = 0; c < 3; ++c) cost = fma(s.rgb[c], s.rgb[c] - R(2) * load(residual[b][c] + h * W), cost);
       }
     static_cast<R*>(slots)[entry.slot] = sum(cost);
   }
