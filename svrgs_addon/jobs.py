@@ -176,7 +176,8 @@ def make_engine(name: str):
 
 
 def fine_tune(model: Model, dataset: Dataset, settings: Settings, options: JobOptions, clock: Clock) -> tuple[loop.Run, Scene]:
-    """Runs all phases with checkpoints, writes options.out, and forgets the checkpoints; each phase's seconds go to the clock."""
+    """Runs all phases with checkpoints, writes options.out, and forgets the checkpoints; each phase's seconds go to the clock. The model
+    ends as the scene that is returned."""
     run = loop.Run(model, dataset, settings, make_engine(options.engine), model.beside["antialiased"])
     identity = run_identity(model, dataset, settings, options.engine)
     if options.resume:
@@ -196,9 +197,9 @@ def fine_tune(model: Model, dataset: Dataset, settings: Settings, options: JobOp
 
     loop.run_to_end(run, observe, options.stop, lambda: checkpoint.save(run, options.folder, identity), lambda: curve_psnr(run))
     clock.phases |= run.seconds
-    model.forget_moments()
+    run.drop = run.closing.drop(run) if run.closing else None
     run.engine = make_engine(options.engine)  # one without the buffers of the steps, before others need memory
-    scene = model.scene()
+    scene = model.into_scene()
     with clock.phase("write"):
         write_scene(options.out, scene)
     checkpoint.forget(options.folder)
@@ -244,7 +245,7 @@ def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
         "lambda_m": settings.lambda_m or None,
         "target": run.target or None,
         "reached": run.control.reached if run.control else None,
-        "drop": run.closing.drop(run) if run.closing else None,
+        "drop": run.drop,
         "strength": run.strength,
         "seconds": clock.total,
         "seconds_by_phase": clock.phases,

@@ -13,7 +13,7 @@ from .errors import SceneError
 # Bytes, measured as the growth of the process (docs/reliability.md).
 READING = 1.3  # times a file's size: its arrays, and copies of some while they are mended
 ROW_FLOATS = 13  # of a Gaussian beside its SH coefficients: place, size, turn, opacity, mask, origin
-MOMENTS = 1  # arrays of the optimiser for each of them
+SH_MOMENT = 2  # bytes of a coefficient: what the optimiser keeps of it; of other values as much as they take
 BORN_COPIES = 2  # of a new Gaussian's values while it joins the others
 PROJECTED = 150  # of a Gaussian on the screen
 RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 400
@@ -33,15 +33,21 @@ def rendering(count: int, width: int, height: int) -> int:
 def tuning(count: int, coefficients: int, cameras: Sequence[Camera], kept_photographs: int) -> int:
     """To fine-tune and measure `count` Gaussians with K coefficients a channel, photographs (bytes) beside them."""
     photographs = min(kept_photographs, 3 * sum(camera.width * camera.height for camera in cameras))
-    row = 4 * (ROW_FLOATS + 3 * coefficients)
-    return int((1 + MOMENTS) * row + PROJECTED) * count + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + photographs
+    row, moments = _trained_row(coefficients)
+    return int(row + moments + PROJECTED) * count + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + photographs
 
 
 def growing(count: int, born: int, coefficients: int, cameras: Sequence[Camera]) -> int:
     """To add `born` Gaussians to `count` in training, one array after the other copied, and still to measure a view in the end."""
-    row, largest = 4 * (ROW_FLOATS + 3 * coefficients), 4 * 3 * coefficients
-    new = (1 + MOMENTS + BORN_COPIES) * row + PROJECTED
+    (row, moments), largest = _trained_row(coefficients), 4 * 3 * coefficients
+    new = (1 + BORN_COPIES) * row + moments + PROJECTED
     return new * born + largest * (count + born) + MEASURED_PIXEL * _pixels(cameras)
+
+
+def _trained_row(coefficients: int) -> tuple[int, int]:
+    """Bytes of a Gaussian with K coefficients a channel, and of its moments."""
+    other = 4 * ROW_FLOATS
+    return other + 4 * 3 * coefficients, other + SH_MOMENT * 3 * coefficients
 
 
 def shortage(what: str, needed: int) -> str:

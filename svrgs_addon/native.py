@@ -17,7 +17,7 @@ import numpy as np
 from .camera import Camera
 from .errors import Cancelled, NativeError
 
-INTERFACE_VERSION = 8
+INTERFACE_VERSION = 9
 LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
 MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
@@ -25,7 +25,6 @@ COUNTS = ("hits", "kept")
 LOSS_IMAGES = ("rgb", "depth", "alpha", "mask")  # those a gradient may come from
 MOMENTS = ("uu", "uv", "vv", "uuu", "uuv", "uvv", "vvv", "uuuu", "uuuv", "uuvv", "uvvv", "vvvv")
 GRADS = ("means", "log_scales", "quats", "opacity_logits", "sh", "masks", "means2d")
-MOMENT_TYPES = {np.dtype(np.float32): np.dtype(np.uint32), np.dtype(np.float64): np.dtype(np.complex128)}  # of Adam: finetune/moments.py
 SKIPS = {"exact_tiles": 1, "block_tests": 2, "opacity_bounds": 4, "termination": 8}
 STAGES = ("project", "tiles", "sort", "blend", "raster_grads", "parameter_grads", "loss", "adam")
 LIBRARY_VARIABLE = "SVRGS_LIBRARY"  # environment: another build of the library, to measure it
@@ -48,7 +47,7 @@ _Options = _struct("_Options", sh_degree=c.c_int32, antialiased=c.c_int32, full=
 _Images = _struct("_Images", rgb=_real, depth=_real, alpha=_real, mask=_real, hits=_real, kept=_real, transmittance=_real)
 _ImageGrads = _struct("_ImageGrads", rgb=_real, depth=_real, alpha=_real, mask=_real)
 _Grads = _struct("_Grads", **{name: _real for name in GRADS})
-_Adam = _struct("_Adam", lr=c.c_void_p, beta1=c.c_double, beta2=c.c_double, eps=c.c_double, step=c.c_int64)
+_Adam = _struct("_Adam", lr=c.c_void_p, beta1=c.c_double, beta2=c.c_double, eps=c.c_double, step=c.c_int64, shared=c.c_int32)
 _Trained = _struct("_Trained", param=_real, moments=c.c_void_p, lr=c.c_void_p)
 _Update = _struct("_Update", adam=_Adam, **{name: _Trained for name in GRADS[:5]})
 _Work = _struct("_Work", **{name: c.c_int64 for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")})
@@ -268,13 +267,13 @@ class Rasterizer:
     def adam(self, param, moments, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
         """One Adam step on rows `ids` (uint32, ascending, or None: all) of param and moments (N, ...), given grad (rows, ...).
 
-        moments: of MOMENT_TYPES, zero to begin with; finetune/moments.py reads them. lr: one rate, or one per column of a
+        moments: as moments_like says, zero to begin with; finetune/moments.py reads them. lr: one rate, or one per column of a
         flattened row; step counts from 1. Returns the number of rows skipped because their gradient was not finite.
         """
         shape = np.shape(param)
         rates = _rates(lr, shape)
         rows = len(param) if ids is None else len(ids)
-        settings = _adam_settings(rates.ctypes.data, betas, eps, step)
+        settings = _adam_settings(rates.ctypes.data, betas, eps, step, shared=len(shape) == 3)
         bad = c.c_int64()
         addresses = [*self._trained(param, moments, shape)]
         addresses.append(_check(grad, "grad", (rows, *shape[1:]), self.dtype))
@@ -285,7 +284,7 @@ class Rasterizer:
         return bad.value
 
     def _trained(self, param, moments, shape: tuple, of: str = "") -> tuple[int, int]:
-        return _check_out(param, f"param{of}", shape, self.dtype), _check_out(moments, f"moments{of}", shape, MOMENT_TYPES[self.dtype])
+        return _check_out(param, f"param{of}", shape, self.dtype), _check_out(moments, f"moments{of}", *moments_like(shape, self.dtype))
 
     def _gradients(self, image_grads: dict, wanted):
         """What the library reads, what it writes, and pointers to the latter."""
@@ -325,14 +324,24 @@ class Rasterizer:
         return self._buffers[name][:size].reshape(shape)
 
 
+def moments_like(shape: tuple, dtype) -> tuple[tuple, np.dtype]:
+    """Shape and dtype of the Adam moments of parameters (N, ...): both of each value in one; of SH coefficients (N, K, 3) a row of
+    the first ones and the second they share (svrgs.h)."""
+    single = np.dtype(dtype) == np.float32
+    if len(shape) < 3:
+        return tuple(shape), np.dtype(np.uint32 if single else np.complex128)
+    first = shape[1] * shape[2]
+    return (shape[0], (first + 1) // 2 + 1 if single else first + 1), np.dtype(np.uint32 if single else np.float64)
+
+
 def _rates(lr, shape: tuple) -> np.ndarray:
     """One rate per column of a tensor, float64."""
     width = int(np.prod(shape[1:], dtype=np.int64))
     return np.ascontiguousarray(np.broadcast_to(np.asarray(lr, np.float64), (width,)))
 
 
-def _adam_settings(rates: int | None, betas, eps: float, step: int) -> _Adam:
-    return _Adam(rates, *betas, eps, step)
+def _adam_settings(rates: int | None, betas, eps: float, step: int, shared: bool = False) -> _Adam:
+    return _Adam(rates, *betas, eps, step, shared)
 
 
 def _image_shape(name: str, height: int, width: int) -> tuple:

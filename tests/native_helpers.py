@@ -9,6 +9,7 @@ import numpy as np
 
 import scenes
 from svrgs_addon import native
+from svrgs_addon.finetune.moments import packed
 from svrgs_addon.native import Rasterizer, RenderOptions
 
 LEVELS = native.supported_levels()
@@ -28,6 +29,12 @@ def rasterizer(level: str) -> Rasterizer:
 def typed(scene, dtype) -> SimpleNamespace:
     """Writable copies of the scene's five arrays in another type."""
     return SimpleNamespace(**{name: np.array(getattr(scene, name), dtype, order="C") for name in ARRAYS})
+
+
+def some_moments(shape: tuple, rng, dtype, spread: float, step: int) -> np.ndarray:
+    """Adam moments of values of that shape: random first ones, and second ones as large as their squares might be."""
+    first, second = (rng.normal(0, spread, s).astype(dtype) for s in (shape, shape[:1] if len(shape) == 3 else shape))
+    return packed(first, np.abs(second), step)
 
 
 def bytes_of(masks) -> np.ndarray | None:

@@ -9,7 +9,7 @@ import pytest
 import scenes
 from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model, scene_from_points
-from svrgs_addon.scene import SH_C0
+from svrgs_addon.scene import SH_C0, Scene
 from test_finetune_loop import bits
 
 
@@ -22,6 +22,11 @@ def numbered(n: int, with_masks: bool = True) -> Model:
         for array in arrays.values():
             array[:] = (scale * np.arange(1, n + 1)).reshape(-1, *[1] * (array.ndim - 1))
     return model
+
+
+def scene_now(model: Model) -> Scene:
+    """What the model would become, without ending it."""
+    return Model(dict(model.values), origin=model.origin, beside=model.beside).into_scene()
 
 
 @pytest.mark.parametrize("kept", [[1, 2, 4, 5, 7, 8, 10, 11], [0, 5, 11], list(range(12))])
@@ -59,12 +64,12 @@ def test_a_model_becomes_a_scene_in_the_order_of_its_source():
     model, rng = Model.of(source), np.random.default_rng(1)
     model.reorder(rng.permutation(9))
     model.keep(~np.isin(model.origin, [0, 4]))
-    scene, left = model.scene(), [1, 2, 3, 5, 6, 7, 8]
+    scene, left = scene_now(model), [1, 2, 3, 5, 6, 7, 8]
     assert scene.attributes["label"].tolist() == left
     assert all((getattr(scene, name) == getattr(source, name)[left]).all() for name in PARAMETERS)
     model.append({name: value[:2] * 0 + value.dtype.type([-1, -2]).reshape(2, *[1] * (value.ndim - 1)) for name, value in model.values.items()})
     model.reorder(np.r_[3:9, 1, 0, 2])
-    scene = model.scene()
+    scene = model.into_scene()
     for name in PARAMETERS:
         assert (getattr(scene, name)[:7] == getattr(source, name)[left]).all(), name
         assert [row.flat[0] for row in np.atleast_2d(getattr(scene, name)[7:].reshape(2, -1))] == [-1, -2], name
@@ -72,18 +77,28 @@ def test_a_model_becomes_a_scene_in_the_order_of_its_source():
 
 def test_a_model_in_the_order_of_its_source_becomes_a_scene_without_copies():
     model = Model.of(scenes.random_scene(9))
-    assert all(np.shares_memory(getattr(model.scene(), name), value) for name, value in model.values.items())
+    arrays = dict(model.values)
+    scene = model.into_scene()
+    assert all(np.shares_memory(getattr(scene, name), value) for name, value in arrays.items())
+
+
+def test_a_model_that_became_a_scene_holds_no_arrays():
+    model = Model.of(scenes.random_scene(9))
+    model.reorder(np.arange(9)[::-1].copy())
+    assert model.into_scene().count == model.count == 9
+    assert not model.values and not model.moments
 
 
 def test_a_model_becomes_a_scene_with_the_columns_that_still_fit():
     source = replace(scenes.random_scene(9), attributes={"label": np.arange(9, dtype=np.float32)}, antialiased=True)
     model = Model.of(source)
     model.keep(np.isin(np.arange(9), [2, 5, 8]))
-    scene = model.scene()
+    scene = scene_now(model)
     assert scene.attributes["label"].tolist() == [2, 5, 8] and scene.antialiased
     assert all((getattr(scene, name) == getattr(source, name)[[2, 5, 8]]).all() for name in PARAMETERS)
     model.append({name: value[:1] for name, value in model.values.items()})
-    assert model.scene().attributes == {} and model.scene().count == 4
+    scene = model.into_scene()
+    assert scene.attributes == {} and scene.count == 4
 
 
 def test_masks_come_and_go_without_touching_the_rest():

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import scenes
-from native_helpers import ARRAYS, LEVELS, image_weights, rasterizer, typed
+from native_helpers import ARRAYS, LEVELS, image_weights, rasterizer, some_moments, typed
 from svrgs_addon import native
 from svrgs_addon.errors import NativeError
-from svrgs_addon.finetune.moments import packed
 from svrgs_addon.native import RenderOptions
 
 CAMERA = scenes.camera(41, 29)
@@ -23,8 +22,7 @@ def world(level: str, sh_degree: int, count: int = COUNT):
     """A scene with moments of an earlier step, masks, and image gradients, in the level's type."""
     dtype, rng = rasterizer(level).dtype, np.random.default_rng(3)
     scene = typed(scenes.random_scene(count, 5, sh_degree, scale=0.3), dtype)
-    moments = {name: [rng.normal(0, 1e-3, getattr(scene, name).shape).astype(dtype) for _ in range(2)] for name in ARRAYS}
-    moments = {name: packed(m, np.abs(v), 6) for name, (m, v) in moments.items()}
+    moments = {name: some_moments(getattr(scene, name).shape, rng, dtype, 1e-3, 6) for name in ARRAYS}
     masks = scenes.random_masks(count, 5).astype(np.uint8)
     weights = {name: np.ascontiguousarray(image_weights(CAMERA)[name], dtype) for name in ("rgb", "mask")}
     return SimpleNamespace(**vars(scene), moments=moments, masks=masks, weights=weights)

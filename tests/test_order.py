@@ -151,7 +151,7 @@ def test_the_order_changes_nothing_but_the_speed():
     for ordered in (True, False):
         run = advance(run_of(recovery_phase(30), spatial_order=ordered), 30)
         assert ordered != np.array_equal(run.model.origin, np.arange(150))
-        ends.append(run.model.scene())
+        ends.append(run.model.into_scene())
     for name in PARAMETERS:
         np.testing.assert_array_equal(getattr(ends[0], name), getattr(ends[1], name))
 

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 8
+#define SVRGS_INTERFACE_VERSION 9
 
 typedef void real; /* float or double, by the context's level */
 
@@ -188,11 +188,17 @@ SVRGS_API int32_t svrgs_loss(svrgs_context *, const real *image, const real *tar
    moments: both of a value side by side, 0 to begin with. double: m, v. float: a word of 32 bits, in its upper 20 m, rounded to
    nearest, without the last 12 bits of its mantissa, in its lower 12 v without its sign (it has none) and the last 19. A step
    adds 0.1 % to v, far less than half of what its last bit counts for, so it is rounded up as often as it is near to that: bits(v) + n,
-   then cut, n = (x ^ x >> 15) * 0x85ebca6b >> 13, x = bits(m), as they are stored, ^ step * 0x9e3779b1. */
+   then cut, n = (x ^ x >> 15) * 0x85ebca6b >> 13, x = bits(m), 20 of them, ^ step * 0x9e3779b1.
+
+   shared: rows are SH coefficients, (K, 3) values each, width 3, 12, 27 or 48, with one second moment for all: v of the mean square
+   of the first three gradients, those of degree 0. A row of moments: m of every value, then v. double: width + 1 values. float: m in 16
+   bits each, the upper ones of bits(m) + n, n = (x ^ x >> 15) * 0x85ebca6b >> 16, x = bits(m) ^ step * 0x9e3779b1; two bytes more where the
+   width is odd; v in 32 bits. */
 typedef struct {
   const double *lr;
   double beta1, beta2, eps;
   int64_t step;
+  int32_t shared; /* 0 or 1 */
 } svrgs_adam_settings;
 SVRGS_API int32_t svrgs_adam(svrgs_context *, const svrgs_adam_settings *, real *param, void *moments, const real *grad,
                              const uint32_t *ids, int64_t rows, int32_t width, int64_t *nonfinite);
@@ -203,11 +209,11 @@ SVRGS_API int32_t svrgs_adam(svrgs_context *, const svrgs_adam_settings *, real 
    changed. */
 typedef struct {
   real *param;      /* (N, columns) */
-  void *moments;    /* (N, columns), as in svrgs_adam */
+  void *moments;    /* a row of N each, as in svrgs_adam; of sh: shared */
   const double *lr; /* (columns,) */
 } svrgs_trained;
 typedef struct {
-  svrgs_adam_settings adam; /* its lr is not read */
+  svrgs_adam_settings adam; /* its lr and shared are not read */
   svrgs_trained means, log_scales, quats, opacity_logits, sh;
 } svrgs_update;
 SVRGS_API int32_t svrgs_backward_update(svrgs_context *, const svrgs_image_grads *, const svrgs_update *, const svrgs_grads *others,

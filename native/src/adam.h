@@ -47,9 +47,15 @@ inline Moments load_moments(const uint32_t* p) {
   const U word = load_words(p);
   return {(V)(word & 0xfffff000u), (V)(word << 20 >> 1)};
 }
+// The upper 20 of a float, rounded to nearest; and 32 random ones that follow from them and from the step.
+inline U leading_bits(V m) { return ((U)m + 0x800u) & 0xfffff000u; }
+inline U rounding_noise(const AdamRates& a, U bits) {
+  const U x = bits ^ a.salt;
+  return (x ^ x >> 15) * 0x85ebca6bu;
+}
 inline U packed(const AdamRates& a, const Moments& n) {
-  const U m = ((U)n.m + 0x800u) & 0xfffff000u, x = m ^ a.salt, noise = (x ^ x >> 15) * 0x85ebca6bu >> 13;
-  return m | ((U)n.v + noise) >> 19;
+  const U m = leading_bits(n.m);
+  return m | ((U)n.v + (rounding_noise(a, m) >> 13)) >> 19;
 }
 inline void store_moments(const AdamRates& a, uint32_t* p, const Moments& n, M set) {
   const V word = select(set, (V)packed(a, n), (V)load_words(p));
@@ -77,15 +83,6 @@ struct AdamTensors {
   R* param;
   Packed* moments;
 };
-
-// Rows of whole vectors, in place. Returns 1 if the gradient is not finite, and the row left alone.
-inline int adam_wide(const AdamRates& a, const AdamTensors& t, int64_t at, const R* grad, int width) {
-  V zero = splat(0);
-  for (int k = 0; k < width; k += W) zero += load(grad + k) * R(0);
-  if (!(sum(zero) == 0)) return 1;
-  for (int k = 0; k < width; k += W) adam_lanes(a, a.rate + k, t.param + at + k, t.moments + at + k, load(grad + k));
-  return 0;
-}
 
 // n <= W rows of `width` values through a contiguous copy, so that narrow rows fill whole vectors too; row i is ids[i].
 template <int fixed>
@@ -127,22 +124,14 @@ inline void prefetch_grads(const R* grad, int values) {
   for (int k = 0; k < values; k += 64 / sizeof(R)) __builtin_prefetch(grad + k);
 }
 
-constexpr int kRowsAhead = 8, kGradsAhead = 16, kNarrowAhead = 256;
+constexpr int kNarrowAhead = 256;
 
-// n <= W rows; ids names them in the tensors, and `known` >= n of those to come; grad holds theirs one after the other, and
-// `ready` >= n of those to come. Returns how many were left alone.
-inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, int64_t known, const R* grad, int64_t ready, int n, int width) {
+// n <= W rows; ids names them in the tensors, grad holds theirs one after the other. Returns how many were left alone.
+inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int n, int width) {
   if (width == 1) return adam_narrow<1>(a, t, ids, grad, n, 1);
   if (width == 3) return adam_narrow<3>(a, t, ids, grad, n, 3);
   if (width == 4) return adam_narrow<4>(a, t, ids, grad, n, 4);
-  if (width % W) return adam_narrow<0>(a, t, ids, grad, n, width);
-  int bad = 0;
-  for (int i = 0; i < n; ++i) {
-    if (i + kRowsAhead < known) prefetch_row(t, static_cast<int64_t>(ids[i + kRowsAhead]) * width, width);
-    if (i + kGradsAhead < ready) prefetch_grads(grad + (i + kGradsAhead) * width, width);
-    bad += adam_wide(a, t, static_cast<int64_t>(ids[i]) * width, grad + i * width, width);
-  }
-  return bad;
+  return adam_narrow<0>(a, t, ids, grad, n, width);
 }
 
 // The first and the last of the rows that a thread has to itself.
@@ -193,7 +182,7 @@ int64_t adam_rows(const AdamRates& a, const AdamTensors& t, const R* grad, const
     const int n = static_cast<int>(std::min<int64_t>(W, end - r));
     uint32_t all[W];
     for (int i = 0; i < n && !ids; ++i) all[i] = static_cast<uint32_t>(r + i);
-    bad += adam_group(a, t, ids ? ids + r : all, ids ? end - r : n, grad + r * width, end - r, n, width);
+    bad += adam_group(a, t, ids ? ids + r : all, grad + r * width, n, width);
   }
   return bad;
 }

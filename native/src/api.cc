@@ -251,6 +251,7 @@ int32_t svrgs_adam(svrgs_context* c, const svrgs_adam_settings* settings, real* 
   return guarded([&] {
     require(c && settings && settings->lr && nonfinite && (rows == 0 || (param && moments && grad)), "an argument is missing");
     require(rows >= 0 && width > 0 && width <= 64, "rows must not be negative, width must be 1 to 64");
+    require(!settings->shared || width == 3 || width == 12 || width == 27 || width == 48, "rows of SH coefficients have a width of 3, 12, 27 or 48");
     *nonfinite = c->context.adam(*settings, param, moments, grad, ids, rows, width);
   });
 }

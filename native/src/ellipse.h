@@ -4,7 +4,7 @@
 
 constexpr R kReachMargin = R(1e-3);   // on t; float rounding of the exponent stays below 1e-4
 constexpr R kBorderMargin = R(4e-3);  // pixels
-constexpr R kRelativeMargin = R(4e-7);  // of lengths
+constexpr R kRelativeMargin = R(1e-6);  // of lengths
 
 template <class T>
 struct Extent {

@@ -8,34 +8,32 @@ struct Batch {  // raw parameters of W Gaussians, transposed
   V log_scale[3], quat[4], opacity_logit;
 };
 
-inline void place_mean(const Frame& f, Batch& b) {  // b.mean as it is stored
-  for (int k = 0; k < 3; ++k) b.offset[k] = wide(b.mean[k]) - f.position[k], b.mean[k] = narrow(b.offset[k]);
+constexpr int kNumbers = 11;  // of a Gaussian, SH aside: mean 3, log-scale 3, quaternion 4, opacity
+
+inline Batch batch_of(const Frame& f, const V numbers[kNumbers]) {
+  Batch b;
+  for (int k = 0; k < 3; ++k) {
+    b.offset[k] = wide(numbers[k]) - f.position[k];
+    b.mean[k] = narrow(b.offset[k]), b.log_scale[k] = numbers[3 + k];
+  }
+  for (int k = 0; k < 4; ++k) b.quat[k] = numbers[6 + k];
+  b.opacity_logit = numbers[10];
+  return b;
 }
 
 inline Batch load_batch(const Frame& f, const uint32_t* ids) {
   const R *means = static_cast<const R*>(f.means), *scales = static_cast<const R*>(f.log_scales),
           *quats = static_cast<const R*>(f.quats), *logits = static_cast<const R*>(f.opacity_logits);
-  Batch b;
+  alignas(64) R rows[W * kRow] = {};
   for (int i = 0; i < W; ++i) {
     const int64_t g = ids[i];
-    for (int k = 0; k < 3; ++k) b.mean[k][i] = means[3 * g + k], b.log_scale[k][i] = scales[3 * g + k];
-    for (int k = 0; k < 4; ++k) b.quat[k][i] = quats[4 * g + k];
-    b.opacity_logit[i] = logits[g];
+    R* const row = rows + kRow * i;
+    std::copy_n(means + 3 * g, 3, row), std::copy_n(scales + 3 * g, 3, row + 3), std::copy_n(quats + 4 * g, 4, row + 6);
+    row[10] = logits[g];
   }
-  place_mean(f, b);
-  return b;
-}
-
-constexpr int kNumbers = 11;  // of a Gaussian, SH aside: mean 3, log-scale 3, quaternion 4, opacity
-
-// The same from columns of them, `stride` values apart.
-inline Batch load_columns(const Frame& f, const R* columns, int stride) {
-  Batch b;
-  for (int k = 0; k < 3; ++k) b.mean[k] = load(columns + k * stride), b.log_scale[k] = load(columns + (3 + k) * stride);
-  for (int k = 0; k < 4; ++k) b.quat[k] = load(columns + (6 + k) * stride);
-  b.opacity_logit = load(columns + 10 * stride);
-  place_mean(f, b);
-  return b;
+  V numbers[kRow];
+  columns_of_rows<kNumbers>(rows, numbers);
+  return batch_of(f, numbers);
 }
 
 struct Projected {
@@ -59,40 +57,54 @@ inline void rotation_matrix(const V q[4], V m[3][3]) {
   m[2][0] = two * (x * z - w * y), m[2][1] = two * (y * z + w * x), m[2][2] = one - two * (x * x + y * y);
 }
 
-inline V view(const Frame& f, int row, int column) { return splat(static_cast<R>(f.viewmat[4 * row + column])); }
+// The camera in the level's type, made once for many Gaussians.
+struct Eye {
+  R axis[3][3];                      // rows of the view rotation
+  R fx, fy;
+  R low_x, high_x, low_y, high_y;    // x/z, y/z are clamped between these where the Jacobian is taken
+  bool orthographic, antialiased;
 
-inline V inverse_depth(const Frame& f, V z) { return f.orthographic ? splat(1) : splat(1) / z; }
+  explicit Eye(const Frame& f) : fx(R(f.fx)), fy(R(f.fy)), orthographic(f.orthographic), antialiased(f.antialiased) {
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) axis[i][j] = static_cast<R>(f.viewmat[4 * i + j]);
+    const double margin_x = kFrustumMargin * f.width / (2 * f.fx), margin_y = kFrustumMargin * f.height / (2 * f.fy);
+    low_x = R(-f.cx / f.fx - margin_x), high_x = R((f.width - f.cx) / f.fx + margin_x);
+    low_y = R(-f.cy / f.fy - margin_y), high_y = R((f.height - f.cy) / f.fy + margin_y);
+  }
 
-inline void clamp_ratios(const Frame& f, V inv_z, Projected& p) {
-  if (f.orthographic) {
+  V view(int row, int column) const { return splat(axis[row][column]); }
+  V along(int row, const V v[3]) const { return fma(view(row, 0), v[0], fma(view(row, 1), v[1], view(row, 2) * v[2])); }
+  V inverse_depth(V z) const { return orthographic ? splat(1) : reciprocal(z); }
+};
+
+inline void clamp_ratios(const Eye& e, V inv_z, Projected& p) {
+  if (e.orthographic) {
     p.ratio_x = p.ratio_y = p.free_x = p.free_y = splat(0);
     return;
   }
   const V rx = p.c[0] * inv_z, ry = p.c[1] * inv_z;
-  const R margin_x = R(kFrustumMargin * f.width / (2 * f.fx)), margin_y = R(kFrustumMargin * f.height / (2 * f.fy));
-  p.ratio_x = clamp(rx, splat(R(-f.cx / f.fx) - margin_x), splat(R((f.width - f.cx) / f.fx) + margin_x));
-  p.ratio_y = clamp(ry, splat(R(-f.cy / f.fy) - margin_y), splat(R((f.height - f.cy) / f.fy) + margin_y));
+  p.ratio_x = clamp(rx, splat(e.low_x), splat(e.high_x));
+  p.ratio_y = clamp(ry, splat(e.low_y), splat(e.high_y));
   p.free_x = select(both(at_least(rx, p.ratio_x), at_least(p.ratio_x, rx)), splat(1), splat(0));
   p.free_y = select(both(at_least(ry, p.ratio_y), at_least(p.ratio_y, ry)), splat(1), splat(0));
 }
 
-inline Projected project(const Frame& f, const Batch& b) {
+inline Projected project(const Eye& e, const Batch& b) {
   Projected p;
-  for (int i = 0; i < 3; ++i)
-    p.c[i] = fma(view(f, i, 0), b.mean[0], fma(view(f, i, 1), b.mean[1], view(f, i, 2) * b.mean[2]));
-  const V inv_z = inverse_depth(f, p.c[2]), fx = splat(R(f.fx)), fy = splat(R(f.fy));
-  clamp_ratios(f, inv_z, p);
+  for (int i = 0; i < 3; ++i) p.c[i] = e.along(i, b.mean);
+  const V inv_z = e.inverse_depth(p.c[2]), fx = splat(e.fx), fy = splat(e.fy);
+  clamp_ratios(e, inv_z, p);
 
   V norm2 = splat(0);
   for (int k = 0; k < 4; ++k) norm2 = fma(b.quat[k], b.quat[k], norm2);
-  p.inv_norm = splat(1) / sqrt(norm2);
+  p.inv_norm = reciprocal(sqrt(norm2));
   for (int k = 0; k < 4; ++k) p.quat[k] = b.quat[k] * p.inv_norm;
   for (int k = 0; k < 3; ++k) p.scale[k] = exp(b.log_scale[k]);
   rotation_matrix(p.quat, p.rotation);
 
   for (int j = 0; j < 3; ++j) {
-    p.to_screen[0][j] = fx * inv_z * (view(f, 0, j) - p.ratio_x * view(f, 2, j));
-    p.to_screen[1][j] = fy * inv_z * (view(f, 1, j) - p.ratio_y * view(f, 2, j));
+    p.to_screen[0][j] = fx * inv_z * (e.view(0, j) - p.ratio_x * e.view(2, j));
+    p.to_screen[1][j] = fy * inv_z * (e.view(1, j) - p.ratio_y * e.view(2, j));
   }
   for (int r = 0; r < 2; ++r)
     for (int j = 0; j < 3; ++j) {
@@ -111,7 +123,7 @@ inline Projected project(const Frame& f, const Batch& b) {
   p.det = p.det_before + blur * (uu + vv) + blur * blur;
   p.opacity = sigmoid(b.opacity_logit);
   p.compensation = splat(1);
-  if (f.antialiased) p.compensation = sqrt(max(splat(R(kCompensationFloor)), p.det_before / p.det));
+  if (e.antialiased) p.compensation = sqrt(max(splat(R(kCompensationFloor)), p.det_before / p.det));
   return p;
 }
 
@@ -120,12 +132,16 @@ inline Projected project(const Frame& f, const Batch& b) {
 constexpr R kWhiten = R(1.1774100225154747);  // sqrt(2 ln 2)
 
 struct Whitening {
-  V l11, l12, l22;
+  V l11, l12, l22, inv_l11, ratio;  // ratio: -l12 / l11
 };
 
 inline Whitening whitening(const Projected& p) {
-  const V root = sqrt(p.cyy), l11 = root / (splat(kWhiten) * sqrt(p.det));
-  return {l11, -l11 * (p.cxy / p.cyy), splat(1) / (splat(kWhiten) * root)};
+  const V root = sqrt(p.cyy), root_det = splat(kWhiten) * sqrt(p.det);
+  Whitening l;
+  l.l11 = root * reciprocal(root_det), l.l22 = reciprocal(splat(kWhiten) * root);
+  l.inv_l11 = root_det * (kWhiten * l.l22);
+  l.ratio = p.cxy / p.cyy, l.l12 = -l.l11 * l.ratio;  // divided: u of a long thin ellipse hangs on it
+  return l;
 }
 
 // dL/d of one batch: what the raster pass sums (moments of g = alpha dL/dalpha in u, v; enum Slot) ...
@@ -149,12 +165,12 @@ inline void rotation_matrix_vjp(const V q[4], const V d[3][3], V out[4]) {
 
 // dL/dA (A = P R S, the covariance factor): 2 G A with G = dL/dcov = Q S2 Q / 2, Q the inverse covariance and S2 the second
 // moments of g; in whitened moments W that is kWhiten^4 L^T W (L A).
-inline void factor_vjp(const Frame& f, const Projected& p, const Whitening& l, const ScreenGrads& g, V d_factor[2][3]) {
+inline void factor_vjp(const Eye& e, const Projected& p, const Whitening& l, const ScreenGrads& g, V d_factor[2][3]) {
   constexpr R scale = kWhiten * kWhiten;
   const V unit = splat(1 / scale);  // L cov L^T
   V wuu = g.guu, wvv = g.gvv;
   V before_xx = splat(0), before_xy = splat(0), before_yy = splat(0);
-  if (f.antialiased) {  // d ln(compensation) = (d ln det_before - d ln det) / 2 above the floor
+  if (e.antialiased) {  // d ln(compensation) = (d ln det_before - d ln det) / 2 above the floor
     const M active = less(splat(R(kCompensationFloor)), p.det_before / p.det);
     wuu -= keep(active, g.g * unit), wvv -= keep(active, g.g * unit);
     const V share = keep(active, g.g / max(p.det_before, splat(R(1e-37)))), blur = splat(R(kBlur));
@@ -170,29 +186,29 @@ inline void factor_vjp(const Frame& f, const Projected& p, const Whitening& l, c
 }
 
 // What dL/dP says of x/z, y/z and z: P = (1/z) [fx (w0 - rx w2); fy (w1 - ry w2)], w = rows of the view rotation.
-inline void jacobian_vjp(const Frame& f, const Projected& p, V inv_z, const V d_screen[2][3], V& d_rx, V& d_ry, V& d_z) {
-  const V fx = splat(R(f.fx)), fy = splat(R(f.fy));
+inline void jacobian_vjp(const Eye& e, const Projected& p, V inv_z, const V d_screen[2][3], V& d_rx, V& d_ry, V& d_z) {
+  const V fx = splat(e.fx), fy = splat(e.fy);
   V radial = splat(0);
   for (int i = 0; i < 3; ++i) {
     radial = fma(d_screen[0][i], p.to_screen[0][i], fma(d_screen[1][i], p.to_screen[1][i], radial));
-    d_rx = fnma(d_screen[0][i], fx * inv_z * view(f, 2, i), d_rx);
-    d_ry = fnma(d_screen[1][i], fy * inv_z * view(f, 2, i), d_ry);
+    d_rx = fnma(d_screen[0][i], fx * inv_z * e.view(2, i), d_rx);
+    d_ry = fnma(d_screen[1][i], fy * inv_z * e.view(2, i), d_ry);
   }
   d_z -= radial * inv_z;
   d_rx *= p.free_x, d_ry *= p.free_y;
 }
 
 // Always inline: as a call it costs the backward pass 5 % (AVX2).
-[[gnu::always_inline]] inline ParameterGrads project_vjp(const Frame& f, const Projected& p, const ScreenGrads& g) {
+[[gnu::always_inline]] inline ParameterGrads project_vjp(const Eye& e, const Projected& p, const ScreenGrads& g) {
   ParameterGrads out;
-  const V inv_z = inverse_depth(f, p.c[2]), fx = splat(R(f.fx)), fy = splat(R(f.fy));
+  const V inv_z = e.inverse_depth(p.c[2]), fx = splat(e.fx), fy = splat(e.fy);
   const Whitening l = whitening(p);
   out.opacity_logit = g.g * (splat(1) - p.opacity);
   out.mean2d[0] = splat(kWhiten * kWhiten) * l.l11 * g.gu;  // Q (sum of g d)
   out.mean2d[1] = splat(kWhiten * kWhiten) * fma(l.l12, g.gu, l.l22 * g.gv);
 
   V d_factor[2][3], d_screen[2][3], d_rotation[3][3];
-  factor_vjp(f, p, l, g, d_factor);
+  factor_vjp(e, p, l, g, d_factor);
   for (int j = 0; j < 3; ++j) {
     V d_scale = splat(0);
     for (int i = 0; i < 3; ++i) {
@@ -214,10 +230,10 @@ inline void jacobian_vjp(const Frame& f, const Projected& p, V inv_z, const V d_
   for (int k = 0; k < 4; ++k) out.quat[k] = (d_quat[k] - along * p.quat[k]) * p.inv_norm;
 
   V d_c[3] = {splat(0), splat(0), g.depth}, d_rx = splat(0), d_ry = splat(0);
-  if (!f.orthographic) jacobian_vjp(f, p, inv_z, d_screen, d_rx, d_ry, d_c[2]);
+  if (!e.orthographic) jacobian_vjp(e, p, inv_z, d_screen, d_rx, d_ry, d_c[2]);
   d_rx = fma(out.mean2d[0], fx, d_rx), d_ry = fma(out.mean2d[1], fy, d_ry);  // centre = (fx x/z + cx, fy y/z + cy)
   d_c[0] = d_rx * inv_z, d_c[1] = d_ry * inv_z;
-  if (!f.orthographic) d_c[2] -= (d_rx * (p.c[0] * inv_z) + d_ry * (p.c[1] * inv_z)) * inv_z;
-  for (int j = 0; j < 3; ++j) out.mean[j] = view(f, 0, j) * d_c[0] + view(f, 1, j) * d_c[1] + view(f, 2, j) * d_c[2];
+  if (!e.orthographic) d_c[2] -= (d_rx * (p.c[0] * inv_z) + d_ry * (p.c[1] * inv_z)) * inv_z;
+  for (int j = 0; j < 3; ++j) out.mean[j] = e.view(0, j) * d_c[0] + e.view(1, j) * d_c[1] + e.view(2, j) * d_c[2];
   return out;
 }

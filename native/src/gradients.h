@@ -1,17 +1,12 @@
 // Stage 6: sums each visible Gaussian's slots in tile order and carries them back to its parameters.
 
-struct SlotSums {
-  R value[kSlotWidth];
-};
-
-inline SlotSums sum_slots(const Frame& f, const R* slots, const SplatTiles& t) {
-  SlotSums out = {};
+inline void sum_slots(const Frame& f, const R* slots, const SplatTiles& t, R sums[kSlotWidth]) {
+  std::fill_n(sums, kSlotWidth, R(0));
   for (uint32_t i = 0; i < t.tiles; ++i) {
     if (!f.hits[t.slot + i]) continue;
     const R* slot = slots + static_cast<int64_t>(t.slot + i) * kSlotWidth;
-    for (int k = 0; k < kSlotWidth; ++k) out.value[k] += slot[k];
+    for (int k = 0; k < kSlotWidth; ++k) sums[k] += slot[k];
   }
-  return out;
 }
 
 [[gnu::always_inline]] inline void prefetch_sh(const Frame& f, uint32_t g) {
@@ -26,21 +21,34 @@ struct ColourGrads {
 };
 
 // ... to its SH coefficients (rows of (V, K, 3), bands above sh_degree zero) and, through the direction, to the mean.
-inline void sh_vjp(const Frame& f, const Batch& b, const uint32_t* ids, int n, const ColourGrads& g, R* sh_rows, V mean[3]) {
-  const Direction dir = direction(f, b.mean);
-  const int used = (f.sh_degree + 1) * (f.sh_degree + 1);
-  V basis[16], weight[16] = {};
+inline void sh_vjp(const Frame& f, const Eye& e, const Batch& b, const uint32_t* ids, int n, const ColourGrads& g, R* sh_rows, V mean[3]) {
+  const Direction dir = direction(e, b.mean);
+  const int used = (f.sh_degree + 1) * (f.sh_degree + 1), width = 3 * f.sh_coefficients;
+  V basis[kRow], weight[kRow];
+  for (V& column : basis) column = splat(0);
   sh_basis(f.sh_degree, dir.d, basis);
-  const R* sh = static_cast<const R*>(f.sh);
-  for (int i = 0; i < n; ++i) {
-    const R* row = sh + static_cast<int64_t>(ids[i]) * f.sh_coefficients * 3;
-    const R g0 = g.rgb[0][i], g1 = g.rgb[1][i], g2 = g.rgb[2][i];
-    for (int k = 0; k < used; ++k) weight[k][i] = row[3 * k] * g0 + row[3 * k + 1] * g1 + row[3 * k + 2] * g2;
-    if (!sh_rows) continue;
-    R* out = sh_rows + static_cast<int64_t>(i) * f.sh_coefficients * 3;
-    for (int k = 0; k < used; ++k) out[3 * k] = basis[k][i] * g0, out[3 * k + 1] = basis[k][i] * g1, out[3 * k + 2] = basis[k][i] * g2;
-    for (int k = 3 * used; k < 3 * f.sh_coefficients; ++k) out[k] = 0;
+  alignas(64) R basis_rows[W * kRow], weight_rows[W * kRow] = {}, stored[3 * kRow] = {};
+  rows_of(basis, basis_rows);
+  for (int i = 0; i < n; ++i) {  // coefficients of a Gaussian side by side
+    const R* row = static_cast<const R*>(f.sh) + int64_t{ids[i]} * width;
+    if (width < 3 * kRow) row = std::copy_n(row, width, stored) - width;
+    R* const out = sh_rows ? sh_rows + static_cast<int64_t>(i) * width : nullptr;
+    const V red = splat(g.rgb[0][i]), green = splat(g.rgb[1][i]), blue = splat(g.rgb[2][i]);
+    for (int k = 0; k < used; k += W) {
+      V c[3];
+      columns_of<3>(row + 3 * k, c);
+      store(weight_rows + kRow * i + k, fma(red, c[0], fma(green, c[1], blue * c[2])));
+    }
+    if (!out) continue;
+    R spare[3 * kRow];
+    R* const to = width < 3 * kRow ? spare : out;
+    for (int k = 0; k < kRow; k += W) {
+      const V some = load(basis_rows + kRow * i + k), c[3] = {some * red, some * green, some * blue};
+      interleave<3>(c, to + 3 * k);
+    }
+    if (to == spare) std::copy_n(spare, width, out);
   }
+  columns_of_rows(weight_rows, weight);
   V d[3], along = splat(0);
   sh_basis_vjp(f.sh_degree, dir.d, weight, d);
   for (int k = 0; k < 3; ++k) along = fma(d[k], dir.d[k], along);
@@ -54,14 +62,15 @@ inline R spatial_weight(const Frame& f, const Splat<R>& s) {
   return R(SVRGS_EVEN_AREA) / std::max(area, R(1));
 }
 
-// n rows of `width` values; lanes hold columns.
-inline void rows_of(const V* values, int n, int width, R* out) {
-  for (int i = 0; i < n; ++i)
-    for (int k = 0; k < width; ++k) out[i * width + k] = values[k][i];
-}
-
-inline void scatter(void* rows, int64_t first, int n, int width, const V* values) {
-  if (rows) rows_of(values, n, width, static_cast<R*>(rows) + first * width);
+// n <= W rows of `width` values, from the first-th on.
+template <int width>
+inline void scatter(void* array, int64_t first, int n, const V* columns) {
+  if (!array) return;
+  R* const rows = static_cast<R*>(array) + first * width;
+  if (n == W) return interleave<width>(columns, rows);
+  R spare[W * width];
+  interleave<width>(columns, spare);
+  std::copy_n(spare, n * width, rows);
 }
 
 inline AdamTensors tensors(const svrgs_trained& t) { return {static_cast<R*>(t.param), static_cast<Packed*>(t.moments)}; }
@@ -104,60 +113,68 @@ inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t f
 
 // Visible Gaussians [first, first + n): gradients into the rows of `out`, or into an Adam step. Returns the rows it left alone.
 template <bool updates>
-inline int gradient_batch(const Frame& f, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t first, int n) {
+inline int gradient_batch(const Frame& f, const Eye& e, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t first, int n) {
   uint32_t ids[W];
-  V s[kSlotWidth];
-  ColourGrads colour;
+  alignas(64) R rows[W * kRow];  // sums, colour and weight of F
+  static_assert(kSlotWidth + 4 == kRow);
   for (int i = 0; i < W; ++i) {
     ids[i] = f.visible[first + (i < n ? i : n - 1)];
     if (want.colour && first + i + W < f.visible_count) prefetch_sh(f, f.visible[first + i + W]);
     const uint32_t place = f.places[first + (i < n ? i : n - 1)];
-    const SlotSums sums = sum_slots(f, slots, f.tiles[place]);
-    for (int k = 0; k < kSlotWidth; ++k) s[k][i] = sums.value[k];
     const Splat<R>& splat = static_cast<const Splat<R>*>(f.splats)[place];
-    s[kSlotMask][i] += spatial_weight(f, splat) * sums.value[kSlotSpatial];
-    for (int c = 0; c < 3; ++c) colour.rgb[c][i] = splat.rgb[c] > 0 ? sums.value[kSlotRed + c] : R(0);
+    R* const row = rows + kRow * i;
+    sum_slots(f, slots, f.tiles[place], row);
+    std::copy_n(splat.rgb, 3, row + kSlotWidth);
+    row[kSlotWidth + 3] = spatial_weight(f, splat);
   }
-  if (want.mask) scatter(out.masks, first, n, 1, &s[kSlotMask]);
+  V s[kRow];
+  columns_of_rows(rows, s);
+  s[kSlotMask] += s[kSlotWidth + 3] * s[kSlotSpatial];
+  ColourGrads colour;
+  for (int c = 0; c < 3; ++c) colour.rgb[c] = keep(less(splat(0), s[kSlotWidth + c]), s[kSlotRed + c]);
+  if (want.mask) scatter<1>(out.masks, first, n, &s[kSlotMask]);
   if (!want.shape && !want.colour) return 0;
   const Batch b = load_batch(f, ids);
   ParameterGrads g = {};
   if (want.shape)
-    g = project_vjp(f, project(f, b), {s[kG], s[kGu], s[kGv], s[kGuu], s[kGuv], s[kGvv], want.depth ? s[kSlotDepth] : splat(0)});
+    g = project_vjp(e, project(e, b), {s[kG], s[kGu], s[kGv], s[kGuu], s[kGuv], s[kGvv], want.depth ? s[kSlotDepth] : splat(0)});
   const int width = 3 * f.sh_coefficients;
   alignas(64) R own[W * 48];
-  R* const rows = updates ? own : out.sh ? static_cast<R*>(out.sh) + first * width : nullptr;
+  R* const sh_rows = updates ? own : out.sh ? static_cast<R*>(out.sh) + first * width : nullptr;
   if (want.colour)
-    sh_vjp(f, b, ids, n, colour, rows, g.mean);
-  else if (rows)
-    __builtin_memset(rows, 0, sizeof(R) * n * width);
-  scatter(out.means2d, first, n, 2, g.mean2d);
-  scatter(out.means, first, n, 3, g.mean);
-  scatter(out.log_scales, first, n, 3, g.log_scale);
-  scatter(out.quats, first, n, 4, g.quat);
-  scatter(out.opacity_logits, first, n, 1, &g.opacity_logit);
-  return updates ? adam_group(update->sh, tensors(update->settings->sh), f.visible + first, f.visible_count - first, own, n, n, width) : 0;
+    sh_vjp(f, e, b, ids, n, colour, sh_rows, g.mean);
+  else if (sh_rows)
+    __builtin_memset(sh_rows, 0, sizeof(R) * n * width);
+  scatter<2>(out.means2d, first, n, g.mean2d);
+  scatter<3>(out.means, first, n, g.mean);
+  scatter<3>(out.log_scales, first, n, g.log_scale);
+  scatter<4>(out.quats, first, n, g.quat);
+  scatter<1>(out.opacity_logits, first, n, &g.opacity_logit);
+  if (!updates) return 0;
+  const svrgs_trained& sh = update->settings->sh;
+  return static_cast<int>(adam_sh_rows(update->sh, {static_cast<R*>(sh.param), static_cast<R*>(sh.moments)}, f.visible + first, f.visible_count - first, own, n, n, width));
 }
 
 template <bool updates>
-inline int64_t gradient_batches(const Frame& f, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t begin, int64_t end) {
+inline int64_t gradient_batches(const Frame& f, const Eye& e, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t begin, int64_t end) {
   int64_t bad = 0;
-  for (int64_t i = begin; i < end; i += W) bad += gradient_batch<updates>(f, want, out, update, slots, i, static_cast<int>(std::min<int64_t>(W, end - i)));
+  for (int64_t i = begin; i < end; i += W) bad += gradient_batch<updates>(f, e, want, out, update, slots, i, static_cast<int>(std::min<int64_t>(W, end - i)));
   return bad;
 }
 
 // Visible Gaussians [begin, end). Returns how many rows of parameters had a gradient that is not finite, and were left alone.
 int64_t gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update, const void* slots,
                         int64_t begin, int64_t end) {
+  const Eye e(f);
   const Wanted want = wanted(f, in, out, update);
   const R* const sums = static_cast<const R*>(slots);
-  if (!update) return gradient_batches<false>(f, want, out, nullptr, sums, begin, end);
+  if (!update) return gradient_batches<false>(f, e, want, out, nullptr, sums, begin, end);
   const Update u(f, *update);
   alignas(64) Staged staged;
   int64_t bad = 0;
   for (int64_t from = begin; from < end; from += kStaged) {
     const int64_t until = std::min(from + kStaged, end);
-    bad += gradient_batches<true>(f, want, staged.in_place_of(out, *update, from), &u, sums, from, until);
+    bad += gradient_batches<true>(f, e, want, staged.in_place_of(out, *update, from), &u, sums, from, until);
     bad += apply(f, u, staged, from, until - from, {f.visible[begin], f.visible[end - 1]});
   }
   return bad;

@@ -23,6 +23,7 @@ namespace svrgs::SVRGS_LEVEL {
 #include "raster_backward.h"
 #include "statistics.h"
 #include "adam.h"
+#include "adam_sh.h"
 #include "gradients.h"
 #include "loss.h"
 #include "machine.h"
@@ -38,9 +39,16 @@ void loss_pass(const LossArguments& a, int64_t tile, void* scratch) {
 
 int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* moments, const void* grad, const uint32_t* ids,
                   int64_t begin, int64_t end, int width) {
+  const AdamRates rates = adam_rates(a, a.lr, width);
+  const R* const rows = static_cast<const R*>(grad);
+  if (a.shared) {
+    ShTensors t = {static_cast<R*>(param), static_cast<R*>(moments)};
+    if (!ids) t = {t.param + begin * width, t.moments + begin * sh_moments(width)};
+    return adam_sh_rows(rates, t, ids ? ids + begin : nullptr, end - begin, rows + begin * width, end - begin, end - begin, width);
+  }
   const AdamTensors t = {static_cast<R*>(param), static_cast<Packed*>(moments)};
   const Own own = ids ? Own{ids[begin], ids[end - 1]} : Own{};
-  return adam_rows(adam_rates(a, a.lr, width), t, static_cast<const R*>(grad), ids, begin, end, width, own);
+  return adam_rows(rates, t, rows, ids, begin, end, width, own);
 }
 }  // namespace svrgs::SVRGS_LEVEL
 

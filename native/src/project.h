@@ -20,17 +20,10 @@ inline Reach reach(V centre, V half, int size) {
   return {ceil(low), min(floor(high) + R(1), full)};
 }
 
-// Half the width and height of the ellipse u^2 + v^2 <= bound, with a margin for the rounding of the two. Scalars or vectors.
-template <class T>
-inline T half_width(T bound, T l12, T l22, T inv_l11) {
-  const T slope = l12 / l22;
-  return root(bound * (slope * slope + R(1))) * inv_l11 * (1 + kRelativeMargin) + kBorderMargin;
-}
-template <class T>
-inline T half_height(T bound, T l22) {
-  return root(bound) / l22 * (1 + kRelativeMargin) + kBorderMargin;
-}
+// Half the width or height of the ellipse u^2 + v^2 <= bound, given the variance along it, with a margin for the rounding of the two.
+inline V half_side(V root_bound, V root_variance) { return root_bound * root_variance * (kWhiten * (1 + kRelativeMargin)) + kBorderMargin; }
 
+const R kLargestReach = kWhiten * std::sqrt(kReachMargin - R(kLog2Cut));  // of an opaque Gaussian, in standard deviations
 // Bound of u^2 + v^2 within the ellipse.
 template <class T>
 inline T reach2(const Frame& f, T log2_opacity) {
@@ -65,27 +58,24 @@ inline void columns_from(const void* array, int64_t first, int n, V* columns) {
 }
 
 // Which of W Gaussians may be seen: in front of the camera, not too faint, and near enough to the image. One bit each.
-// It errs on the side of projecting: a ball of the largest scale, fully opaque, bounds the ellipse.
-inline uint32_t may_be_seen(const Frame& f, const V mean[3], V largest_scale, V opacity_logit) {
-  const double* m = f.viewmat;
-  const D wx = wide(mean[0]), wy = wide(mean[1]), wz = wide(mean[2]);
-  const auto camera = [&](int row) { return narrow(m[4 * row] * wx + m[4 * row + 1] * wy + m[4 * row + 2] * wz + m[4 * row + 3]); };
-  const V depth = camera(2), inv = inverse_depth(f, depth), rx = camera(0) * inv, ry = camera(1) * inv;
-  const M front = both(less(splat(R(kNear)), depth), less(depth, splat(R(kFar))));
+// It errs on the side of projecting: a ball of the largest scale, fully opaque, bounds the ellipse, and `doubt` what rounding may do.
+inline uint32_t may_be_seen(const Frame& f, const Eye& e, const V offset[3], V largest_scale, V opacity_logit) {
+  const V x = e.along(0, offset), y = e.along(1, offset), z = e.along(2, offset);
+  const V depth = max(z, splat(R(kNear))), slack = (magnitude(x) + magnitude(y) + depth) * R(1e-5);
+  const V inv = e.inverse_depth(depth), rx = x * inv, ry = y * inv, doubt = fma(slack, inv, splat(R(1e-3)));
   V stretch = splat(1);  // of what a slanting ray meets
-  if (!f.orthographic) {
-    const V limit_x = splat(R(kFrustumMargin * f.width / (2 * f.fx) + std::max(f.cx, f.width - f.cx) / f.fx));
-    const V limit_y = splat(R(kFrustumMargin * f.height / (2 * f.fy) + std::max(f.cy, f.height - f.cy) / f.fy));
-    const V tx = min(magnitude(rx), limit_x), ty = min(magnitude(ry), limit_y);
+  if (!e.orthographic) {
+    const V tx = min(magnitude(rx), splat(std::max(-e.low_x, e.high_x))), ty = min(magnitude(ry), splat(std::max(-e.low_y, e.high_y)));
     stretch = splat(1) + tx * tx + ty * ty;
   }
-  const V size = exp(largest_scale) * splat(R(std::max(f.fx, f.fy))) * inv;  // across the view, pixels
-  const V reach = splat(kWhiten) * root(splat(kReachMargin - R(kLog2Cut)));
-  const V radius = reach * sqrt(fma(size * size, stretch, splat(R(kBlur)))) * R(1.001) + R(1);
-  const V px = rx * R(f.fx) + R(f.cx), py = ry * R(f.fy) + R(f.cy), spread_x = radius + magnitude(px) * R(1e-3), spread_y = radius + magnitude(py) * R(1e-3);
+  const V size = exp(largest_scale) * splat(std::max(e.fx, e.fy)) * inv;  // across the view, pixels
+  const V radius = splat(kLargestReach) * sqrt(fma(size * size, stretch, splat(R(kBlur))));
+  const V px = fma(rx, splat(e.fx), splat(R(f.cx))), py = fma(ry, splat(e.fy), splat(R(f.cy)));
+  const V spread_x = fma(radius + magnitude(px), doubt, radius + R(1)), spread_y = fma(radius + magnitude(py), doubt, radius + R(1));
   const M outside = either(either(less(px + spread_x, splat(0)), less(splat(R(f.width)), px - spread_x)),
                            either(less(py + spread_y, splat(0)), less(splat(R(f.height)), py - spread_y)));
-  return bits(both(and_not(outside, front), at_least(opacity_logit, splat(R(kLogitCut)))));
+  const M off = and_not(less(splat(R(0.1)), doubt), outside);
+  return bits(both(and_not(off, less(splat(R(kNear)), z + slack)), at_least(opacity_logit, splat(R(kLogitCut)))));
 }
 
 constexpr int kSide = W / 4;  // SH coefficients that lie side by side in a vector, three values each
@@ -165,8 +155,8 @@ struct Screen {
   M visible;
 };
 
-inline Screen to_screen(const Frame& f, const Batch& b) {
-  const Projected p = project(f, b);
+inline Screen to_screen(const Frame& f, const Eye& e, const Batch& b) {
+  const Projected p = project(e, b);
   const Whitening l = whitening(p);
   Screen s;
   const double* m = f.viewmat;
@@ -175,16 +165,18 @@ inline Screen to_screen(const Frame& f, const Batch& b) {
   s.x = f.fx * along(0) * inv + f.cx, s.y = f.fy * along(1) * inv + f.cy;
   s.l11 = l.l11, s.l12 = l.l12, s.l22 = l.l22, s.log2_opacity = log2(p.opacity * p.compensation);
   s.depth = narrow(z);  // from double, so that all levels sort alike
-  s.inv_l11 = splat(1) / l.l11, s.slope = -l.l12 * s.inv_l11;
-  const V bound = reach2(f, s.log2_opacity), x = narrow(s.x), y = narrow(s.y), far = splat(R(1e9));
-  s.y_extreme = -l.l12 * sqrt(bound) / (l.l22 * sqrt(fma(l.l22, l.l22, l.l12 * l.l12)));
-  s.columns = reach(x, half_width(bound, l.l12, l.l22, s.inv_l11) + magnitude(x) * kRelativeMargin, f.width);
-  s.rows = reach(y, half_height(bound, l.l22) + magnitude(y) * kRelativeMargin, f.height);
+  s.inv_l11 = l.inv_l11, s.slope = l.ratio;
+  const V bound = reach2(f, s.log2_opacity), root_bound = sqrt(bound), root_cxx = sqrt(p.cxx), root_cyy = sqrt(p.cyy);
+  const V x = narrow(s.x), y = narrow(s.y), far = splat(R(1e9));
+  s.y_extreme = p.cxy * root_bound * kWhiten * reciprocal(root_cxx);
+  s.columns = reach(x, half_side(root_bound, root_cxx) + magnitude(x) * kRelativeMargin, f.width);
+  s.rows = reach(y, half_side(root_bound, root_cyy) + magnitude(y) * kRelativeMargin, f.height);
   const V zero = splat(0), quat_max = splat(R(kQuatMax)), quat_min = splat(R(1 / kQuatMax));
   M ok = both(less(splat(kReachMargin * R(0.5)), bound), both(less(zero, s.l11), less(zero, s.l22)));
   ok = both(ok, both(both(finite(s.l11), finite(s.l12)), both(finite(s.l22), finite(s.inv_l11))));
   ok = both(ok, both(finite(s.y_extreme), finite(b.log_scale[0] + b.log_scale[1] + b.log_scale[2])));
   ok = both(ok, both(both(less(p.inv_norm, quat_max), less(quat_min, p.inv_norm)), both(less(magnitude(x), far), less(magnitude(y), far))));
+  ok = both(ok, both(less(splat(R(kNear)), s.depth), less(s.depth, splat(R(kFar)))));
   s.visible = both(ok, both(less(s.columns.begin, s.columns.end), less(s.rows.begin, s.rows.end)));
   return s;
 }
@@ -210,13 +202,14 @@ inline void splat_columns(const Screen& s, const V rgb[3], V mask, V* columns) {
 }
 
 // Projects the n <= W Gaussians that wait from `first` on and adds the visible ones.
-inline void project_batch(const Frame& f, int first, int n, Projection& out) {
-  V rgb[3], columns[kRow];
-  const Batch b = load_columns(f, out.numbers[0] + first, kPending);
-  const Screen s = to_screen(f, b);
+inline void project_batch(const Frame& f, const Eye& e, int first, int n, Projection& out) {
+  V rgb[3], columns[kRow], numbers[kNumbers];
+  for (int k = 0; k < kNumbers; ++k) numbers[k] = load(out.numbers[k] + first);
+  const Batch b = batch_of(f, numbers);
+  const Screen s = to_screen(f, e, b);
   const uint32_t* ids = out.ids + first;
   uint32_t visible = bits(s.visible) & ((1u << n) - 1);
-  f.sh_half ? colours<_Float16>(f, direction(f, b.mean).d, ids, rgb) : colours<R>(f, direction(f, b.mean).d, ids, rgb);
+  f.sh_half ? colours<_Float16>(f, direction(e, b.mean).d, ids, rgb) : colours<R>(f, direction(e, b.mean).d, ids, rgb);
   visible &= bits(both(sane(rgb[0]), both(sane(rgb[1]), sane(rgb[2]))));
   for (V& channel : rgb) channel = max(channel, splat(0));
   splat_columns(s, rgb, f.masks ? load(out.masks + first) : splat(1), columns);
@@ -244,11 +237,11 @@ inline void project_batch(const Frame& f, int first, int n, Projection& out) {
 inline V load_masks(const Frame& f, int64_t first, int n) {
   int8_t __attribute__((vector_size(W))) bytes = {};
   __builtin_memcpy(&bytes, f.masks + first, static_cast<size_t>(n));
-  return -__builtin_convertvector(bytes != 0, V);
+  return -__builtin_convertvector(__builtin_convertvector(bytes != 0, I), V);  // by way of I: else lane by lane
 }
 
 // Adds those of the n <= W Gaussians from `first` on that may be seen to those that wait.
-inline void enqueue(const Frame& f, int64_t first, int n, Projection& p) {
+inline void enqueue(const Frame& f, const Eye& e, int64_t first, int n, Projection& p) {
   const int64_t coming = first + kInputsFetched;
   V numbers[kNumbers];
   V *means = numbers, *scales = numbers + 3;
@@ -256,7 +249,9 @@ inline void enqueue(const Frame& f, int64_t first, int n, Projection& p) {
   columns_from<3>(f.means, first, n, means);
   columns_from<3>(f.log_scales, first, n, scales);
   columns_from<1>(f.opacity_logits, first, n, numbers + 10);
-  const uint32_t set = may_be_seen(f, means, max(max(scales[0], scales[1]), scales[2]), numbers[10]) & ((1u << n) - 1);
+  V offset[3];
+  for (int k = 0; k < 3; ++k) offset[k] = narrow(wide(means[k]) - f.position[k]);
+  const uint32_t set = may_be_seen(f, e, offset, max(max(scales[0], scales[1]), scales[2]), numbers[10]) & ((1u << n) - 1);
   if (!set) return;
   if (coming < f.count) fetch_rows<4>(f.quats, coming);
   columns_from<4>(f.quats, first, n, numbers + 6);
@@ -268,8 +263,8 @@ inline void enqueue(const Frame& f, int64_t first, int n, Projection& p) {
 }
 
 // Projects those that wait in whole batches, as long as kFetched more do, and makes room for the next stretch.
-inline void project_waiting(const Frame& f, Projection& p) {
-  for (; p.last - p.first >= W + kFetched; p.first += W) project_batch(f, p.first, W, p);
+inline void project_waiting(const Frame& f, const Eye& e, Projection& p) {
+  for (; p.last - p.first >= W + kFetched; p.first += W) project_batch(f, e, p.first, W, p);
   if (p.last + kStretch + W <= kPending) return;
   for (int i = 0; i < W + kFetched; i += W) {
     for (R* numbers : p.numbers) store(numbers + i, load(numbers + i + p.first));
@@ -281,14 +276,15 @@ inline void project_waiting(const Frame& f, Projection& p) {
 
 // Gaussians [begin, end): the visible ones' splats, ids and depth keys, from place `begin` on; returns their number.
 int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* visible, uint32_t* depth_keys) {
+  const Eye e(f);
   Projection p;
   p.place = begin, p.visible = visible, p.depth_keys = depth_keys;
   for (int64_t from = begin; from < end; from += kStretch) {
     const int64_t until = std::min(from + kStretch, end);
-    for (int64_t first = from; first < until; first += W) enqueue(f, first, static_cast<int>(std::min<int64_t>(W, until - first)), p);
-    project_waiting(f, p);
+    for (int64_t first = from; first < until; first += W) enqueue(f, e, first, static_cast<int>(std::min<int64_t>(W, until - first)), p);
+    project_waiting(f, e, p);
   }
-  for (; p.first < p.last; p.first += W) project_batch(f, p.first, std::min(W, p.last - p.first), p);
+  for (; p.first < p.last; p.first += W) project_batch(f, e, p.first, std::min(W, p.last - p.first), p);
   return p.place - begin;
 }
 

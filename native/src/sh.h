@@ -9,15 +9,15 @@ struct Direction {
   V d[3], inv_length;
 };
 
-inline Direction direction(const Frame& f, const V mean[3]) {
-  if (f.orthographic) return {{view(f, 2, 0), view(f, 2, 1), view(f, 2, 2)}, splat(0)};  // does not change with the mean
+inline Direction direction(const Eye& e, const V mean[3]) {
+  if (e.orthographic) return {{e.view(2, 0), e.view(2, 1), e.view(2, 2)}, splat(0)};  // does not change with the mean
   Direction out;
   V length2 = splat(0);
   for (int k = 0; k < 3; ++k) {
     out.d[k] = mean[k];
     length2 = fma(out.d[k], out.d[k], length2);
   }
-  out.inv_length = splat(1) / sqrt(max(length2, splat(R(1e-30))));
+  out.inv_length = reciprocal(sqrt(max(length2, splat(R(1e-30)))));
   for (int k = 0; k < 3; ++k) out.d[k] *= out.inv_length;
   return out;
 }

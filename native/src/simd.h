@@ -34,6 +34,12 @@ inline V load(const _Float16* p) {
   return __builtin_convertvector(v, V);
 #endif
 }
+using Halves = uint16_t __attribute__((vector_size(2 * W)));  // the upper ones of floats
+inline V load(const uint16_t* p) {
+  Halves halves;
+  __builtin_memcpy(&halves, p, sizeof halves);
+  return (V)(__builtin_convertvector(halves, U) << 16);
+}
 // load(p + N), |N| < 16, near an aligned p: every unaligned load of 64 bytes is two, so these are joined from the aligned ones.
 template <int N>
 inline V load_at(const R* p) {
@@ -190,6 +196,15 @@ template <int used = kRow>
   }
 }
 
+// The way back.
+template <int used = kRow>
+[[gnu::always_inline]] inline void columns_of_rows(const R* rows, V* columns) {
+  for (int part = 0; part < used; part += W) {
+    for (int i = 0; i < W; ++i) columns[part + i] = load(rows + kRow * i + part);
+    transpose(columns + part);
+  }
+}
+
 // One lane a bit of `set`.
 inline M lanes_of(uint32_t set) {
 #if SVRGS_LANES == 16
@@ -204,6 +219,7 @@ inline M lanes_of(uint32_t set) {
 // The first n <= W values from p on, 0 behind them.
 template <int n, class T>
 inline V load_first(const T* p) {
+  if constexpr (n == W) return load(p);
 #if SVRGS_LANES == 16
   if constexpr (std::is_same_v<T, R>) return _mm512_maskz_loadu_ps(static_cast<M>((1u << n) - 1), p);
 #elif SVRGS_LANES == 8

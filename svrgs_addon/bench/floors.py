@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..native import moments_like
 from ..scene import SH_COEFFICIENTS
 
 LANES = {"scalar": 1, "baseline": 4, "avx2": 8, "avx512": 16, "float64": 1}
@@ -43,20 +44,26 @@ MASK = 4  # of the mask's logit, or dL/dM
 SORT = 3 * 2 * 8  # three radix passes read and write key and id, 4 B each
 PAIR = 8 + 8 + 2  # a tile entry is written and read once, its hit flags are written
 EXTENT = 2 * 16  # first tile, rows and tiles of a Gaussian, read and written
-ADAM_STREAMS = 4  # value and a word of both its moments, read and written
 
 LOSS_FLOP = 0.25e9 / (640 * 360 * 3)  # per pixel and channel: four blurs of 11 + 11 taps, three more for the gradient
 LOSS_BYTES = 12  # image and target read, gradient written
 
 
 def row_lines(ids: np.ndarray, sh_degree: int) -> dict[str, int]:
-    """Lines of memory that rows `ids` (ascending) of each parameter lie in, by the bytes of a row, for arrays that begin with a line."""
-    return {str(row): _lines(ids, row) for row in sorted({*_rows(sh_degree)})}
+    """Lines of memory that rows `ids` (ascending) of each parameter and its moments lie in, by the bytes of a row, for arrays that begin
+    with a line."""
+    return {str(row): _lines(ids, row) for row in sorted({*_rows(sh_degree), *_moment_rows(sh_degree)})}
 
 
 def _rows(sh_degree: int) -> tuple[int, ...]:
     """Bytes of a row of each parameter, mask logits included."""
     return MEANS, SCALES, QUATS, OPACITY, SH * SH_COEFFICIENTS[sh_degree], MASK
+
+
+def _moment_rows(sh_degree: int) -> tuple[int, ...]:
+    """The same of their moments."""
+    (_, words), _ = moments_like((1, SH_COEFFICIENTS[sh_degree], 3), np.float32)
+    return MEANS, SCALES, QUATS, OPACITY, 4 * words, MASK
 
 
 def _lines(ids: np.ndarray, row: int) -> int:
@@ -74,6 +81,7 @@ def stage_floors(work: dict, facts: dict, level: str, peak: dict) -> dict[str, f
     values = 3 * facts["width"] * facts["height"]
     in_lines = {row: LINE * work["row_lines"][str(row)] for row in rows}
     stored, touched = sum(rows), sum(in_lines[row] for row in rows)  # bytes of a Gaussian; of all visible ones in whole lines
+    moments = sum(LINE * work["row_lines"][str(row)] for row in _moment_rows(facts["sh_degree"]))
     behind = max(0, work["hit_blocks_full"] - work["hit_blocks"])
     counters = COUNT_BLOCK * work["hit_blocks"] * block
     grads = (GRADS_BLOCK + GRADS_MASK_BLOCK) * work["hit_blocks"] + GRADS_BEHIND_BLOCK * behind
@@ -90,7 +98,7 @@ def stage_floors(work: dict, facts: dict, level: str, peak: dict) -> dict[str, f
             PARAMETER_SLOTS * visible * lane, (touched + (RECORD + SUMS) * visible) * read + 2 * stored * visible * update
         ),
         "loss": max(LOSS_FLOP * values / peak["fma"], LOSS_BYTES * values * update),
-        "adam": (ADAM_STREAMS * touched + stored * visible) * update,
+        "adam": (2 * touched + 2 * moments + stored * visible) * update,
     }
     floors["forward"] = sum(floors[name] for name in ("project", "tiles", "sort", "blend", "mask"))
     floors["backward"] = floors["raster_grads"] + floors["parameter_grads"]

@@ -20,7 +20,7 @@ from .control import Control
 from .densify import Statistics
 from .loop import Curves, Run
 
-SCHEMA = 8
+SCHEMA = 9
 KEPT = 2  # newest checkpoints kept
 _PARTS = ("values", "moments")
 

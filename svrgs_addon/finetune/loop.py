@@ -65,6 +65,7 @@ class Run:
         self.method = method_named(settings.method)
         self.control = control_for(settings, self.method.learns_masks)
         self.closing = Closing() if settings.max_drop else None
+        self.drop: float | None = None  # dB lost, once the run is over, where a loss is allowed
         self.target = settings.target  # 0: none, or a share of a number not known yet
         self.iteration = 0
         self.statistics = densify.Statistics(model.count)

@@ -32,7 +32,7 @@ class Model:
     ):
         self.values = values
         self.moments = moments or {name: none_yet(array) for name, array in values.items()}
-        self.origin = np.arange(self.count) if origin is None else origin
+        self.origin = np.arange(len(values["means"])) if origin is None else origin
         self.beside = beside or {}
 
     @classmethod
@@ -49,7 +49,7 @@ class Model:
 
     @property
     def count(self) -> int:
-        return len(self.values["means"])
+        return len(self.origin)
 
     @property
     def dtype(self) -> np.dtype:
@@ -97,16 +97,13 @@ class Model:
             self.moments[name] = np.concatenate([self.moments[name], none_yet(new)])
         self.origin = np.concatenate([self.origin, np.full(added, -1)])
 
-    def forget_moments(self):
-        """At the end of a run, half of its memory."""
-        self.moments = {}
-
-    def scene(self) -> Scene:
-        """The model as a Scene, rows in the source's order and new ones after them, and what the source says beside its arrays
-        as far as it still fits. Where the model is in that order, its arrays are not copied.
+    def into_scene(self) -> Scene:
+        """The end of a run: the model as a Scene, rows in the source's order and new ones after them, and what the source says beside its
+        arrays as far as it still fits. The model gives up its arrays, one after the other; where they are in that order, none is copied.
         """
+        self.moments = {}
         rows = self._source_order()
-        arrays = {name: np.ascontiguousarray(self.values[name][rows], np.float32) for name in PARAMETERS}
+        arrays = {name: np.ascontiguousarray(self.values.pop(name)[rows], np.float32) for name in PARAMETERS}
         if (self.origin < 0).any():
             return Scene(**arrays, **(self.beside | {"attributes": {}, "property_order": ()}))
         attributes = {name: column[self.origin[rows]] for name, column in self.beside.get("attributes", {}).items()}

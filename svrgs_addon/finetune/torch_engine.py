@@ -25,6 +25,7 @@ from torch.nn.functional import conv2d
 
 WINDOW, SIGMA = 11, 1.5  # of SSIM, pixels
 C1, C2 = 1e-4, 9e-4
+SH = {"sh", "sh_rest"}
 
 
 class Rasterize(torch.autograd.Function):
@@ -152,22 +153,33 @@ def _tensors(arrays: dict[str, np.ndarray]) -> dict[str, Tensor]:
 def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) -> int:
     """One Adam step on the rows `ids`, in the model's memory. Returns how many rows were left out because not finite."""
     learned = {name: leaf for name, leaf in leaves.items() if leaf.grad is not None}
-    moments = {name: unpacked(array) for name, array in model.moments.items()}
-    first, second = (_tensors({name: pair[k] for name, pair in moments.items()}) for k in range(2))
-    optimizer = torch.optim.Adam([{"params": [leaf], "lr": step.rates[name]} for name, leaf in learned.items()], betas=BETAS, eps=EPS)
-    for name, leaf in learned.items():
-        steps_before = torch.tensor(step.number - 1.0)
-        optimizer.state[leaf] = {"step": steps_before, "exp_avg": first[name], "exp_avg_sq": second[name]}
+    moments = {name: unpacked(array, model.values[name].shape) for name, array in model.moments.items()}
+    optimizer = torch.optim.Adam([{"params": [learned[name]], "lr": step.rates[name]} for name in learned.keys() - SH], betas=BETAS, eps=EPS)
+    for name in learned.keys() - SH:
+        first, second = map(torch.from_numpy, moments[name])
+        optimizer.state[learned[name]] = {"step": torch.tensor(step.number - 1.0), "exp_avg": first, "exp_avg_sq": second}
     skipped, bad = _rows_left_alone(learned, step, ids)
     with torch.no_grad():
         saved = {name: leaf[skipped[name]] for name, leaf in learned.items()}
         optimizer.step()
+        _step_sh(learned, *map(torch.from_numpy, moments["sh"]), step)
         for name, leaf in learned.items():
             leaf[skipped[name]] = saved[name]
     for name in learned.keys() - {"sh_rest"}:
         moved = ~skipped[name].numpy()
         model.moments[name][moved] = packed(*moments[name], step.number)[moved]
     return bad
+
+
+def _step_sh(learned: dict[str, Tensor], first: Tensor, second: Tensor, step: Step):
+    """Adam on SH coefficients, which share one second moment a Gaussian (moments.py). first (N, K, 3) and second (N,) become the next ones."""
+    grad = torch.cat([learned["sh"].grad, learned["sh_rest"].grad], dim=1)
+    first.lerp_(grad, 1 - BETAS[0])
+    second.lerp_((grad[:, 0] ** 2).mean(dim=1), 1 - BETAS[1])
+    root = (second / (1 - BETAS[1] ** step.number)).sqrt() + EPS
+    change = first / (1 - BETAS[0] ** step.number) / root[:, None, None]
+    learned["sh"] -= step.rates["sh"] * change[:, :1]
+    learned["sh_rest"] -= step.rates["sh_rest"] * change[:, 1:]
 
 
 def _rows_left_alone(learned: dict[str, Tensor], step: Step, ids: Tensor) -> tuple[dict[str, Tensor], int]:

@@ -102,10 +102,13 @@ void run(const Case& c, int32_t level) {
   measure("moments", [&] { return svrgs_moments(context, moments.data()); });
 
   const std::vector<double> rates(values, 1e-3);
-  const svrgs_adam_settings settings = {rates.data(), 0.9, 0.999, 1e-15, 1};
-  std::vector<float> param(c.sh);
+  svrgs_adam_settings settings = {rates.data(), 0.9, 0.999, 1e-15, 1, 0};
+  std::vector<float> param(c.means);
   std::vector<uint32_t> words(values * n);
-  measure("adam", [&] { return svrgs_adam(context, &settings, param.data(), words.data(), sh.data(), ids, rows, int32_t(values), &bad); });
+  measure("adam", [&] { return svrgs_adam(context, &settings, param.data(), words.data(), means.data(), ids, rows, 3, &bad); });
+  settings.shared = 1, param = c.sh;
+  words.assign(words.size(), 0);
+  measure("adam sh", [&] { return svrgs_adam(context, &settings, param.data(), words.data(), sh.data(), ids, rows, int32_t(values), &bad); });
   svrgs_context_destroy(context);
 }
 

@@ -1,5 +1,6 @@
 // Scenes, cameras and calls made from any bytes, for the fuzzer and the thread sanitizer: everything the C interface takes.
 #pragma once
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -135,16 +136,15 @@ inline Results run(const Case& c, svrgs_context* context, int32_t level) {
   for (const auto& part : {rgb, depth, alpha, mask, left}) append(r, part);
 
   const std::vector<double> rates(3 * c.k, 1e-3);
-  const svrgs_adam_settings adam = {rates.data(), 0.9, 0.999, 1e-15, 1};
-  std::vector<float> param(c.sh);
-  std::vector<uint32_t> words(c.sh.size());
-  if (v) require(svrgs_adam(context, &adam, param.data(), words.data(), sh.data(), ids, v, 3 * c.k, &bad) == SVRGS_OK, "an Adam step");
-  std::vector<float> adam_moments(2 * words.size());
-  for (size_t i = 0; i < words.size(); ++i) {
-    const uint32_t both[2] = {words[i] & 0xfffff000u, words[i] << 20 >> 1};
-    std::memcpy(&adam_moments[2 * i], both, sizeof both);
-  }
-  append(r, adam_moments);
+  svrgs_adam_settings adam = {rates.data(), 0.9, 0.999, 1e-15, 1, 0};
+  std::vector<float> param(c.means), moved;
+  std::vector<uint32_t> words(c.means.size());
+  if (v) require(svrgs_adam(context, &adam, param.data(), words.data(), means.data(), ids, v, 3, &bad) == SVRGS_OK, "an Adam step");
+  for (const uint32_t word : words) moved.insert(moved.end(), {std::bit_cast<float>(word & 0xfffff000u), std::bit_cast<float>(word << 20 >> 1)});
+  adam.shared = 1;
+  param = c.sh, words.assign(c.count * ((3 * c.k + 1) / 2 + 1), 0);
+  if (v) require(svrgs_adam(context, &adam, param.data(), words.data(), sh.data(), ids, v, 3 * c.k, &bad) == SVRGS_OK, "an Adam step on SH");
+  append(r, moved), append(r, param);
   return r;
 }
 
