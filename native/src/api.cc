@@ -11,6 +11,7 @@
 #endif
 
 #include "context.h"
+#include "depth_sort.h"
 #include "machine_speed.h"
 #include "pool.h"
 

@@ -59,7 +59,7 @@ void Context::project() {
   Frame& f = frame_;
   f.splats = splats_.reserve<char>(f.count * kernels_.splat_size);
   f.tiles = tiles_.reserve<SplatTiles>(f.count);
-  uint32_t *ids = ids_.reserve<uint32_t>(f.count), *keys = keys_.reserve<uint32_t>(f.count);
+  uint32_t *ids = ids_.reserve<uint32_t>(f.count), *keys = depth_keys_.reserve<uint32_t>(f.count);
   std::vector<int64_t> kept(chunk_count(f.count, kProjectGrain));
   parallel_blocks(f.count, kProjectGrain, [&](int64_t begin, int64_t end) {
     kept[begin / kProjectGrain] = kernels_.project_range(f, begin, end, ids, keys);
@@ -67,12 +67,10 @@ void Context::project() {
   std::vector<int64_t> offset = kept;
   f.visible_count = prefix(offset);
   uint32_t *visible = visible_.reserve<uint32_t>(f.visible_count), *places = places_.reserve<uint32_t>(f.visible_count);
-  Keyed* unsorted = unsorted_.reserve<Keyed>(f.visible_count);
   parallel_for(static_cast<int64_t>(kept.size()), [&](int64_t c) {
     for (int64_t i = 0; i < kept[c]; ++i) {
       const int64_t from = c * kProjectGrain + i, to = offset[c] + i;
       visible[to] = ids[from], places[to] = static_cast<uint32_t>(from);
-      unsorted[to] = {keys[from], places[to]};
     }
   });
   f.visible = visible, f.places = places;
@@ -117,14 +115,16 @@ void Context::find_tiles(int64_t max_pairs) {
   });
 }
 
-void Context::sort_and_bin() {
+void Context::list_tiles() {
   Frame& f = frame_;
   const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y;
-  Keyed* unsorted = unsorted_.reserve<Keyed>(f.visible_count);
-  const Keyed* sorted = sort_by_depth(unsorted, slots_.reserve<Keyed>(f.visible_count), f.visible_count);
   int64_t* tile_begin = tile_begin_.reserve<int64_t>(tiles + 1);
   TileEntry* entries = entries_.reserve<TileEntry>(pairs_);
-  bin_tiles(f, sorted, tile_begin, entries, counts_.reserve<uint32_t>(binning_chunks(f.visible_count) * tiles));
+  static_assert(sizeof(uint64_t) == sizeof(Pair));
+  Pair* pairs = slots_.reserve<Pair>(3 * pairs_);
+  parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { write_pairs(f, begin, end, pairs); });
+  svrgs::list_tiles(f, pairs, pairs_, depth_keys_.reserve<uint32_t>(f.count), reinterpret_cast<uint64_t*>(pairs + pairs_),
+                    counts_.reserve<uint32_t>(listing_chunks(pairs_) * tiles), tile_begin, entries);
   f.tile_begin = tile_begin, f.entries = entries;
 }
 
@@ -151,7 +151,7 @@ void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_o
   cancel_ = o.cancel;
   timed(SVRGS_PROJECT, [&] { project(); });
   timed(SVRGS_TILES, [&] { find_tiles(o.max_pairs); });
-  timed(SVRGS_SORT, [&] { sort_and_bin(); });
+  timed(SVRGS_SORT, [&] { list_tiles(); });
   const int64_t tiles = static_cast<int64_t>(frame_.tiles_x) * frame_.tiles_y;
   frame_.hits = hits_.reserve<BlockMask>(pairs_);
   frame_.state = state_.reserve<char>(tiles * kBlocks * kFields * kBlockPixels * kernels_.real_size);

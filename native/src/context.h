@@ -66,7 +66,7 @@ class Context {
   void set_frame(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);
   void project();
   void find_tiles(int64_t max_pairs);
-  void sort_and_bin();
+  void list_tiles();
   void loss_tiles(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
   template <class F>
   void timed(svrgs_stage stage, F&& run);
@@ -79,8 +79,8 @@ class Context {
   int64_t pairs_ = 0, rows_ = 0;
   bool holds_view_ = false;
   double seconds_[SVRGS_STAGES] = {};
-  Buffer splats_, tiles_, spans_, ids_, keys_, visible_, places_, unsorted_, tile_begin_, entries_, counts_, hits_, state_;
-  Buffer slots_;  // of the pixels' sums; before, where depths are sorted
+  Buffer splats_, tiles_, spans_, ids_, depth_keys_, visible_, places_, tile_begin_, entries_, counts_, hits_, state_;
+  Buffer slots_;  // of the pixels' sums; before, where tiles are listed
   Buffer loss_scratch_, tile_values_;
 };
 

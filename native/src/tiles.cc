@@ -1,91 +1,91 @@
 #include "tiles.h"
 
 #include <algorithm>
+#include <bit>
+#include <utility>
 
 #include "pool.h"
 
 namespace svrgs {
 namespace {
 
-constexpr int kRadixBits = 11, kRadix = 1 << kRadixBits, kPasses = 3;  // 33 bits cover the 32 of a key
-constexpr int64_t kSortChunks = 8;
-constexpr int64_t kAhead = 12;  // sorted Gaussians fetched before they are needed
+constexpr int kMostBits = 11;       // of a digit
+constexpr int64_t kPatience = 8;    // moves for each item before another way is taken
 
-void radix_pass(const Keyed* from, Keyed* to, int64_t count, int shift) {
-  static thread_local uint32_t offsets[kSortChunks][kRadix];
-  uint32_t(*offset)[kRadix] = offsets;  // workers write the caller's table
-  const int64_t grain = (count + kSortChunks - 1) / kSortChunks;
-  const auto digit = [shift](const Keyed& k) { return k.key >> shift & (kRadix - 1); };
-  parallel_for(kSortChunks, [&](int64_t c) {
-    std::fill_n(offset[c], kRadix, 0u);
-    for (int64_t i = c * grain, end = std::min(count, i + grain); i < end; ++i) ++offset[c][digit(from[i])];
-  });
-  uint32_t total = 0;
-  for (int d = 0; d < kRadix; ++d)
-    for (int64_t c = 0; c < kSortChunks; ++c) {
-      const uint32_t n = offset[c][d];
-      offset[c][d] = total;
-      total += n;
-    }
-  parallel_for(kSortChunks, [&](int64_t c) {
-    for (int64_t i = c * grain, end = std::min(count, i + grain); i < end; ++i) to[offset[c][digit(from[i])]++] = from[i];
-  });
+// An entry of a tile's list: its depth, then its slot, so that no two are equal and equal depths lie in the order of slots.
+uint64_t entry_key(uint32_t depth_key, int64_t slot) { return static_cast<uint64_t>(depth_key) << 32 | static_cast<uint64_t>(slot); }
+
+// Finishes what is nearly sorted.
+void sort_by_insertion(uint64_t* keys, int64_t n) {
+  int64_t moves = 0;
+  for (int64_t i = 1; i < n; ++i) {
+    const uint64_t key = keys[i];
+    int64_t j = i;
+    for (; j && keys[j - 1] > key; --j) keys[j] = keys[j - 1];
+    keys[j] = key, moves += i - j;
+    if (moves > kPatience * n) return std::sort(keys, keys + n);
+  }
 }
 
-// Calls visit(tile, k) for the k-th tile of a Gaussian, in row order.
-template <class F>
-void for_tiles(const Frame& f, uint32_t place, F&& visit) {
-  const SplatTiles& t = f.tiles[place];
-  uint32_t k = 0;
-  const Span* spans = t.rows > 1 ? f.spans + t.span : &t.columns;
-  for (int r = 0; r < t.rows; ++r) {
-    const Span s = spans[r];
-    for (int x = s.begin; x < s.end; ++x) visit(static_cast<int64_t>(t.row + r) * f.tiles_x + x, k++);
-  }
+// By two digits of the depths, the first ones in which they differ; these leave next to nothing to be done.
+void sort_list(uint64_t* keys, uint64_t* scratch, int64_t n) {
+  uint64_t low = ~uint64_t{0}, high = 0;
+  for (int64_t i = 0; i < n; ++i) low = std::min(low, keys[i] >> 32), high = std::max(high, keys[i] >> 32);
+  if (low >= high) return;  // in the order of slots they are
+  const int bits = std::clamp(static_cast<int>(std::bit_width(static_cast<uint64_t>(n))) - 1, 4, kMostBits);
+  const int second = std::max(static_cast<int>(std::bit_width(high - low)) - 2 * bits, 0), first = second + bits;
+  const uint64_t mask = (1u << bits) - 1;
+  const auto digit = [low, mask](uint64_t key, int shift) { return ((key >> 32) - low) >> shift & mask; };
+  uint32_t begin[2][1 << kMostBits];
+  std::fill_n(begin[0], mask + 1, 0u), std::fill_n(begin[1], mask + 1, 0u);
+  for (int64_t i = 0; i < n; ++i) ++begin[0][digit(keys[i], second)], ++begin[1][digit(keys[i], first)];
+  uint32_t total[2] = {};
+  for (uint64_t d = 0; d <= mask; ++d)
+    for (int k = 0; k < 2; ++k) total[k] += std::exchange(begin[k][d], total[k]);
+  for (int64_t i = 0; i < n; ++i) scratch[begin[0][digit(keys[i], second)]++] = keys[i];
+  for (int64_t i = 0; i < n; ++i) keys[begin[1][digit(scratch[i], first)]++] = scratch[i];
+  sort_by_insertion(keys, n);
 }
 
 }  // namespace
 
-Keyed* sort_by_depth(Keyed* items, Keyed* scratch, int64_t count) {
-  for (int pass = 0; pass < kPasses; ++pass) {
-    radix_pass(items, scratch, count, pass * kRadixBits);
-    std::swap(items, scratch);
+void write_pairs(const Frame& f, int64_t begin, int64_t end, Pair* pairs) {
+  for (int64_t i = begin; i < end; ++i) {
+    const uint32_t place = f.places[i];
+    const SplatTiles& t = f.tiles[place];
+    const Span* const spans = t.rows > 1 ? f.spans + t.span : &t.columns;
+    Pair* next = pairs + t.slot;
+    for (uint32_t r = 0; r < t.rows; ++r)
+      for (uint32_t x = spans[r].begin; x < spans[r].end; ++x) *next++ = {(t.row + r) * static_cast<uint32_t>(f.tiles_x) + x, place};
   }
-  return items;
 }
 
-int64_t binning_chunks(int64_t visible) { return std::clamp<int64_t>(visible / 4096, 1, 16); }
+int64_t listing_chunks(int64_t pairs) { return std::clamp<int64_t>(pairs / 8192, 1, 16); }
 
-void bin_tiles(const Frame& f, const Keyed* sorted, int64_t* tile_begin, TileEntry* entries, uint32_t* counts) {
-  const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y, chunks = binning_chunks(f.visible_count);
-  const int64_t grain = (f.visible_count + chunks - 1) / chunks;
-  const auto range = [&](int64_t c, auto&& visit) {
-    for (int64_t i = c * grain, end = std::min(f.visible_count, i + grain); i < end; ++i) {
-      if (i + 2 * kAhead < end) __builtin_prefetch(f.tiles + sorted[i + 2 * kAhead].place);
-      if (i + kAhead < end) __builtin_prefetch(f.spans + f.tiles[sorted[i + kAhead].place].span);
-      visit(sorted[i].place);
-    }
-  };
+void list_tiles(const Frame& f, const Pair* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin, TileEntry* entries) {
+  const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y, chunks = listing_chunks(count), grain = (count + chunks - 1) / chunks;
   parallel_for(chunks, [&](int64_t c) {
-    uint32_t* count = counts + c * tiles;
-    std::fill_n(count, tiles, 0u);
-    range(c, [&](uint32_t place) { for_tiles(f, place, [&](int64_t tile, uint32_t) { ++count[tile]; }); });
+    uint32_t* const own = counts + c * tiles;
+    std::fill_n(own, tiles, 0u);
+    for (int64_t p = c * grain, end = std::min(count, p + grain); p < end; ++p) ++own[pairs[p].tile];
   });
   uint32_t total = 0;
   for (int64_t tile = 0; tile < tiles; ++tile) {
     tile_begin[tile] = total;
-    for (int64_t c = 0; c < chunks; ++c) {
-      const uint32_t n = counts[c * tiles + tile];
-      counts[c * tiles + tile] = total;
-      total += n;
-    }
+    for (int64_t c = 0; c < chunks; ++c) total += std::exchange(counts[c * tiles + tile], total);
   }
   tile_begin[tiles] = total;
   parallel_for(chunks, [&](int64_t c) {
-    uint32_t* next = counts + c * tiles;
-    range(c, [&](uint32_t place) {
-      for_tiles(f, place, [&](int64_t tile, uint32_t k) { entries[next[tile]++] = {place, f.tiles[place].slot + k}; });
-    });
+    uint32_t* const next = counts + c * tiles;
+    for (int64_t p = c * grain, end = std::min(count, p + grain); p < end; ++p) keys[next[pairs[p].tile]++] = entry_key(depth_keys[pairs[p].place], p);
+  });
+  parallel_for(tiles, [&](int64_t tile) {
+    const int64_t begin = tile_begin[tile], end = tile_begin[tile + 1];
+    sort_list(keys + begin, keys + count + begin, end - begin);
+    for (int64_t i = begin; i < end; ++i) {
+      const uint32_t slot = static_cast<uint32_t>(keys[i]);
+      entries[i] = {pairs[slot].place, slot};
+    }
   });
 }
 

@@ -4,17 +4,18 @@
 
 namespace svrgs {
 
-struct Keyed {
-  uint32_t key, place;
+struct Pair {  // a Gaussian and a tile it touches; their slot is the pair's index
+  uint32_t tile, place;
 };
 
-// Stable sort by key: equal depths keep the order of ids. Returns where the sorted items are: in `items`, or in `scratch`, as many.
-[[nodiscard]] Keyed* sort_by_depth(Keyed* items, Keyed* scratch, int64_t count);
+// The pairs of the visible Gaussians [begin, end), each into its slot.
+void write_pairs(const Frame& f, int64_t begin, int64_t end, Pair* pairs);
 
-// Number of scan chunks of tile binning; counts: [chunks][tiles].
-int64_t binning_chunks(int64_t visible);
+// Number of chunks that pairs are counted in; counts: [chunks][tiles].
+int64_t listing_chunks(int64_t pairs);
 
-// Fills tile_begin[tiles + 1] and entries from the sorted places and their spans.
-void bin_tiles(const Frame& f, const Keyed* sorted, int64_t* tile_begin, TileEntry* entries, uint32_t* counts);
+// Fills tile_begin[tiles + 1] and entries: each tile's pairs by depth, equal ones in the order of slots. depth_keys: by place;
+// keys: room for twice the pairs.
+void list_tiles(const Frame& f, const Pair* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin, TileEntry* entries);
 
 }  // namespace svrgs
