@@ -1,15 +1,7 @@
 // Stage 1: cull, project, colour. The only visibility gate: comparisons are written so that NaN fails them.
 
-// Pixels [begin, end) of a row or column of `size` that centre +- half covers, both at `begin` if none.
-inline void reach(double centre, double half, int size, int& begin, int& end) {
-  const double low = centre - half - 0.5, high = centre + half - 0.5;  // in units of pixel index
-  begin = end = 0;
-  if (!(high >= 0) || !(low <= size - 1)) return;
-  begin = low <= 0 ? 0 : static_cast<int>(low) + (low > static_cast<int>(low));
-  end = high >= size - 1 ? size : static_cast<int>(high) + 1;
-}
-
-// The same for vectors; `half` has a margin for the rounding of the centre.
+// Pixels [begin, end) of a row or column of `size` that centre +- half covers, none where begin >= end. `half` has a margin for the
+// rounding of the centre.
 struct Reach {
   V begin, end;
 };
@@ -24,7 +16,7 @@ inline Reach reach(V centre, V half, int size) {
 inline V half_side(V root_bound, V root_variance) { return root_bound * root_variance * (kWhiten * (1 + kRelativeMargin)) + kBorderMargin; }
 
 const R kLargestReach = kWhiten * std::sqrt(kReachMargin - R(kLog2Cut));  // of an opaque Gaussian, in standard deviations
-// Bound of u^2 + v^2 within the ellipse.
+// Bound of u^2 + v^2 within the ellipse; of one Gaussian or of W.
 template <class T>
 inline T reach2(const Frame& f, T log2_opacity) {
   return (f.without & SVRGS_OPACITY_BOUNDS ? T{} : log2_opacity) + (kReachMargin - R(kLog2Cut));
@@ -145,7 +137,6 @@ inline TileRange tile_range(const Reach& r) {
   const auto tile = [](V pixel) { return (U)__builtin_convertvector(pixel, I) / kTile; };
   return {tile(r.begin), tile(r.end - R(1)) + 1};
 }
-inline Span tile_range(int begin, int end) { return {static_cast<uint16_t>(begin / kTile), static_cast<uint16_t>((end - 1) / kTile + 1)}; }
 
 // W Gaussians on the screen: what Splat and SplatTiles hold, colours aside.
 struct Screen {
@@ -288,7 +279,7 @@ int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* visi
   return p.place - begin;
 }
 
-// Stage 2: the exact tiles of one visible Gaussian of several tile rows, row by row; returns how many.
+// Stage 2: the exact tiles of one visible Gaussian of several tile rows, W rows at a time; returns how many.
 uint32_t fill_spans(const Frame& f, uint32_t place, Span* spans) {
   const Splat<R>& s = static_cast<const Splat<R>*>(f.splats)[place];
   const SplatTiles& t = f.tiles[place];
@@ -296,20 +287,22 @@ uint32_t fill_spans(const Frame& f, uint32_t place, Span* spans) {
     std::fill_n(spans, t.rows, t.columns);
     return static_cast<uint32_t>(t.rows) * (t.columns.end - t.columns.begin);
   }
-  const R bound = reach2(f, s.log2_opacity);
+  const V bound = splat(reach2(f, s.log2_opacity)), margin = splat(kBorderMargin), x = splat(static_cast<R>(s.x));
+  const V bottom = splat(static_cast<R>(f.height - 0.5 - s.y));
   uint32_t tiles = 0;
-  for (int r = 0; r < t.rows; ++r) {
-    const int y0 = (t.row + r) * kTile, y1 = std::min(y0 + kTile, f.height) - 1;
-    const R low = static_cast<R>(y0 + 0.5 - s.y) - kBorderMargin, high = static_cast<R>(y1 + 0.5 - s.y) + kBorderMargin;
-    const Extent<R> e = ellipse_extent<R>(bound, s.l22, s.inv_l11, s.slope, s.y_extreme, low, high);
-    int x0, x1;
-    const double left = e.left, right = e.right, middle = s.x + 0.5 * (left + right), half = 0.5 * (right - left) + double(kBorderMargin);
-    spans[r] = {0, 0};
-    if (e.depth < 0) continue;
-    reach(middle, half, f.width, x0, x1);
-    if (x0 >= x1) continue;
-    spans[r] = tile_range(x0, x1);
-    tiles += spans[r].end - spans[r].begin;
+  for (int r = 0; r < t.rows; r += W) {
+    const V low = splat(static_cast<R>((t.row + r) * kTile + 0.5 - s.y)) + iota() * R(kTile), high = min(low + R(kTile - 1), bottom);
+    const Extent e = ellipse_extent(bound, splat(s.l22), splat(s.inv_l11), splat(s.slope), splat(s.y_extreme), low - margin, high + margin);
+    const V centre = x + (e.left + e.right) * R(0.5), half = (e.right - e.left) * R(0.5) + margin + magnitude(centre) * kRelativeMargin;
+    const Reach columns = reach(centre, half, f.width);
+    const M crosses = both(at_least(e.depth, splat(0)), less(columns.begin, columns.end));
+    const TileRange across = tile_range(columns);
+    const U words = (U)keep(crosses, (V)(across.begin | across.end << 16)), counts = (U)keep(crosses, (V)(across.end - across.begin));
+    for (int i = 0; i < std::min(W, t.rows - r); ++i) {
+      const uint32_t word = static_cast<uint32_t>(words[i]);
+      __builtin_memcpy(spans + r + i, &word, sizeof word);
+      tiles += static_cast<uint32_t>(counts[i]);
+    }
   }
   return tiles;
 }

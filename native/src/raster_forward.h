@@ -99,7 +99,7 @@ inline void list_blocks(const Frame& f, Chunk& c, int first, int count, BlockMas
   for (int b = 0; b < kBlocks; b += kBlockColumns) {
     if (!(active & row << b)) continue;
     const V low = y + splat(R(b / kBlockColumns * kBlockHeight)), high = low + splat(R(kBlockHeight - 1));
-    const Extent<V> e = ellipse_extent<V>(reach, l22, inv, slope, ye, low - margin, high + margin);
+    const Extent e = ellipse_extent(reach, l22, inv, slope, ye, low - margin, high + margin);
     const M crosses = at_least(e.depth, splat(0));
     const V right = e.right + margin, left = e.left - margin;
     for (int column = 0; column < kBlockColumns; ++column) {

@@ -17,6 +17,11 @@ inline D wide(V v) { return __builtin_convertvector(v, D); }
 inline V narrow(D d) { return __builtin_convertvector(d, V); }
 
 inline V splat(R x) { return x - V{}; }  // x - 0 is x, -0 included: one broadcast
+inline V iota() {  // 0, 1, 2, ...
+  V v;
+  for (int i = 0; i < W; ++i) v[i] = static_cast<R>(i);
+  return v;
+}
 inline V load(const R* p) {
   V v;
   __builtin_memcpy(&v, p, sizeof v);
