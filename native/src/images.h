@@ -71,8 +71,24 @@ inline void write_block(const Frame& f, BlockPlace p, const R* block, T* image, 
   for_rows(f, p, [&](int64_t at, int lane) { std::copy_n(pixels + channels * lane, channels * columns, image + channels * at); });
 }
 
+// Asks for the rows of an image (H, W, channels) that lie in a tile: many, each of a few lines, which the processor does not foresee.
+// write: they will be written. Always inline, as fetch is (project.h).
+template <bool write>
+[[gnu::always_inline]] inline void fetch_image(const Frame& f, int64_t tile, const void* image, int channels) {
+  if (!image) return;
+  const TileOrigin o = tile_origin(f, tile);
+  const int left = o.x * kTile, columns = std::min(kTile, f.width - left), values = channels * columns;
+  for (int y = o.y * kTile; y < std::min((o.y + 1) * kTile, f.height); ++y) {
+    const R* const row = static_cast<const R*>(image) + (static_cast<int64_t>(y) * f.width + left) * channels;
+    for (int k = 0; k < values; k += 64 / sizeof(R)) __builtin_prefetch(row + k, write);
+    __builtin_prefetch(row + values - 1, write);
+  }
+}
+
 void write_tile(const Frame& f, int64_t tile, const svrgs_images& out) {
   const R* const state = tile_state(f, tile);
+  fetch_image<true>(f, tile, out.rgb, 3);
+  fetch_image<true>(f, tile, out.mask, 1);
   for_blocks(f, tile, [&](int b, BlockPlace p) {
     const R* const block = block_state(const_cast<R*>(state), b, 0);
     const auto write = [&](auto* image, auto&& value) { write_block<1>(f, p, block, image, [&](const R* s, int) { return value(s); }); };

@@ -48,6 +48,8 @@ inline void start_lanes(const Frame& f, const svrgs_image_grads& g, const R* sta
 }
 
 inline void start_backward(const Frame& f, const svrgs_image_grads& g, int64_t tile, BackwardBlock* blocks) {
+  fetch_image<false>(f, tile, g.rgb, 3);
+  fetch_image<false>(f, tile, g.mask, 1);
   __builtin_memset(static_cast<void*>(blocks), 0, sizeof(BackwardBlock) * kBlocks);
   R* const state = tile_state(f, tile);
   for_blocks(f, tile, [&](int b, BlockPlace place) {
