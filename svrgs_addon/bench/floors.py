@@ -38,11 +38,10 @@ CULL = 28  # read of each one, visible or not: means 12, log_scales 12, opacity 
 MEANS = SCALES = 12
 QUATS, OPACITY, SH = 16, 4, 12  # SH per coefficient
 RECORD = 64  # what blending reads of a projected Gaussian
-LISTED = 20 + 8 + 16  # its tiles; its id and depth before and after they are packed
+LISTED = 20 + 8 + 8  # its tiles; its id and depth; its id and place when those are packed
 SUMS = 40  # ten float sums from the pixels: centre 2, conic 3, opacity 1, colour 3, mask 1
 MASK = 4  # of the mask's logit, or dL/dM
-SORT = 3 * 2 * 8  # three radix passes read and write key and id, 4 B each
-PAIR = 8 + 8 + 2  # a tile entry is written and read once, its hit flags are written
+PAIR = 3 * 2 * 8 + 2  # a pair, its key and the list's entry are written and read once each, its hit flags are written
 EXTENT = 2 * 16  # first tile, rows and tiles of a Gaussian, read and written
 
 LOSS_FLOP = 0.25e9 / (640 * 360 * 3)  # per pixel and channel: four blurs of 11 + 11 taps, three more for the gradient
@@ -89,7 +88,7 @@ def stage_floors(work: dict, facts: dict, level: str, peak: dict) -> dict[str, f
     floors = {
         "project": max(PROJECT_SLOTS * visible * lane, projected),
         "tiles": max(OVERLAP_SLOTS * work["pairs"] * lane, EXTENT * visible * update),
-        "sort": (SORT * visible + PAIR * work["pairs"]) * update,
+        "sort": PAIR * work["pairs"] * update,
         "blend": max(BLEND_BLOCK * work["hit_blocks"] * block + BLEND_PAIR * work["used_pairs"] * slot, RECORD * visible * read),
         "mask": BEHIND_BLOCK * behind * block + counters,
         "mask_visible": counters,

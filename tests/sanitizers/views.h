@@ -142,9 +142,15 @@ inline Results run(const Case& c, svrgs_context* context, int32_t level) {
   if (v) require(svrgs_adam(context, &adam, param.data(), words.data(), means.data(), ids, v, 3, &bad) == SVRGS_OK, "an Adam step");
   for (const uint32_t word : words) moved.insert(moved.end(), {std::bit_cast<float>(word & 0xfffff000u), std::bit_cast<float>(word << 20 >> 1)});
   adam.shared = 1;
-  param = c.sh, words.assign(c.count * ((3 * c.k + 1) / 2 + 1), 0);
+  const size_t row = (3 * c.k + 1) / 2 + 1;
+  param = c.sh, words.assign(c.count * row, 0);
   if (v) require(svrgs_adam(context, &adam, param.data(), words.data(), sh.data(), ids, v, 3 * c.k, &bad) == SVRGS_OK, "an Adam step on SH");
-  append(r, moved), append(r, param);
+  for (size_t i = 0; i < words.size(); ++i)
+    if (i % row == row - 1)
+      moved.push_back(std::bit_cast<float>(words[i]));
+    else
+      moved.insert(moved.end(), {std::bit_cast<float>(words[i] << 16), std::bit_cast<float>(words[i] & 0xffff0000u)});
+  append(r, moved);
   return r;
 }
 
