@@ -27,7 +27,11 @@ def shown(rgb: np.ndarray) -> np.ndarray:
 
     The published protocol measures saved 8-bit files.
     """
-    return np.round(np.clip(rgb, 0, 1) * 255).astype(np.float32) / np.float32(255)
+    image = np.clip(rgb, 0, 1).astype(np.float32, copy=False)
+    image *= 255
+    np.round(image, out=image)
+    image /= 255
+    return image
 
 
 def render_options(scene: Scene, background=(0.0, 0.0, 0.0), mask_kind: str = "none") -> RenderOptions:

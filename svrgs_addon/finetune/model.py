@@ -23,7 +23,7 @@ class Model:
     """N Gaussians in training: `values`, and their Adam `moments` (moments.py) under the same names.
 
     Values are the arrays of Scene (raw, shapes as there) and, while masks are learned, mask_logits (N,); all of one
-    real dtype. origin (N,) int64: the row of the source scene each Gaussian came from, -1 for new ones. beside: the
+    real dtype. origin (N,) int32: the row of the source scene each Gaussian came from, -1 for new ones. beside: the
     source scene's other fields.
     """
 
@@ -32,7 +32,7 @@ class Model:
     ):
         self.values = values
         self.moments = moments or {name: none_yet(array) for name, array in values.items()}
-        self.origin = np.arange(len(values["means"])) if origin is None else origin
+        self.origin = np.arange(len(values["means"]), dtype=np.int32) if origin is None else origin
         self.beside = beside or {}
 
     @classmethod
@@ -95,7 +95,7 @@ class Model:
             new = new.astype(self.dtype)
             self.values[name] = np.concatenate([self.values[name], new])
             self.moments[name] = np.concatenate([self.moments[name], none_yet(new)])
-        self.origin = np.concatenate([self.origin, np.full(added, -1)])
+        self.origin = np.concatenate([self.origin, np.full(added, -1, np.int32)])
 
     def into_scene(self) -> Scene:
         """The end of a run: the model as a Scene, rows in the source's order and new ones after them, and what the source says beside its
@@ -111,7 +111,7 @@ class Model:
 
     def _source_order(self) -> np.ndarray | slice:
         """Index of the rows as the source had them, new ones last in their present order; a slice of all where they are so already."""
-        order = np.argsort(np.where(self.origin < 0, np.iinfo(np.int64).max, self.origin), kind="stable")
+        order = np.argsort(np.where(self.origin < 0, np.iinfo(np.int32).max, self.origin), kind="stable")
         return slice(None) if (np.diff(order) > 0).all() else order
 
 
