@@ -13,7 +13,7 @@ class Rates:
     position_last: float = 1.6e-6
     position_steps: int = 30_000
     sh: float = 2.5e-3  # degree 0
-    sh_rest: float = 2.5e-3 / 10
+    sh_rest: float = 2.5e-3 / 20
     opacity: float = 0.05
     scale: float = 5e-3
     rotation: float = 1e-3
