@@ -192,7 +192,7 @@ SVRGS_API int32_t svrgs_loss(svrgs_context *, const real *image, const real *tar
 
    shared: rows are SH coefficients, (K, 3) values each, width 3, 12, 27 or 48, with one second moment for all: v of the mean square
    of the first three gradients, those of degree 0. A row of moments: m of every value, then v. double: width + 1 values. float: m in 16
-   bits each, the upper ones of bits(m) + n, n = (x ^ x >> 15) * 0x85ebca6b >> 16, x = bits(m) ^ step * 0x9e3779b1; two bytes more where the
+   bits each, the upper ones of bits(m) + n, n = (x ^ x >> 15) * 0x85ebca6b >> 16, x as above; two bytes more where the
    width is odd; v in 32 bits. */
 typedef struct {
   const double *lr;

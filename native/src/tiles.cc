@@ -9,8 +9,8 @@
 namespace svrgs {
 namespace {
 
-constexpr int kMostBits = 11;       // of a digit
-constexpr int64_t kPatience = 8;    // moves for each item before another way is taken
+constexpr int kMostBits = 11;     // of a digit
+constexpr int64_t kPatience = 8;  // moves for each item before another way is taken
 
 // An entry of a tile's list: its depth, then its slot, so that no two are equal and equal depths lie in the order of slots.
 uint64_t entry_key(uint32_t depth_key, int64_t slot) { return static_cast<uint64_t>(depth_key) << 32 | static_cast<uint64_t>(slot); }
