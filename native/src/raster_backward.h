@@ -89,46 +89,72 @@ inline SpatialGrads spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha
   }
 }
 
-// One Gaussian over the lanes from `h` on of one block.
-template <bool spatial, bool scenario>
-inline void accumulate(const Frame& f, const Wanted& want, BackwardBlock& t, const Local& l, const Hit& e, int h, Sums& a) {
+// What one Gaussian does to W pixels of a block.
+struct Part {
+  V weight;   // of its colour
+  V through;  // alpha dL/dalpha, by way of the colours
+  V shape;    // the same where the clamp lets it through, with what comes by way of F
+  V spatial;  // dL/dM by way of F, where counted
+  M counted;
+};
+
+// Of the lanes from `h` on. drawn: its mask is 1; depth_alpha: gradients of depth or of alpha may have come in.
+template <bool spatial, bool scenario, bool depth_alpha>
+[[gnu::always_inline]] inline Part part_of(const Frame& f, const Wanted& want, BackwardBlock& t, const Local& l, bool drawn, const Hit& e, int h) {
   const V one = splat(1), stop = splat(R(kStop));
-  if (kSub > 1 && !any(e.hit)) return;
-  const V alpha = clamped(e.alpha), T = load(t.T + h), red = load(t.rgb[0] + h), green = load(t.rgb[1] + h), blue = load(t.rgb[2] + h);
-  V through = fma(splat(l.rgb[0]), red, fma(splat(l.rgb[1]), green, splat(l.rgb[2]) * blue));
-  if (want.alpha) through += load(t.alpha + h);
-  if (want.depth) through = fma(splat(l.depth), load(t.depth + h), through);
-  V inv = one, g = splat(0);  // g: alpha dL/dalpha
+  const V alpha = clamped(e.alpha), T = load(t.T + h);
+  V through = fma(splat(l.rgb[0]), load(t.rgb[0] + h), fma(splat(l.rgb[1]), load(t.rgb[1] + h), splat(l.rgb[2]) * load(t.rgb[2] + h)));
+  if (depth_alpha && want.alpha) through += load(t.alpha + h);
+  if (depth_alpha && want.depth) through = fma(splat(l.depth), load(t.depth + h), through);
+  Part p = {};
+  V inv = one;
   M live;
-  if (l.mask != 0) {
+  if (drawn) {
     const V weight = keep(e.hit, alpha * T), next = T - weight;  // the same operations as the forward pass
     live = both(e.hit, at_least(next, stop));
-    const V w = keep(live, weight), behind = fnma(w, through, load(t.behind + h));
+    p.weight = keep(live, weight);
+    const V behind = fnma(p.weight, through, load(t.behind + h));
     store(t.T + h, next);
     store(t.behind + h, behind);
     inv = reciprocal(one - alpha);
-    g = keep(live, alpha * fnma(behind, inv, T * through));
-    a.red = fma(w, red, a.red);
-    a.green = fma(w, green, a.green);
-    a.blue = fma(w, blue, a.blue);
-    if (want.depth) a.depth = fma(w, load(t.depth + h), a.depth);
-    a.mask += g;
+    p.through = keep(live, alpha * fnma(behind, inv, T * through));
   } else {
     live = both(e.hit, at_least(T, stop));
-    a.mask += keep(live, alpha * (T * through - load(t.behind + h)));
+    p.through = keep(live, alpha * (T * through - load(t.behind + h)));
   }
   const M free = less(e.alpha, splat(R(kAlphaMax)));  // the clamp blocks the gradient
-  g = keep(free, g);
+  if (drawn) p.shape = keep(free, p.through);
   if constexpr (spatial) {
-    const M counted = f.full ? e.hit : live;
-    const SpatialGrads d = spatial_vjp<scenario>(f, t, h, alpha, T, inv, l.mask, counted);
-    a.spatial = add_if(counted, a.spatial, d.mask);
-    if (f.mask_to_shape) g = add_if(both(counted, free), g, alpha * d.alpha);
+    p.counted = f.full ? e.hit : live;
+    const SpatialGrads d = spatial_vjp<scenario>(f, t, h, alpha, T, inv, l.mask, p.counted);
+    p.spatial = d.mask;
+    if (f.mask_to_shape) p.shape = add_if(both(p.counted, free), p.shape, alpha * d.alpha);
+  }
+  return p;
+}
+
+// One Gaussian over one block: the sums of all its pixels are touched once.
+template <bool spatial, bool scenario, bool depth_alpha>
+[[gnu::always_inline]] inline void accumulate(const Frame& f, const Wanted& want, BackwardBlock& t, const Local& l, const BlockHits& hits, Sums& a) {
+  const bool drawn = l.mask != 0;
+  Part p[kSub];
+  for (int h = 0; h < kSub; ++h) p[h] = part_of<spatial, scenario, depth_alpha>(f, want, t, l, drawn, hits.part[h], h * W);
+  for (int h = 0; h < kSub; ++h) a.mask += p[h].through;
+  if constexpr (spatial)
+    for (int h = 0; h < kSub; ++h) a.spatial = add_if(p[h].counted, a.spatial, p[h].spatial);
+  if (drawn) {
+    for (int h = 0; h < kSub; ++h) a.red = fma(p[h].weight, load(t.rgb[0] + h * W), a.red);
+    for (int h = 0; h < kSub; ++h) a.green = fma(p[h].weight, load(t.rgb[1] + h * W), a.green);
+    for (int h = 0; h < kSub; ++h) a.blue = fma(p[h].weight, load(t.rgb[2] + h * W), a.blue);
+    if (depth_alpha && want.depth)
+      for (int h = 0; h < kSub; ++h) a.depth = fma(p[h].weight, load(t.depth + h * W), a.depth);
   }
   if (!want.shape) return;
-  const V gu = g * e.u, gv = g * e.v;
-  a.g += g, a.gu += gu, a.gv += gv;
-  a.guu = fma(gu, e.u, a.guu), a.guv = fma(gu, e.v, a.guv), a.gvv = fma(gv, e.v, a.gvv);
+  for (int h = 0; h < kSub; ++h) {
+    const V g = p[h].shape, u = hits.part[h].u, v = hits.part[h].v, gu = g * u, gv = g * v;
+    a.g += g, a.gu += gu, a.gv += gv;
+    a.guu = fma(gu, u, a.guu), a.guv = fma(gu, v, a.guv), a.gvv = fma(gv, v, a.gvv);
+  }
 }
 
 // In the order of enum Slot.
@@ -175,16 +201,6 @@ inline bool next_visit(const Frame& f, TileOrigin o, const TileEntry*& entry, co
   return false;
 }
 
-struct BlockHits {
-  Hit part[kSub];
-};
-
-[[gnu::always_inline]] inline BlockHits evaluate_block(const Local& l, const Lanes& lanes) {
-  BlockHits hits;
-  for (int h = 0; h < kSub; ++h) hits.part[h] = evaluate(l, lanes.x[h], lanes.y[h]);
-  return hits;
-}
-
 // Of a tile. Beside the loop's own, inline, it costs that its registers where a block is several vectors (AVX2: gradients of pixels +40 %).
 #if SVRGS_LANES == 16
 inline
@@ -195,7 +211,7 @@ BlockHits evaluate_first(const Visit& visit, const AllLanes& lanes) {
   return evaluate_block(visit.local, lanes.block[__builtin_ctzll(visit.blocks)]);
 }
 
-template <bool spatial, bool scenario>
+template <bool spatial, bool scenario, bool depth_alpha>
 void backward_tile_as(const Frame& f, const Wanted& want, const svrgs_image_grads& in, int64_t tile, R* slots) {
   const TileOrigin o = tile_origin(f, tile);
   const AllLanes& lanes = all_lanes();
@@ -216,20 +232,28 @@ void backward_tile_as(const Frame& f, const Wanted& want, const svrgs_image_grad
       const BlockHits hits = ahead;  // of this block; those of the next one start now, beside what follows
       const Visit& next = left ? *now : *coming;
       ahead = evaluate_block(next.local, lanes.block[__builtin_ctzll(left ? left : coming->blocks)]);
-      for (int h = 0; h < kSub; ++h) accumulate<spatial, scenario>(f, want, blocks[b], now->local, hits.part[h], h * W, a);
+      accumulate<spatial, scenario, depth_alpha>(f, want, blocks[b], now->local, hits, a);
     }
     write_slot(a, now->slot);
     std::swap(now, coming);
   }
 }
 
+template <bool spatial, bool scenario>
+void backward_tile_with(const Frame& f, const Wanted& want, const svrgs_image_grads& in, int64_t tile, R* slots) {
+  if (want.depth || want.alpha)
+    backward_tile_as<spatial, scenario, true>(f, want, in, tile, slots);
+  else
+    backward_tile_as<spatial, scenario, false>(f, want, in, tile, slots);
+}
+
 void backward_tile(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update, int64_t tile, void* slots) {
   const Wanted want = wanted(f, in, out, update);
   R* const own = static_cast<R*>(slots);
   if (!want.spatial)
-    backward_tile_as<false, false>(f, want, in, tile, own);
+    backward_tile_with<false, false>(f, want, in, tile, own);
   else if (f.mask_kind == kMaskA || f.mask_kind == kMaskB)
-    backward_tile_as<true, true>(f, want, in, tile, own);
+    backward_tile_with<true, true>(f, want, in, tile, own);
   else
-    backward_tile_as<true, false>(f, want, in, tile, own);
+    backward_tile_with<true, false>(f, want, in, tile, own);
 }

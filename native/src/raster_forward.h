@@ -77,16 +77,30 @@ struct Hit {
   return r;
 }
 
+struct BlockHits {
+  Hit part[kSub];
+};
+
+[[gnu::always_inline]] inline BlockHits evaluate_block(const Local& l, const Lanes& lanes) {
+  BlockHits hits;
+  for (int h = 0; h < kSub; ++h) hits.part[h] = evaluate(l, lanes.x[h], lanes.y[h]);
+  return hits;
+}
+
 inline V clamped(V alpha) { return min(alpha, splat(R(kAlphaMax))); }
 
 // Up to kChunk entries of a tile's list, and for each block those that reach it.
 constexpr int kChunk = 256;
 static_assert(kChunk <= 256 && kChunk % 16 == 0);
 
+struct Entry {
+  Local local;
+  BlockMask visit;  // blocks the backward pass must visit
+};
+
 struct Chunk {
-  Local local[kChunk];
+  Entry entry[kChunk];
   R reach[kChunk], l22[kChunk], inv_l11[kChunk], slope[kChunk], y_extreme[kChunk], x[kChunk], y[kChunk];
-  BlockMask visit[kChunk];  // blocks the backward pass must visit
   uint8_t list[kBlocks][kChunk + 16];  // append_lanes writes 16 at a time
   int listed[kBlocks];
 };
@@ -118,10 +132,9 @@ inline void gather_chunk(const Frame& f, TileOrigin o, const TileEntry* entries,
   for (int k = 0; k < n; ++k) {
     prefetch_splat(f, entries + k + kAhead, end);
     const Splat<R>& s = splat_of(f, entries[k]);
-    c.local[k] = localise(s, o);
+    const Local& l = (c.entry[k] = {localise(s, o), 0}).local;
     c.reach[k] = reach2(f, s.log2_opacity), c.l22[k] = s.l22, c.inv_l11[k] = s.inv_l11, c.slope[k] = s.slope, c.y_extreme[k] = s.y_extreme;
-    c.x[k] = c.local[k].x, c.y[k] = c.local[k].y;
-    c.visit[k] = 0;
+    c.x[k] = l.x, c.y[k] = l.y;
   }
   std::fill_n(c.listed, kBlocks, 0);
   for (int k = 0; k < n; k += W) list_blocks(f, c, k, n - k, active);
@@ -157,7 +170,7 @@ inline BlockMask within(const Limits& limits, R depth) {
 // Cuts off what a block's list holds behind all of its limits.
 inline void trim(Chunk& c, int block, R limit) {
   int& n = c.listed[block];
-  while (n && !(c.local[c.list[block][n - 1]].depth < limit)) --n;
+  while (n && !(c.entry[c.list[block][n - 1]].local.depth < limit)) --n;
 }
 
 // What is counted beside the colours, and whether pixels have depth limits; fixed when compiling.
@@ -168,6 +181,7 @@ struct Walk {
 // Running values of W pixels; their home is Frame::state.
 struct Pixels {
   V T, final_T, red, green, blue, depth, count, dropped, sums[4];
+  M open;  // T has not fallen below the stop
 };
 
 // Per-pixel sums behind scenarios A and B (paper Eq. 12-16), over counted hits:
@@ -193,55 +207,87 @@ inline void count_hit(const Frame& f, Pixels& p, V alpha, V T, R mask, M counted
   if constexpr (walk.scenario) add_scenario(f, p, alpha, T, mask, counted);
 }
 
+// Pixels of a block: where they are, and the depths at which they end.
+struct BlockPixels {
+  const Lanes& lanes;
+  V limit[kSub];
+};
+
 // A Gaussian hits pixels only where it lies before their depth limit.
 template <Walk walk>
-inline Hit evaluate_before(V limit, const Local& l, V x, V y) {
-  Hit e = evaluate(l, x, y);
-  if constexpr (walk.limited) e.hit = both(e.hit, less(splat(l.depth), limit));
-  return e;
+[[gnu::always_inline]] inline BlockHits evaluate_before(const BlockPixels& pixels, const Local& l) {
+  BlockHits hits = evaluate_block(l, pixels.lanes);
+  if constexpr (walk.limited)
+    for (int h = 0; h < kSub; ++h) hits.part[h].hit = both(hits.part[h].hit, less(splat(l.depth), pixels.limit[h]));
+  return hits;
 }
 
-// Blends a block's list into W of its pixels until all have stopped; returns whether one goes on.
+// Blends one Gaussian into W pixels; returns whether it hits one.
 template <Walk walk>
-inline bool blend_list(const Frame& f, Chunk& c, int block, V x, V y, V limit, Pixels& p) {
-  const V stop = splat(R(kStop));
+[[gnu::always_inline]] inline bool blend(const Frame& f, const Local& l, const Hit& e, Pixels& p) {
+  const V alpha = clamped(e.alpha), T = p.T;
+  const M hit = walk.full ? e.hit : both(e.hit, p.open);
+  M counted = hit;
+  if (l.mask != 0) {
+    const V weight = keep(e.hit, alpha * T), next = T - weight;
+    const M live = at_least(next, splat(R(kStop)));
+    const V w = keep(live, weight);
+    p.red = fma(w, splat(l.rgb[0]), p.red);
+    p.green = fma(w, splat(l.rgb[1]), p.green);
+    p.blue = fma(w, splat(l.rgb[2]), p.blue);
+    if (f.want_depth) p.depth = fma(w, splat(l.depth), p.depth);
+    p.final_T = select(live, next, p.final_T);
+    if (!walk.full) counted = both(hit, live);
+    p.T = next, p.open = live;
+  }
+  count_hit<walk>(f, p, alpha, T, l.mask, counted);
+  return any(hit);
+}
+
+// The same behind the stop, where only F is left.
+template <Walk walk>
+[[gnu::always_inline]] inline bool count_behind(const Frame& f, const Local& l, const Hit& e, Pixels& p) {
+  const V alpha = clamped(e.alpha), T = p.T;
+  if (l.mask != 0) p.T = T - keep(e.hit, alpha * T);
+  count_hit<walk>(f, p, alpha, T, l.mask, e.hit);
+  return any(e.hit);
+}
+
+[[gnu::always_inline]] inline bool any_open(const Pixels* p) {
+  M open = p[0].open;
+  for (int h = 1; h < kSub; ++h) open = either(open, p[h].open);
+  return any(open);
+}
+
+// Blends a block's list into its pixels until all have stopped; returns whether one goes on. All pixels side by side, also where
+// they are several vectors: what a Gaussian brings is fetched once for them.
+template <Walk walk>
+[[gnu::always_inline]] inline bool blend_list(const Frame& f, Chunk& c, int block, const BlockPixels& pixels, Pixels* p) {
   const uint8_t *at = c.list[block], *const end = at + c.listed[block];
   const bool to_end = f.without & SVRGS_TERMINATION;
-  M open = at_least(p.T, stop);
-  Hit next_hit = evaluate_before<walk>(limit, c.local[*at], x, y);
-  for (; at < end && (any(open) || to_end); ++at) {
-    const Local& l = c.local[*at];
-    const Hit e = next_hit;
-    next_hit = evaluate_before<walk>(limit, c.local[at[1]], x, y);  // early: its long chain runs beside this one's blending
-    const V alpha = clamped(e.alpha), T = p.T;
-    const M hit = walk.full ? e.hit : both(e.hit, open);
-    M counted = hit;
-    if (l.mask != 0) {
-      const V weight = keep(e.hit, alpha * T), next = T - weight;
-      const M live = at_least(next, stop);
-      const V w = keep(live, weight);
-      p.red = fma(w, splat(l.rgb[0]), p.red);
-      p.green = fma(w, splat(l.rgb[1]), p.green);
-      p.blue = fma(w, splat(l.rgb[2]), p.blue);
-      if (f.want_depth) p.depth = fma(w, splat(l.depth), p.depth);
-      p.final_T = select(and_not(live, open), T, p.final_T);
-      if (!walk.full) counted = both(hit, live);
-      p.T = next, open = live;
-    }
-    count_hit<walk>(f, p, alpha, T, l.mask, counted);
-    c.visit[*at] |= static_cast<BlockMask>(any(hit)) << block;
+  Entry* next = &c.entry[*at];
+  BlockHits next_hits = evaluate_before<walk>(pixels, next->local);
+  for (; at < end && (any_open(p) || to_end); ++at) {
+    Entry& entry = *next;
+    const BlockHits hits = next_hits;
+    next = &c.entry[at[1]];
+    next_hits = evaluate_before<walk>(pixels, next->local);  // early: its long chain runs beside this one's blending
+    bool hit = false;
+    for (int h = 0; h < kSub; ++h) hit |= blend<walk>(f, entry.local, hits.part[h], p[h]);
+    entry.visit |= static_cast<BlockMask>(hit) << block;
   }
+  const bool goes_on = any_open(p);
   if constexpr (walk.full)
-    for (; at < end; ++at) {  // behind the stop only F is left
-      const Local& l = c.local[*at];
-      const Hit e = next_hit;
-      next_hit = evaluate_before<walk>(limit, c.local[at[1]], x, y);
-      const V alpha = clamped(e.alpha), T = p.T;
-      if (l.mask != 0) p.T = T - keep(e.hit, alpha * T);
-      count_hit<walk>(f, p, alpha, T, l.mask, e.hit);
-      c.visit[*at] |= static_cast<BlockMask>(any(e.hit)) << block;
+    for (; at < end; ++at) {
+      Entry& entry = *next;
+      const BlockHits hits = next_hits;
+      next = &c.entry[at[1]];
+      next_hits = evaluate_before<walk>(pixels, next->local);
+      bool hit = false;
+      for (int h = 0; h < kSub; ++h) hit |= count_behind<walk>(f, entry.local, hits.part[h], p[h]);
+      entry.visit |= static_cast<BlockMask>(hit) << block;
     }
-  return any(open);
+  return goes_on;
 }
 
 inline R* tile_state(const Frame& f, int64_t tile) {
@@ -254,7 +300,7 @@ template <Walk walk>
 inline Pixels load_pixels(const Frame& f, const R* at) {
   const auto field = [&](Field k) { return load(at + k * kBlockPixels); };
   Pixels p = {};
-  p.T = field(kFullT), p.final_T = field(kFinalT), p.red = field(kRed), p.green = field(kGreen), p.blue = field(kBlue);
+  p.T = field(kFullT), p.open = at_least(p.T, splat(R(kStop))), p.final_T = field(kFinalT), p.red = field(kRed), p.green = field(kGreen), p.blue = field(kBlue);
   if (f.want_depth) p.depth = field(kDepth);
   if constexpr (walk.count) p.count = field(kCount), p.dropped = field(kDropped);
   if constexpr (walk.scenario)
@@ -280,21 +326,19 @@ inline BlockMask start_tile(const Frame& f, TileOrigin o, R* state) {
     for (int h = 0; h < kSub; ++h) {
       const M in = in_image(f, o, all_lanes().block[b], h);
       Pixels p = {};
-      p.T = keep(in, splat(1));
+      p.T = p.final_T = keep(in, splat(1));
       store_pixels<walk>(f, block_state(state, b, h), p);
       inside |= static_cast<BlockMask>(any(in)) << b;
     }
   return inside;
 }
 
-template <Walk walk>
-inline void finish_tile(R* state) {
-  for (int b = 0; b < kBlocks; ++b)
-    for (int h = 0; h < kSub; ++h) {
-      R *const T = block_state(state, b, h) + kFullT * kBlockPixels, *const final_T = block_state(state, b, h) + kFinalT * kBlockPixels;
-      store(final_T, select(at_least(load(T), splat(R(kStop))), load(T), load(final_T)));
-      if constexpr (!walk.full) store(T, load(final_T));
-    }
+// Where F stops with the colours, the transmittance behind the last hit is theirs.
+inline void end_with_colours(R* state) {
+  for (int b = 0; b < kBlocks; ++b) {
+    R* const block = block_state(state, b, 0);
+    std::copy_n(block + kFinalT * kBlockPixels, kBlockPixels, block + kFullT * kBlockPixels);
+  }
 }
 
 template <Walk walk>
@@ -319,21 +363,21 @@ void forward_tile_as(const Frame& f, int64_t tile) {
       const int b = __builtin_ctzll(left);
       if constexpr (walk.limited) trim(c, b, limits.block[b]);
       if (!c.listed[b]) continue;
-      bool goes_on = false;
+      BlockPixels pixels = {all_lanes().block[b], {}};
+      Pixels p[kSub];
       for (int h = 0; h < kSub; ++h) {
-        R* const at = block_state(state, b, h);
-        Pixels p = load_pixels<walk>(f, at);
-        const V limit = walk.limited ? load(limits.pixel[b] + h * W) : splat(0);
-        goes_on |= blend_list<walk>(f, c, b, all_lanes().block[b].x[h], all_lanes().block[b].y[h], limit, p);
-        store_pixels<walk>(f, at, p);
+        p[h] = load_pixels<walk>(f, block_state(state, b, h));
+        if constexpr (walk.limited) pixels.limit[h] = load(limits.pixel[b] + h * W);
       }
+      const bool goes_on = blend_list<walk>(f, c, b, pixels, p);
+      for (int h = 0; h < kSub; ++h) store_pixels<walk>(f, block_state(state, b, h), p[h]);
       if (!goes_on) open &= ~(BlockMask(1) << b);
     }
-    for (int k = 0; k < n; ++k) f.hits[entry[k].slot] = c.visit[k];
+    for (int k = 0; k < n; ++k) f.hits[entry[k].slot] = c.entry[k].visit;
     entry += n;
   }
   for (; entry < end; ++entry) f.hits[entry->slot] = 0;
-  finish_tile<walk>(state);
+  if constexpr (!walk.full) end_with_colours(state);
 }
 
 template <bool limited>

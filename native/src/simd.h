@@ -82,17 +82,17 @@ inline M less(V a, V b) { return a < b; }
 inline M at_least(V a, V b) { return a >= b; }
 inline M both(M a, M b) { return a & b; }
 inline M either(M a, M b) { return a | b; }
-inline V select(M m, V yes, V no) { return m ? yes : no; }
 inline V keep(M m, V v) { return (V)((I)v & m); }
 inline V add_if(M m, V a, V b) { return a + keep(m, b); }
-inline V min(V a, V b) { return a < b ? a : b; }  // b where a is NaN, as the processor's own instruction does
-inline V max(V a, V b) { return a > b ? a : b; }
 inline M and_not(M a, M b) { return b & ~a; }
 #if SVRGS_LANES >= 8
 inline bool any(M m) { return !_mm256_testz_si256((__m256i)m, (__m256i)m); }
 inline uint32_t bits(M m) { return static_cast<uint32_t>(_mm256_movemask_ps((__m256)m)); }
 inline V fma(V a, V b, V c) { return _mm256_fmadd_ps(a, b, c); }
 inline V fnma(V a, V b, V c) { return _mm256_fnmadd_ps(a, b, c); }
+inline V min(V a, V b) { return _mm256_min_ps(a, b); }
+inline V max(V a, V b) { return _mm256_max_ps(a, b); }
+inline V select(M m, V yes, V no) { return _mm256_blendv_ps(no, yes, (__m256)m); }
 inline V sqrt(V a) { return _mm256_sqrt_ps(a); }
 inline V rough_reciprocal(V a) { return _mm256_rcp_ps(a); }
 #else
@@ -108,6 +108,9 @@ inline bool any(M m) {
 }
 inline V fma(V a, V b, V c) { return a * b + c; }
 inline V fnma(V a, V b, V c) { return c - a * b; }
+inline V min(V a, V b) { return a < b ? a : b; }  // b where a is NaN, as the processor's own instruction does
+inline V max(V a, V b) { return a > b ? a : b; }
+inline V select(M m, V yes, V no) { return m ? yes : no; }
 inline V sqrt(V a) {
   for (int i = 0; i < W; ++i) a[i] = std::sqrt(a[i]);
   return a;

@@ -194,7 +194,7 @@ void count_tile(const Frame& f, int64_t tile, svrgs_work& work) {
           if (!f.full && !open && !(f.without & SVRGS_TERMINATION)) continue;
           const M inside = less(splat(0), t.T[b][h]);  // it starts at 0 outside the image
           computed = true;
-          const Blended w = blend_again(c.local[c.list[b][i]], b, h, t.T[b][h]);
+          const Blended w = blend_again(c.entry[c.list[b][i]].local, b, h, t.T[b][h]);
           hit += __builtin_popcount(bits(both(w.hit, inside)));
           work.contributing += __builtin_popcount(bits(w.live));
         }
