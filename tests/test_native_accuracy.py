@@ -118,18 +118,18 @@ def test_cases_cover_what_they_claim():
 # The contract is 2e-5 for images and 1e-4 relative L2 for gradients; these bounds are what is reached. Worst seen:
 IMAGE_BOUND = {
     "rgb": 4.6e-7,  # 4.39e-7
-    "depth": 2.35e-6,  # 2.21e-6
-    "alpha": 6.6e-7,  # 6.29e-7
-    "mask": 1.3e-6,  # 1.19e-6
-    "transmittance": 6.6e-7,  # 6.29e-7
+    "depth": 2.35e-6,  # 2.20e-6
+    "alpha": 5.8e-7,  # 5.47e-7
+    "mask": 1.3e-6,  # 1.21e-6
+    "transmittance": 5.8e-7,  # 5.47e-7
 }
 GRADIENT_BOUND = {
-    "means": 1.8e-6,  # 1.71e-6
-    "log_scales": 1.3e-6,  # 1.19e-6
-    "quats": 3.0e-6,  # 2.71e-6
+    "means": 1.3e-6,  # 1.21e-6
+    "log_scales": 1.2e-6,  # 1.08e-6
+    "quats": 3.0e-6,  # 2.79e-6
     "opacity_logits": 2.6e-6,  # 2.46e-6
-    "sh": 1.6e-6,  # 1.53e-6
-    "masks": 1.5e-6,  # 1.44e-6
+    "sh": 1.6e-6,  # 1.50e-6
+    "masks": 1.6e-6,  # 1.51e-6
 }
 
 
@@ -147,8 +147,8 @@ def test_float_levels_agree_with_the_reference(name, level):
         np.testing.assert_array_equal(grads[array].reshape(len(gradient), -1).any(1), rows, err_msg=array)
 
 
-SIMD_IMAGE_BOUND = 1.8e-6  # worst seen: 1.73e-6, depth
-SIMD_GRADIENT_BOUND = 2.4e-6  # worst seen: 2.29e-6, opacity_logits
+SIMD_IMAGE_BOUND = 1.75e-6  # worst seen: 1.67e-6, depth
+SIMD_GRADIENT_BOUND = 2.7e-6  # worst seen: 2.56e-6, opacity_logits
 
 
 @pytest.mark.parametrize("level", [level for level in FLOAT_LEVELS if level != "scalar"])

@@ -26,7 +26,7 @@ int64_t prefix(std::vector<int64_t>& totals) {
 }
 
 // Entries of Frame::spans a Gaussian needs: within one tile row its columns are its only span.
-int64_t span_rows(const SplatTiles& t) { return t.rows > 1 ? t.rows : 0; }
+int64_t span_rows(const TileRect& t) { return t.rows > 1 ? t.rows : 0; }
 
 int64_t chunk_count(int64_t items, int64_t grain) { return (items + grain - 1) / grain; }
 
@@ -58,6 +58,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
 void Context::project() {
   Frame& f = frame_;
   f.splats = splats_.reserve<char>(f.count * kernels_.splat_size);
+  f.rects = rects_.reserve<TileRect>(f.count);
   f.tiles = tiles_.reserve<SplatTiles>(f.count);
   uint32_t *ids = ids_.reserve<uint32_t>(f.count), *keys = depth_keys_.reserve<uint32_t>(f.count);
   std::vector<int64_t> kept(chunk_count(f.count, kProjectGrain));
@@ -82,7 +83,7 @@ void Context::find_tiles(int64_t max_pairs) {
   std::vector<int64_t> offset(chunk_count(f.visible_count, kVisibleGrain));
   parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
     int64_t rows = 0;
-    for (int64_t i = begin; i < end; ++i) rows += span_rows(f.tiles[f.places[i]]);
+    for (int64_t i = begin; i < end; ++i) rows += span_rows(f.rects[f.places[i]]);
     offset[begin / kVisibleGrain] = rows;
   });
   const int64_t limit = max_pairs > 0 ? max_pairs : INT32_MAX;
@@ -98,8 +99,9 @@ void Context::find_tiles(int64_t max_pairs) {
       if (i + kAhead < end) __builtin_prefetch(static_cast<char*>(f.splats) + static_cast<int64_t>(f.places[i + kAhead]) * kernels_.splat_size);
       SplatTiles& t = f.tiles[f.places[i]];
       t.span = static_cast<uint32_t>(row);
-      t.tiles = t.rows > 1 ? kernels_.fill_spans(f, f.places[i], f.spans + row) : t.columns.end - t.columns.begin;
-      row += span_rows(t), pairs += t.tiles;
+      const TileRect& r = f.rects[f.places[i]];
+      t.tiles = r.rows > 1 ? kernels_.fill_spans(f, f.places[i], f.spans + row) : r.columns.end - r.columns.begin;
+      row += span_rows(r), pairs += t.tiles;
     }
     offset[begin / kVisibleGrain] = pairs;
   });

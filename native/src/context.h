@@ -79,7 +79,7 @@ class Context {
   int64_t pairs_ = 0, rows_ = 0;
   bool holds_view_ = false;
   double seconds_[SVRGS_STAGES] = {};
-  Buffer splats_, tiles_, spans_, ids_, depth_keys_, visible_, places_, tile_begin_, entries_, counts_, hits_, state_;
+  Buffer splats_, rects_, tiles_, spans_, ids_, depth_keys_, visible_, places_, tile_begin_, entries_, counts_, hits_, state_;
   Buffer slots_;  // of the pixels' sums; before, where tiles are listed
   Buffer loss_scratch_, tile_values_;
 };

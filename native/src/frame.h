@@ -22,12 +22,15 @@ struct Span {  // tiles [begin, end) of one tile row
   uint16_t begin, end;
 };
 
-struct SplatTiles {   // where a visible Gaussian's tiles are
-  uint32_t span;      // first of its rows in Frame::spans, if it has several
-  uint32_t slot;      // first of its (Gaussian, tile) slots
-  uint16_t row, rows; // tile rows it touches; these and its columns are written as two words (project.h)
-  Span columns;       // of all its rows together
-  uint32_t tiles;     // how many tiles it touches
+struct TileRect {      // tiles around a visible Gaussian
+  uint16_t row, rows;  // of tiles; these and its columns are written as two words (project.h)
+  Span columns;        // of all its rows together
+};
+
+struct SplatTiles {  // where the tiles it touches are
+  uint32_t span;     // first of its rows in Frame::spans, if it has several
+  uint32_t slot;     // first of its (Gaussian, tile) slots
+  uint32_t tiles;    // how many
 };
 
 struct TileEntry {
@@ -64,6 +67,7 @@ struct Frame {
   const void* depth_limit;  // R[height][width], optional
   // projection
   void* splats;           // Splat<R>[count], those of visible Gaussians close together at their places
+  TileRect* rects;        // [count], likewise
   SplatTiles* tiles;      // [count], likewise
   Span* spans;
   const uint32_t* visible;  // [visible_count] ids, ascending

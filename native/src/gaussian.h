@@ -51,22 +51,26 @@ struct Projected {
 };
 
 inline void rotation_matrix(const V q[4], V m[3][3]) {
-  const V w = q[0], x = q[1], y = q[2], z = q[3], one = splat(1), two = splat(2);
-  m[0][0] = one - two * (y * y + z * z), m[0][1] = two * (x * y - w * z), m[0][2] = two * (x * z + w * y);
-  m[1][0] = two * (x * y + w * z), m[1][1] = one - two * (x * x + z * z), m[1][2] = two * (y * z - w * x);
-  m[2][0] = two * (x * z - w * y), m[2][1] = two * (y * z + w * x), m[2][2] = one - two * (x * x + y * y);
+  const V w = q[0], x = q[1], y = q[2], z = q[3], x2 = x + x, y2 = y + y, z2 = z + z, one = splat(1);
+  const V rest = fnma(x, x2, one), yy = y * y2, xy = x * y2, xz = x * z2, yz = y * z2;
+  m[0][0] = fnma(z, z2, one - yy), m[0][1] = fnma(w, z2, xy), m[0][2] = fma(w, y2, xz);
+  m[1][0] = fma(w, z2, xy), m[1][1] = fnma(z, z2, rest), m[1][2] = fnma(w, x2, yz);
+  m[2][0] = fnma(w, y2, xz), m[2][1] = fma(w, x2, yz), m[2][2] = rest - yy;
 }
 
 // The camera in the level's type, made once for many Gaussians.
 struct Eye {
   R axis[3][3];                      // rows of the view rotation
+  R position[3], position_rest[3];   // together the camera centre
   R fx, fy;
   R low_x, high_x, low_y, high_y;    // x/z, y/z are clamped between these where the Jacobian is taken
   bool orthographic, antialiased;
 
   explicit Eye(const Frame& f) : fx(R(f.fx)), fy(R(f.fy)), orthographic(f.orthographic), antialiased(f.antialiased) {
-    for (int i = 0; i < 3; ++i)
+    for (int i = 0; i < 3; ++i) {
       for (int j = 0; j < 3; ++j) axis[i][j] = static_cast<R>(f.viewmat[4 * i + j]);
+      position[i] = static_cast<R>(f.position[i]), position_rest[i] = static_cast<R>(f.position[i] - static_cast<double>(position[i]));
+    }
     const double margin_x = kFrustumMargin * f.width / (2 * f.fx), margin_y = kFrustumMargin * f.height / (2 * f.fy);
     low_x = R(-f.cx / f.fx - margin_x), high_x = R((f.width - f.cx) / f.fx + margin_x);
     low_y = R(-f.cy / f.fy - margin_y), high_y = R((f.height - f.cy) / f.fy + margin_y);
@@ -103,8 +107,8 @@ inline Projected project(const Eye& e, const Batch& b) {
   rotation_matrix(p.quat, p.rotation);
 
   for (int j = 0; j < 3; ++j) {
-    p.to_screen[0][j] = fx * inv_z * (e.view(0, j) - p.ratio_x * e.view(2, j));
-    p.to_screen[1][j] = fy * inv_z * (e.view(1, j) - p.ratio_y * e.view(2, j));
+    p.to_screen[0][j] = fx * inv_z * fnma(p.ratio_x, e.view(2, j), e.view(0, j));
+    p.to_screen[1][j] = fy * inv_z * fnma(p.ratio_y, e.view(2, j), e.view(1, j));
   }
   for (int r = 0; r < 2; ++r)
     for (int j = 0; j < 3; ++j) {

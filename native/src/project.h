@@ -22,9 +22,9 @@ inline T reach2(const Frame& f, T log2_opacity) {
   return (f.without & SVRGS_OPACITY_BOUNDS ? T{} : log2_opacity) + (kReachMargin - R(kLog2Cut));
 }
 
-constexpr int kStretch = 64;         // Gaussians looked at before those of them that may be seen are projected
+constexpr int kStretch = 128;        // Gaussians looked at before those of them that may be seen are projected
 constexpr int kInputsFetched = 128;  // how many ahead what is looked at is fetched
-constexpr int kFetched = W;          // of those that may be seen, how many ahead SH rows and places to write are fetched
+constexpr int kFetched = 32;         // of those that may be seen, how many ahead SH rows are fetched
 
 // Asks for so many bytes: SH rows are far apart where not every Gaussian is visible, and the processor does not foresee them.
 // Always inline: GCC drops calls of a function that does nothing else.
@@ -172,11 +172,11 @@ inline Screen to_screen(const Frame& f, const Eye& e, const Batch& b) {
   return s;
 }
 
-constexpr int kPending = 128 + kStretch + 2 * W;  // room, so that those that wait are moved seldom
+constexpr int kPending = 3 * kStretch + 2 * W + kFetched;  // room, so that those that wait are moved seldom
 
 // Gaussians of a range on their way: those that may be seen, in columns, and where the visible ones go, one after the other.
 struct Projection {
-  R numbers[kNumbers][kPending] = {}, masks[kPending] = {};
+  R numbers[kNumbers][kPending], masks[kPending];  // as far as they wait
   uint32_t ids[kPending] = {};
   int first = 0, last = 0;  // of those that wait, and behind them
   int64_t place;   // of the next visible one
@@ -211,10 +211,8 @@ inline void project_batch(const Frame& f, const Eye& e, int first, int n, Projec
   int64_t place = out.place;
   for (uint32_t left = visible; left; left &= left - 1, ++place) {
     const int i = __builtin_ctz(left);
-    __builtin_memcpy(static_cast<Splat<R>*>(f.splats) + place, rows + kRow * i, sizeof(Splat<R>));
-    __builtin_prefetch(static_cast<Splat<R>*>(f.splats) + place + kFetched, 1);
-    __builtin_prefetch(f.tiles + place + kFetched, 1);
-    SplatTiles& t = f.tiles[place];
+    stream_row(rows + kRow * i, static_cast<Splat<R>*>(f.splats) + place);
+    TileRect& t = f.rects[place];
     const uint32_t words[] = {static_cast<uint32_t>(rows_word[i]), static_cast<uint32_t>(columns_word[i])};
     __builtin_memcpy(&t.row, words, sizeof words);  // row, rows, columns
     const float depth = static_cast<float>(s.depth[i]);
@@ -241,7 +239,7 @@ inline void enqueue(const Frame& f, const Eye& e, int64_t first, int n, Projecti
   columns_from<3>(f.log_scales, first, n, scales);
   columns_from<1>(f.opacity_logits, first, n, numbers + 10);
   V offset[3];
-  for (int k = 0; k < 3; ++k) offset[k] = narrow(wide(means[k]) - f.position[k]);
+  for (int k = 0; k < 3; ++k) offset[k] = means[k] - splat(e.position[k]) - splat(e.position_rest[k]);
   const uint32_t set = may_be_seen(f, e, offset, max(max(scales[0], scales[1]), scales[2]), numbers[10]) & ((1u << n) - 1);
   if (!set) return;
   if (coming < f.count) fetch_rows<4>(f.quats, coming);
@@ -275,14 +273,17 @@ int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* visi
     for (int64_t first = from; first < until; first += W) enqueue(f, e, first, static_cast<int>(std::min<int64_t>(W, until - first)), p);
     project_waiting(f, e, p);
   }
+  for (R* numbers : p.numbers) store(numbers + p.last, splat(0));  // the last batch may hold fewer than W
+  store(p.masks + p.last, splat(0));
   for (; p.first < p.last; p.first += W) project_batch(f, e, p.first, std::min(W, p.last - p.first), p);
+  end_of_stream();
   return p.place - begin;
 }
 
 // Stage 2: the exact tiles of one visible Gaussian of several tile rows, W rows at a time; returns how many.
 uint32_t fill_spans(const Frame& f, uint32_t place, Span* spans) {
   const Splat<R>& s = static_cast<const Splat<R>*>(f.splats)[place];
-  const SplatTiles& t = f.tiles[place];
+  const TileRect& t = f.rects[place];
   if (f.without & SVRGS_EXACT_TILES) {
     std::fill_n(spans, t.rows, t.columns);
     return static_cast<uint32_t>(t.rows) * (t.columns.end - t.columns.begin);

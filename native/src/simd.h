@@ -368,6 +368,23 @@ inline void sum4(V a, V b, V c, V d, R* out) {
 inline void sum4(V a, V b, V c, V d, R* out) { out[0] = sum(a), out[1] = sum(b), out[2] = sum(c), out[3] = sum(d); }
 #endif
 
+// Writes a row of kRow values past the caches, where the processor can: nobody reads it soon. `to` begins with a line of memory.
+inline void stream_row(const R* row, void* to) {
+#if SVRGS_LANES == 16
+  _mm512_stream_ps(static_cast<R*>(to), load(row));
+#elif SVRGS_LANES == 8
+  _mm256_stream_ps(static_cast<R*>(to), load(row)), _mm256_stream_ps(static_cast<R*>(to) + W, load(row + W));
+#else
+  std::copy_n(row, kRow, static_cast<R*>(to));
+#endif
+}
+// After the last one, before others read.
+inline void end_of_stream() {
+#if SVRGS_LANES >= 8
+  _mm_sfence();
+#endif
+}
+
 // 1 / a, to float rounding (one Newton step on the processor's estimate where it has one).
 inline V reciprocal(V a) {
 #if SVRGS_LANES >= 8
