@@ -14,20 +14,6 @@ constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
 constexpr int64_t kAhead = 16;  // visible Gaussians fetched before they are needed
 
-// Exclusive prefix sum over chunk totals.
-int64_t prefix(std::vector<int64_t>& totals) {
-  int64_t sum = 0;
-  for (int64_t& t : totals) {
-    const int64_t n = t;
-    t = sum;
-    sum += n;
-  }
-  return sum;
-}
-
-// Entries of Frame::spans a Gaussian needs: within one tile row its columns are its only span.
-int64_t span_rows(const TileRect& t) { return t.rows > 1 ? t.rows : 0; }
-
 int64_t chunk_count(int64_t items, int64_t grain) { return (items + grain - 1) / grain; }
 
 }  // namespace
@@ -59,62 +45,50 @@ void Context::project() {
   Frame& f = frame_;
   f.splats = splats_.reserve<char>(f.count * kernels_.splat_size);
   f.rects = rects_.reserve<TileRect>(f.count);
-  f.tiles = tiles_.reserve<SplatTiles>(f.count);
   uint32_t *ids = ids_.reserve<uint32_t>(f.count), *keys = depth_keys_.reserve<uint32_t>(f.count);
-  std::vector<int64_t> kept(chunk_count(f.count, kProjectGrain));
+  found_.resize(chunk_count(f.count, kProjectGrain)), before_.resize(found_.size());
   parallel_blocks(f.count, kProjectGrain, [&](int64_t begin, int64_t end) {
-    kept[begin / kProjectGrain] = kernels_.project_range(f, begin, end, ids, keys);
+    found_[begin / kProjectGrain] = kernels_.project_range(f, begin, end, ids, keys);
   });
-  std::vector<int64_t> offset = kept;
-  f.visible_count = prefix(offset);
-  uint32_t *visible = visible_.reserve<uint32_t>(f.visible_count), *places = places_.reserve<uint32_t>(f.visible_count);
-  parallel_for(static_cast<int64_t>(kept.size()), [&](int64_t c) {
-    for (int64_t i = 0; i < kept[c]; ++i) {
-      const int64_t from = c * kProjectGrain + i, to = offset[c] + i;
-      visible[to] = ids[from], places[to] = static_cast<uint32_t>(from);
-    }
-  });
-  f.visible = visible, f.places = places;
+  f.visible_count = sum_before(&Found::visible);
 }
 
-// Exact tiles of every visible Gaussian, and a slot for each (Gaussian, tile) pair.
+// Exact tiles of every visible Gaussian; packs ids and places.
 void Context::find_tiles(int64_t max_pairs) {
   Frame& f = frame_;
-  std::vector<int64_t> offset(chunk_count(f.visible_count, kVisibleGrain));
-  parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
-    int64_t rows = 0;
-    for (int64_t i = begin; i < end; ++i) rows += span_rows(f.rects[f.places[i]]);
-    offset[begin / kVisibleGrain] = rows;
-  });
   const int64_t limit = max_pairs > 0 ? max_pairs : INT32_MAX;
   const auto too_large = [&](int64_t n) {
     if (n > limit) throw Failure{SVRGS_TOO_LARGE, "the view needs " + std::to_string(n) + " (Gaussian, tile) pairs, more than the limit of " + std::to_string(limit)};
   };
-  rows_ = prefix(offset);
+  rows_ = sum_before(&Found::rows);
   too_large(rows_);
+  const uint32_t* const ids = ids_.reserve<uint32_t>(f.count);
+  uint32_t *visible = visible_.reserve<uint32_t>(f.visible_count), *places = places_.reserve<uint32_t>(f.visible_count);
+  f.visible = visible, f.places = places;
+  f.tiles = tiles_.reserve<SplatTiles>(f.count);
   f.spans = spans_.reserve<Span>(rows_);
-  parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
-    int64_t row = offset[begin / kVisibleGrain], pairs = 0;
-    for (int64_t i = begin; i < end; ++i) {
-      if (i + kAhead < end) __builtin_prefetch(static_cast<char*>(f.splats) + static_cast<int64_t>(f.places[i + kAhead]) * kernels_.splat_size);
-      SplatTiles& t = f.tiles[f.places[i]];
+  parallel_for(static_cast<int64_t>(found_.size()), [&](int64_t c) {
+    int64_t row = before_[c].rows, pairs = 0, i = before_[c].visible;
+    for (int64_t place = c * kProjectGrain, end = place + found_[c].visible; place < end; ++place, ++i) {
+      if (place + kAhead < end) __builtin_prefetch(static_cast<char*>(f.splats) + (place + kAhead) * kernels_.splat_size);
+      visible[i] = ids[place], places[i] = static_cast<uint32_t>(place);
+      const TileRect& r = f.rects[place];
+      SplatTiles& t = f.tiles[place];
       t.span = static_cast<uint32_t>(row);
-      const TileRect& r = f.rects[f.places[i]];
-      t.tiles = r.rows > 1 ? kernels_.fill_spans(f, f.places[i], f.spans + row) : r.columns.end - r.columns.begin;
+      t.tiles = r.rows > 1 ? kernels_.fill_spans(f, places[i], f.spans + row) : r.columns.end - r.columns.begin;
       row += span_rows(r), pairs += t.tiles;
     }
-    offset[begin / kVisibleGrain] = pairs;
+    found_[c].pairs = pairs;
   });
-  pairs_ = prefix(offset);
+  pairs_ = sum_before(&Found::pairs);
   too_large(pairs_);
-  parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
-    int64_t slot = offset[begin / kVisibleGrain];
-    for (int64_t i = begin; i < end; ++i) {
-      SplatTiles& t = f.tiles[f.places[i]];
-      t.slot = static_cast<uint32_t>(slot);
-      slot += t.tiles;
-    }
-  });
+}
+
+// Exclusive prefix sums over the chunks of projection; returns the whole.
+int64_t Context::sum_before(int64_t Found::*what) {
+  int64_t sum = 0;
+  for (size_t c = 0; c < found_.size(); ++c) before_[c].*what = sum, sum += found_[c].*what;
+  return sum;
 }
 
 void Context::list_tiles() {
@@ -124,7 +98,10 @@ void Context::list_tiles() {
   TileEntry* entries = entries_.reserve<TileEntry>(pairs_);
   static_assert(sizeof(uint64_t) == sizeof(Pair));
   Pair* pairs = slots_.reserve<Pair>(3 * pairs_);
-  parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { write_pairs(f, begin, end, pairs); });
+  parallel_for(static_cast<int64_t>(found_.size()), [&](int64_t c) {
+    const int64_t begin = c * kProjectGrain;
+    write_pairs(f, begin, begin + found_[c].visible, before_[c].pairs, pairs);
+  });
   svrgs::list_tiles(f, pairs, pairs_, depth_keys_.reserve<uint32_t>(f.count), reinterpret_cast<uint64_t*>(pairs + pairs_),
                     counts_.reserve<uint32_t>(listing_chunks(pairs_) * tiles), tile_begin, entries);
   f.tile_begin = tile_begin, f.entries = entries;

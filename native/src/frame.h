@@ -27,6 +27,9 @@ struct TileRect {      // tiles around a visible Gaussian
   Span columns;        // of all its rows together
 };
 
+// Entries of Frame::spans a Gaussian needs: within one tile row its columns are its only span.
+inline int64_t span_rows(const TileRect& t) { return t.rows > 1 ? t.rows : 0; }
+
 struct SplatTiles {  // where the tiles it touches are
   uint32_t span;     // first of its rows in Frame::spans, if it has several
   uint32_t slot;     // first of its (Gaussian, tile) slots

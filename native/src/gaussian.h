@@ -93,7 +93,7 @@ inline void clamp_ratios(const Eye& e, V inv_z, Projected& p) {
   p.free_y = select(both(at_least(ry, p.ratio_y), at_least(p.ratio_y, ry)), splat(1), splat(0));
 }
 
-inline Projected project(const Eye& e, const Batch& b) {
+[[gnu::always_inline]] inline Projected project(const Eye& e, const Batch& b) {
   Projected p;
   for (int i = 0; i < 3; ++i) p.c[i] = e.along(i, b.mean);
   const V inv_z = e.inverse_depth(p.c[2]), fx = splat(e.fx), fy = splat(e.fy);

@@ -5,6 +5,10 @@
 
 namespace svrgs {
 
+struct Found {  // what became of a range of Gaussians: how many are visible, their entries of Frame::spans and their (Gaussian, tile) pairs
+  int64_t visible = 0, rows = 0, pairs = 0;
+};
+
 struct Scores {  // each (N,) and optional
   double* sum;
   float* max;
@@ -14,7 +18,7 @@ struct Scores {  // each (N,) and optional
 
 struct Kernels {
   int real_size, splat_size;
-  int64_t (*project_range)(const Frame&, int64_t begin, int64_t end, uint32_t* ids, uint32_t* depth_keys);
+  Found (*project_range)(const Frame&, int64_t begin, int64_t end, uint32_t* ids, uint32_t* depth_keys);
   uint32_t (*fill_spans)(const Frame&, uint32_t place, Span* spans);  // of several tile rows
   void (*forward_tile)(const Frame&, int64_t tile);
   void (*write_tile)(const Frame&, int64_t tile, const svrgs_images&);

@@ -91,7 +91,7 @@ inline V sh_sum(const R* basis, const T* row, V sum) {
 
 // Colours of W Gaussians, before they are clamped; what lies behind them in `ids` is fetched.
 template <int degree, class T>
-inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, const T* sh, V rgb[3]) {
+[[gnu::always_inline]] inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, const T* sh, V rgb[3]) {
   constexpr int used = (degree + 1) * (degree + 1);
   const auto row = [&](int i) { return sh + static_cast<int64_t>(ids[i]) * f.sh_coefficients * 3; };
   V basis[kRow];
@@ -179,7 +179,8 @@ struct Projection {
   R numbers[kNumbers][kPending], masks[kPending];  // as far as they wait
   uint32_t ids[kPending] = {};
   int first = 0, last = 0;  // of those that wait, and behind them
-  int64_t place;   // of the next visible one
+  int64_t place;    // of the next visible one
+  int64_t rows = 0;  // Found::rows so far
   uint32_t *visible, *depth_keys;
 };
 
@@ -215,6 +216,7 @@ inline void project_batch(const Frame& f, const Eye& e, int first, int n, Projec
     TileRect& t = f.rects[place];
     const uint32_t words[] = {static_cast<uint32_t>(rows_word[i]), static_cast<uint32_t>(columns_word[i])};
     __builtin_memcpy(&t.row, words, sizeof words);  // row, rows, columns
+    out.rows += span_rows(t);
     const float depth = static_cast<float>(s.depth[i]);
     __builtin_memcpy(out.depth_keys + place, &depth, 4);  // positive floats order as their bits
     out.visible[place] = ids[i];
@@ -263,8 +265,8 @@ inline void project_waiting(const Frame& f, const Eye& e, Projection& p) {
   p.last -= p.first, p.first = 0;
 }
 
-// Gaussians [begin, end): the visible ones' splats, ids and depth keys, from place `begin` on; returns their number.
-int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* visible, uint32_t* depth_keys) {
+// Gaussians [begin, end): the visible ones' splats, ids and depth keys, from place `begin` on. Their pairs are not counted yet.
+Found project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* visible, uint32_t* depth_keys) {
   const Eye e(f);
   Projection p;
   p.place = begin, p.visible = visible, p.depth_keys = depth_keys;
@@ -277,7 +279,7 @@ int64_t project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* visi
   store(p.masks + p.last, splat(0));
   for (; p.first < p.last; p.first += W) project_batch(f, e, p.first, std::min(W, p.last - p.first), p);
   end_of_stream();
-  return p.place - begin;
+  return {p.place - begin, p.rows};
 }
 
 // Stage 2: the exact tiles of one visible Gaussian of several tile rows, W rows at a time; returns how many.

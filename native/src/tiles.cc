@@ -49,14 +49,14 @@ void sort_list(uint64_t* keys, uint64_t* scratch, int64_t n) {
 
 }  // namespace
 
-void write_pairs(const Frame& f, int64_t begin, int64_t end, Pair* pairs) {
-  for (int64_t i = begin; i < end; ++i) {
-    const uint32_t place = f.places[i];
+void write_pairs(const Frame& f, int64_t begin, int64_t end, int64_t slot, Pair* pairs) {
+  Pair* next = pairs + slot;
+  for (int64_t place = begin; place < end; ++place) {
     const TileRect& t = f.rects[place];
+    f.tiles[place].slot = static_cast<uint32_t>(next - pairs);
     const Span* const spans = t.rows > 1 ? f.spans + f.tiles[place].span : &t.columns;
-    Pair* next = pairs + f.tiles[place].slot;
     for (uint32_t r = 0; r < t.rows; ++r)
-      for (uint32_t x = spans[r].begin; x < spans[r].end; ++x) *next++ = {(t.row + r) * static_cast<uint32_t>(f.tiles_x) + x, place};
+      for (uint32_t x = spans[r].begin; x < spans[r].end; ++x) *next++ = {(t.row + r) * static_cast<uint32_t>(f.tiles_x) + x, static_cast<uint32_t>(place)};
   }
 }
 

@@ -8,8 +8,8 @@ struct Pair {  // a Gaussian and a tile it touches; their slot is the pair's ind
   uint32_t tile, place;
 };
 
-// The pairs of the visible Gaussians [begin, end), each into its slot.
-void write_pairs(const Frame& f, int64_t begin, int64_t end, Pair* pairs);
+// The pairs of the visible Gaussians at places [begin, end), whose slots begin with `slot`, each into its slot.
+void write_pairs(const Frame& f, int64_t begin, int64_t end, int64_t slot, Pair* pairs);
 
 // Number of chunks that pairs are counted in; counts: [chunks][tiles].
 int64_t listing_chunks(int64_t pairs);
