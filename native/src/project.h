@@ -89,6 +89,32 @@ inline V sh_sum(const R* basis, const T* row, V sum) {
   }
 }
 
+// Adds the first and the second half of what counts, three lanes of four, in each `size` lanes of a and of b: those of a come to lie
+// before those of b, in half as many lanes each.
+template <int size>
+constexpr int lane_of_half(int lane, int half) {
+  const int group = lane / (size / 2), at = lane % (size / 2), counts = 3 * size / 8;
+  return at < counts ? group % 2 * W + group / 2 * size + half * counts + at : -1;
+}
+template <int size>
+inline V fold_pair(V a, V b) {
+  return shuffle(a, b, [](int lane) { return lane_of_half<size>(lane, 0); }) + shuffle(a, b, [](int lane) { return lane_of_half<size>(lane, 1); });
+}
+// W rows of kSide coefficients, three values each, become their sums: those of rows i, i + 4, i + 8 ... in rows[i], four lanes each.
+template <int size = W>
+[[gnu::always_inline]] inline void fold_rows(V* rows) {
+  if constexpr (size > 4) {
+    for (int i = 0; i < size / 2; ++i) rows[i] = fold_pair<size>(rows[i], rows[i + size / 2]);
+    fold_rows<size / 2>(rows);
+  }
+}
+// One lane of every four of rows[0..3], in the order of the rows they were.
+template <int lane>
+inline V fourth(const V* rows) {
+  constexpr auto pair = [](int l) { return l % 2 * W + l / 4 * 4 + lane; };
+  return shuffle(shuffle(rows[0], rows[1], pair), shuffle(rows[2], rows[3], pair), [](int l) { return l % 4 < 2 ? l : W + l - 2; });
+}
+
 // Colours of W Gaussians, before they are clamped; what lies behind them in `ids` is fetched.
 template <int degree, class T>
 [[gnu::always_inline]] inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, const T* sh, V rgb[3]) {
@@ -96,7 +122,6 @@ template <int degree, class T>
   const auto row = [&](int i) { return sh + static_cast<int64_t>(ids[i]) * f.sh_coefficients * 3; };
   V basis[kRow];
   sh_basis(degree, direction, basis);
-  for (int c = 0; c < 3; ++c) rgb[c] = splat(0);
   if constexpr (W >= 4) {
     for (int k = used; k < kRow; ++k) basis[k] = splat(0);
     alignas(64) R rows[W * kRow];
@@ -106,9 +131,10 @@ template <int degree, class T>
       fetch<3 * used * sizeof(T)>(row(i + kFetched));
       sums[i] = sh_sum<used>(rows + kRow * i, row(i), splat(0));
     }
-    transpose(sums);
-    for (int lane = 0; lane < 3 * kSide; ++lane) rgb[lane % 3] += sums[lane];
+    fold_rows(sums);
+    rgb[0] = fourth<0>(sums), rgb[1] = fourth<1>(sums), rgb[2] = fourth<2>(sums);
   } else {
+    for (int c = 0; c < 3; ++c) rgb[c] = splat(0);
     for (int c = 0; c < 3; ++c)
       for (int k = 0; k < used; ++k) rgb[c][0] += basis[k][0] * static_cast<R>(row(0)[3 * k + c]);
   }
@@ -164,8 +190,8 @@ inline Screen to_screen(const Frame& f, const Eye& e, const Batch& b) {
   s.rows = reach(y, half_side(root_bound, root_cyy) + magnitude(y) * kRelativeMargin, f.height);
   const V zero = splat(0), quat_max = splat(R(kQuatMax)), quat_min = splat(R(1 / kQuatMax));
   M ok = both(less(splat(kReachMargin * R(0.5)), bound), both(less(zero, s.l11), less(zero, s.l22)));
-  ok = both(ok, both(both(finite(s.l11), finite(s.l12)), both(finite(s.l22), finite(s.inv_l11))));
-  ok = both(ok, both(finite(s.y_extreme), finite(b.log_scale[0] + b.log_scale[1] + b.log_scale[2])));
+  ok = both(ok, finite(s.l11 + magnitude(s.l12) + s.l22 + s.inv_l11 + magnitude(s.y_extreme)));
+  ok = both(ok, finite(b.log_scale[0] + b.log_scale[1] + b.log_scale[2]));
   ok = both(ok, both(both(less(p.inv_norm, quat_max), less(quat_min, p.inv_norm)), both(less(magnitude(x), far), less(magnitude(y), far))));
   ok = both(ok, both(less(splat(R(kNear)), s.depth), less(s.depth, splat(R(kFar)))));
   s.visible = both(ok, both(less(s.columns.begin, s.columns.end), less(s.rows.begin, s.rows.end)));
@@ -176,11 +202,11 @@ constexpr int kPending = 3 * kStretch + 2 * W + kFetched;  // room, so that thos
 
 // Gaussians of a range on their way: those that may be seen, in columns, and where the visible ones go, one after the other.
 struct Projection {
-  R numbers[kNumbers][kPending], masks[kPending];  // as far as they wait
+  alignas(64) R numbers[kNumbers][kPending], masks[kPending];  // as far as they wait
   uint32_t ids[kPending] = {};
   int first = 0, last = 0;  // of those that wait, and behind them
-  int64_t place;    // of the next visible one
-  int64_t rows = 0;  // Found::rows so far
+  int64_t place;            // of the next visible one
+  int64_t rows = 0;         // Found::rows so far
   uint32_t *visible, *depth_keys;
 };
 

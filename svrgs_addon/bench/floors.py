@@ -39,11 +39,11 @@ CULL = 28  # read of each one, visible or not: means 12, log_scales 12, opacity 
 MEANS = SCALES = 12
 QUATS, OPACITY, SH = 16, 4, 12  # SH per coefficient
 RECORD = 64  # what blending reads of a projected Gaussian
-LISTED = 20 + 8 + 8  # its tiles; its id and depth; its id and place when those are packed
+LISTED = 8 + 4 + 4  # its rectangle of tiles, id and depth
 SUMS = 40  # ten float sums from the pixels: centre 2, conic 3, opacity 1, colour 3, mask 1
 MASK = 4  # of the mask's logit, or dL/dM
 PAIR = 3 * 2 * 8 + 2  # a pair, its key and the list's entry are written and read once each, its hit flags are written
-EXTENT = 2 * 16  # first tile, rows and tiles of a Gaussian, read and written
+FOUND = 8 + 4 + 2 * (12 + 8)  # its rectangle and id read; its tiles, id and place written
 
 LOSS_FLOP = 0.25e9 / (640 * 360 * 3)  # per pixel and channel: four blurs of 11 + 11 taps, three more for the gradient
 LOSS_BYTES = 12  # image and target read, gradient written
@@ -88,7 +88,7 @@ def stage_floors(work: dict, facts: dict, level: str, peak: dict) -> dict[str, f
     projected = (CULL * facts["count"] + in_lines[QUATS] + in_lines[rows[4]]) * read + 2 * (RECORD + LISTED) * visible * update
     floors = {
         "project": max(PROJECT_SLOTS * visible * lane, projected),
-        "tiles": max(OVERLAP_SLOTS * work["pairs"] * lane, EXTENT * visible * update),
+        "tiles": max(OVERLAP_SLOTS * work["pairs"] * lane, FOUND * visible * update),
         "sort": PAIR * work["pairs"] * update,
         "blend": max(BLEND_BLOCK * work["hit_blocks"] * block + BLEND_PAIR * work["used_pairs"] * slot, RECORD * visible * read),
         "mask": BEHIND_BLOCK * behind * block + counters,
