@@ -172,7 +172,7 @@ struct Screen {
   M visible;
 };
 
-inline Screen to_screen(const Frame& f, const Eye& e, const Batch& b) {
+[[gnu::always_inline]] inline Screen to_screen(const Frame& f, const Eye& e, const Batch& b) {
   const Projected p = project(e, b);
   const Whitening l = whitening(p);
   Screen s;
@@ -220,7 +220,7 @@ inline void splat_columns(const Screen& s, const V rgb[3], V mask, V* columns) {
 }
 
 // Projects the n <= W Gaussians that wait from `first` on and adds the visible ones.
-inline void project_batch(const Frame& f, const Eye& e, int first, int n, Projection& out) {
+[[gnu::always_inline]] inline void project_batch(const Frame& f, const Eye& e, int first, int n, Projection& out) {
   V rgb[3], columns[kRow], numbers[kNumbers];
   for (int k = 0; k < kNumbers; ++k) numbers[k] = load(out.numbers[k] + first);
   const Batch b = batch_of(f, numbers);
@@ -263,6 +263,7 @@ inline void enqueue(const Frame& f, const Eye& e, int64_t first, int n, Projecti
   V numbers[kNumbers];
   V *means = numbers, *scales = numbers + 3;
   if (coming < f.count) fetch_rows<3>(f.means, coming), fetch_rows<3>(f.log_scales, coming), fetch_rows<1>(f.opacity_logits, coming);
+  if (f.masks && coming < f.count) __builtin_prefetch(f.masks + coming);
   columns_from<3>(f.means, first, n, means);
   columns_from<3>(f.log_scales, first, n, scales);
   columns_from<1>(f.opacity_logits, first, n, numbers + 10);
@@ -279,9 +280,9 @@ inline void enqueue(const Frame& f, const Eye& e, int64_t first, int n, Projecti
   p.last = at + __builtin_popcount(set);
 }
 
-// Projects those that wait in whole batches, as long as kFetched more do, and makes room for the next stretch.
-inline void project_waiting(const Frame& f, const Eye& e, Projection& p) {
-  for (; p.last - p.first >= W + kFetched; p.first += W) project_batch(f, e, p.first, W, p);
+// Projects those that wait, as long as `enough` do, and makes room for the next stretch.
+inline void project_waiting(const Frame& f, const Eye& e, int enough, Projection& p) {
+  for (; p.last - p.first >= enough; p.first += W) project_batch(f, e, p.first, std::min(W, p.last - p.first), p);
   if (p.last + kStretch + W <= kPending) return;
   for (int i = 0; i < W + kFetched; i += W) {
     for (R* numbers : p.numbers) store(numbers + i, load(numbers + i + p.first));
@@ -299,11 +300,10 @@ Found project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* visibl
   for (int64_t from = begin; from < end; from += kStretch) {
     const int64_t until = std::min(from + kStretch, end);
     for (int64_t first = from; first < until; first += W) enqueue(f, e, first, static_cast<int>(std::min<int64_t>(W, until - first)), p);
-    project_waiting(f, e, p);
+    for (R* numbers : p.numbers) store(numbers + p.last, splat(0));  // the very last batch may hold fewer than W
+    store(p.masks + p.last, splat(0));
+    project_waiting(f, e, until < end ? W + kFetched : 1, p);
   }
-  for (R* numbers : p.numbers) store(numbers + p.last, splat(0));  // the last batch may hold fewer than W
-  store(p.masks + p.last, splat(0));
-  for (; p.first < p.last; p.first += W) project_batch(f, e, p.first, std::min(W, p.last - p.first), p);
   end_of_stream();
   return {p.place - begin, p.rows};
 }
