@@ -253,7 +253,10 @@ inline void splat_columns(const Screen& s, const V rgb[3], V mask, V* columns) {
 // 1 or 0 of each; those behind the scene's end are 0.
 inline V load_masks(const Frame& f, int64_t first, int n) {
   int8_t __attribute__((vector_size(W))) bytes = {};
-  __builtin_memcpy(&bytes, f.masks + first, static_cast<size_t>(n));
+  if (n == W)
+    __builtin_memcpy(&bytes, f.masks + first, W);  // a load, not a call
+  else
+    __builtin_memcpy(&bytes, f.masks + first, static_cast<size_t>(n));
   return -__builtin_convertvector(__builtin_convertvector(bytes != 0, I), V);  // by way of I: else lane by lane
 }
 
