@@ -224,18 +224,46 @@ inline M lanes_of(uint32_t set) {
 #endif
 }
 
-// The first n <= W values from p on, 0 behind them.
+#if SVRGS_LANES >= 8
+// The first n <= 4 and n <= 8 values from p on, 0 behind them.
+template <int n>
+inline __m128 load_four(const float* p) {
+  if constexpr (n == 4)
+    return _mm_loadu_ps(p);
+  else if constexpr (n == 2)
+    return _mm_castpd_ps(_mm_load_sd(reinterpret_cast<const double*>(p)));
+  else
+    return _mm_maskload_ps(p, _mm_setr_epi32(-1, n > 1 ? -1 : 0, n > 2 ? -1 : 0, 0));
+}
+template <int n>
+inline __m256 load_eight(const float* p) {
+  if constexpr (n <= 4)
+    return _mm256_zextps128_ps256(load_four<n>(p));
+  else
+    return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p)), load_four<n - 4>(p + 4), 1);
+}
+#endif
+
+// The first n <= W values from p on, 0 behind them. In parts, no longer than they must be: a masked load waits for all the memory it
+// spans, what it leaves out included.
 template <int n, class T>
 inline V load_first(const T* p) {
-  if constexpr (n == W) return load(p);
+  if constexpr (n == W) {
+    return load(p);
 #if SVRGS_LANES == 16
-  if constexpr (std::is_same_v<T, R>) return _mm512_maskz_loadu_ps(static_cast<M>((1u << n) - 1), p);
+  } else if constexpr (std::is_same_v<T, R> && n <= 8) {
+    return _mm512_zextps256_ps512(load_eight<n>(p));
+  } else if constexpr (std::is_same_v<T, R>) {
+    return _mm512_insertf32x8(_mm512_zextps256_ps512(load_eight<8>(p)), load_eight<n - 8>(p + 8), 1);
 #elif SVRGS_LANES == 8
-  if constexpr (std::is_same_v<T, R>) return _mm256_maskload_ps(p, (__m256i)lanes_of((1u << n) - 1));
+  } else if constexpr (std::is_same_v<T, R>) {
+    return load_eight<n>(p);
 #endif
-  T spare[W] = {};
-  std::copy_n(p, n, spare);
-  return load(spare);
+  } else {
+    T spare[W] = {};
+    std::copy_n(p, n, spare);
+    return load(spare);
+  }
 }
 
 // Which of the W rows from `base` on ascending `ids` name, a bit each; ids[0] is one of them, and `known` are there.
