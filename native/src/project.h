@@ -72,20 +72,33 @@ inline uint32_t may_be_seen(const Frame& f, const Eye& e, const V offset[3], V l
 
 constexpr int kSide = W / 4;  // SH coefficients that lie side by side in a vector, three values each
 
-// Adds basis_k sh_k of one Gaussian, from the block-th vector of coefficients on, to lanes 3 apart; `basis` and `row` are its own.
-template <int used, int block = 0, class T>
-inline V sh_sum(const R* basis, const T* row, V sum) {
+// Adds basis_k sh_k of one Gaussian, from the block-th vector of coefficients on, to lanes 3 apart. basis[k], k = 0, 4, 8 ...: in the
+// quad-th four lanes its values of four coefficients.
+template <int used, int quad, int block = 0, class T>
+inline V sh_sum(const V* basis, const T* row, V sum) {
   constexpr int first = block * kSide, left = 3 * (used - first);
   if constexpr (left <= 0) {
     return sum;
   } else {
-    const V some = load(basis + first / W * W), weights = shuffle(some, some, [](int lane) { return first % W + std::min(lane / 3, kSide - 1); });
+    const V four = basis[first / 4 * 4], weights = shuffle(four, four, [](int lane) { return 4 * quad + first % 4 + std::min(lane / 3, kSide - 1); });
     V values;
     if constexpr (left >= W)
       values = load(row + 3 * first);
     else
       values = load_first<left>(row + 3 * first);
-    return sh_sum<used, block + 1>(basis, row, fma(weights, values, sum));
+    return sh_sum<used, quad, block + 1>(basis, row, fma(weights, values, sum));
+  }
+}
+
+// The same for W Gaussians, four after four; what lies behind them is fetched.
+template <int used, int quad = 0, class Row>
+[[gnu::always_inline]] inline void sh_sums(const V* basis, Row row, V* sums) {
+  if constexpr (quad < W / 4) {
+    for (int i = 0; i < 4; ++i) {
+      fetch<3 * used * sizeof(*row(0))>(row(4 * quad + i + kFetched));
+      sums[4 * quad + i] = sh_sum<used, quad>(basis + i, row(4 * quad + i), splat(0));
+    }
+    sh_sums<used, quad + 1>(basis, row, sums);
   }
 }
 
@@ -124,13 +137,9 @@ template <int degree, class T>
   sh_basis(degree, direction, basis);
   if constexpr (W >= 4) {
     for (int k = used; k < kRow; ++k) basis[k] = splat(0);
-    alignas(64) R rows[W * kRow];
-    rows_of<used>(basis, rows);
+    for (int part = 0; part < used; part += W) transpose<2>(basis + part);
     V sums[W];
-    for (int i = 0; i < W; ++i) {
-      fetch<3 * used * sizeof(T)>(row(i + kFetched));
-      sums[i] = sh_sum<used>(rows + kRow * i, row(i), splat(0));
-    }
+    sh_sums<used>(basis, row, sums);
     fold_rows(sums);
     rgb[0] = fourth<0>(sums), rgb[1] = fourth<1>(sums), rgb[2] = fourth<2>(sums);
   } else {

@@ -179,7 +179,8 @@ inline void interleave(const V* columns, R* rows) {
   }
 }
 
-// W rows of W values become columns, or columns rows. Always inline, as rows_of is: in registers.
+// W rows of W values become columns, or columns rows; with half = 2, each four rows by themselves, in every four lanes. Always inline,
+// as rows_of is: in registers.
 template <int half = W / 2>
 [[gnu::always_inline]] inline void transpose(V* rows) {
   if constexpr (half > 0) {
@@ -195,16 +196,15 @@ template <int half = W / 2>
 
 constexpr int kRow = 16;  // values of a projected Gaussian, or of an SH basis
 
-// W rows of kRow values from their columns, the first `used` of which count.
-template <int used = kRow>
+// W rows of kRow values from their columns.
 [[gnu::always_inline]] inline void rows_of(V* columns, R* rows) {
-  for (int part = 0; part < used; part += W) {
+  for (int part = 0; part < kRow; part += W) {
     transpose(columns + part);
     for (int i = 0; i < W; ++i) store(rows + kRow * i + part, columns[part + i]);
   }
 }
 
-// The way back.
+// The way back, as far as the first `used` columns.
 template <int used = kRow>
 [[gnu::always_inline]] inline void columns_of_rows(const R* rows, V* columns) {
   for (int part = 0; part < used; part += W) {
