@@ -156,7 +156,7 @@ inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uin
       g[k] = spread(set, packed), zero += g[k] * R(0);
       packed += __builtin_popcount(set);
     }
-    if (base == own.first / W * W || base == own.last / W * W || !(sum(zero) == 0)) {
+    if (base == own.first / W * W || base == own.last / W * W || any_nan(zero)) {
       bad += adam_narrow<width>(a, t, ids + r, grad + r * width, static_cast<int>(next - r), width);
       continue;
     }

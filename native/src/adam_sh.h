@@ -53,7 +53,7 @@ inline void adam_sh_values(const AdamRates& a, V scale, R* param, FirstMoment* f
 // Returns 1 if the gradient is not finite, and the row left alone.
 template <int width>
 inline int adam_sh_row(const AdamRates& a, R* param, R* moments, const R* grad) {
-  if (!(sum(times_zero<width>(grad)) == 0)) return 1;
+  if (any_nan(times_zero<width>(grad))) return 1;
   R& v = moments[sh_moments(width) - 1];
   v = a.beta2[0] * v + a.rest2[0] * ((grad[0] * grad[0] + grad[1] * grad[1] + grad[2] * grad[2]) / 3);
   const V scale = splat(R(1) / (std::sqrt(v) * a.root_bias2[0] + a.eps[0]));

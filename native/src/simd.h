@@ -128,6 +128,8 @@ inline R largest(V v) {
 }
 #endif
 
+inline bool any_nan(V v) { return bits(at_least(v, v)) != (1ull << W) - 1; }
+
 // Lane i of the result is lane from(i) of a or, from W on, of b; any where from(i) is -1. `from` captures nothing.
 template <class From, int... lane>
 inline V shuffle(V a, V b, From, std::integer_sequence<int, lane...>) {
