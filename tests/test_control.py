@@ -100,13 +100,14 @@ def test_masks_alone_come_near_the_target(tiny, data, method, target):
 
 
 def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
-    """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB, and now and then a run loses several or next to nothing."""
+    """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB, and now and then a run loses several or next to nothing.
+    Of 21 seeds two lost more than asked; the median was 0.66 dB."""
     drops = []
-    for seed in range(1, 6):
+    for seed in range(1, 12):
         run = to_the_end(steered_run(tiny, data, "svr-mask", max_drop=1.0, seed=seed))
         assert run.model.count < 200
         drops.append(run.control.start - control.psnr_of(run, None))
-    assert sorted(drops)[2] <= 1.0 and sum(0.3 < drop <= 1.0 for drop in drops) >= 2, drops
+    assert 0.1 < sorted(drops)[5] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 7, drops
 
 
 @pytest.mark.parametrize(("method", "allowed"), [("svr-worth", 0.5), ("svr-worth", 2.0), ("svr-mask", 0.5), ("svr-mask", 2.0), ("gns", 2.0)])

@@ -3,7 +3,7 @@ the measured memory peaks, whichever is more.
 
 Memory moves in lines of 64 bytes. Visible Gaussians leave gaps, so rows are counted with the lines they lie in (row_lines);
 what is stored without having been read is fetched first and written back later: twice its bytes. Stored past the caches, as records are,
-they are written once, but no faster: 35-38 GB/s where updates move 74 (measured once; no command repeats it).
+they are written once, but hardly faster: at 35-38 GB/s where updates move 67 both ways (measured once; no command repeats it).
 
 An operation is one vector instruction of W lanes that computes: a multiply-add (2 W flop at the peak), and an addition, comparison,
 minimum or shift in the place of one. Loads, moves and masks are left out, as if they all ran beside. What a block needs is counted
