@@ -230,12 +230,15 @@ inline M lanes_of(uint32_t set) {
 // The first n <= 4 and n <= 8 values from p on, 0 behind them.
 template <int n>
 inline __m128 load_four(const float* p) {
-  if constexpr (n == 4)
+  if constexpr (n == 4) {
     return _mm_loadu_ps(p);
-  else if constexpr (n == 2)
-    return _mm_castpd_ps(_mm_load_sd(reinterpret_cast<const double*>(p)));
-  else
+  } else if constexpr (n == 2) {
+    double two;
+    __builtin_memcpy(&two, p, sizeof two);
+    return _mm_castpd_ps(_mm_set_sd(two));
+  } else {
     return _mm_maskload_ps(p, _mm_setr_epi32(-1, n > 1 ? -1 : 0, n > 2 ? -1 : 0, 0));
+  }
 }
 template <int n>
 inline __m256 load_eight(const float* p) {
