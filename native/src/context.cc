@@ -60,13 +60,13 @@ void Context::find_tiles(int64_t max_pairs) {
   const auto too_large = [&](int64_t n) {
     if (n > limit) throw Failure{SVRGS_TOO_LARGE, "the view needs " + std::to_string(n) + " (Gaussian, tile) pairs, more than the limit of " + std::to_string(limit)};
   };
-  rows_ = sum_before(&Found::rows);
-  too_large(rows_);
+  const int64_t rows = sum_before(&Found::rows);
+  too_large(rows);
   const uint32_t* const ids = ids_.reserve<uint32_t>(f.count);
   uint32_t *visible = visible_.reserve<uint32_t>(f.visible_count), *places = places_.reserve<uint32_t>(f.visible_count);
   f.visible = visible, f.places = places;
   f.tiles = tiles_.reserve<SplatTiles>(f.count);
-  f.spans = spans_.reserve<Span>(rows_);
+  f.spans = spans_.reserve<Span>(rows);
   parallel_for(static_cast<int64_t>(found_.size()), [&](int64_t c) {
     int64_t row = before_[c].rows, pairs = 0, i = before_[c].visible;
     for (int64_t place = c * kProjectGrain, end = place + found_[c].visible; place < end; ++place, ++i) {

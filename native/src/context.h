@@ -77,7 +77,7 @@ class Context {
   const Kernels& kernels_;
   Frame frame_ = {};
   const int32_t* cancel_ = nullptr;
-  int64_t pairs_ = 0, rows_ = 0;
+  int64_t pairs_ = 0;
   std::vector<Found> found_, before_;  // by chunk of projection: of it, and of all before it
   bool holds_view_ = false;
   double seconds_[SVRGS_STAGES] = {};

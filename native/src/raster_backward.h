@@ -201,8 +201,8 @@ inline bool next_visit(const Frame& f, TileOrigin o, const TileEntry*& entry, co
   return false;
 }
 
-// Of a tile. Beside the loop's own, inline, it costs that its registers where a block is several vectors (AVX2: gradients of pixels +40 %).
-#if SVRGS_LANES == 16
+// Of a tile. Beside the loop's own, inline, it costs that its registers where a block is four vectors (SSE: gradients of pixels +1 to +3 %).
+#if SVRGS_LANES >= 8
 inline
 #else
 [[gnu::noinline]]

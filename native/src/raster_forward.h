@@ -267,26 +267,21 @@ template <Walk walk>
   const bool to_end = f.without & SVRGS_TERMINATION;
   Entry* next = &c.entry[*at];
   BlockHits next_hits = evaluate_before<walk>(pixels, next->local);
-  for (; at < end && (any_open(p) || to_end); ++at) {
-    Entry& entry = *next;
-    const BlockHits hits = next_hits;
-    next = &c.entry[at[1]];
-    next_hits = evaluate_before<walk>(pixels, next->local);  // early: its long chain runs beside this one's blending
-    bool hit = false;
-    for (int h = 0; h < kSub; ++h) hit |= blend<walk>(f, entry.local, hits.part[h], p[h]);
-    entry.visit |= static_cast<BlockMask>(hit) << block;
-  }
-  const bool goes_on = any_open(p);
-  if constexpr (walk.full)
-    for (; at < end; ++at) {
+  const auto walk_on = [&](auto&& on, auto&& take) __attribute__((always_inline)) {
+    for (; at < end && on(); ++at) {
       Entry& entry = *next;
       const BlockHits hits = next_hits;
       next = &c.entry[at[1]];
-      next_hits = evaluate_before<walk>(pixels, next->local);
+      next_hits = evaluate_before<walk>(pixels, next->local);  // early: its long chain runs beside what follows
       bool hit = false;
-      for (int h = 0; h < kSub; ++h) hit |= count_behind<walk>(f, entry.local, hits.part[h], p[h]);
+      for (int h = 0; h < kSub; ++h) hit |= take(entry.local, hits.part[h], p[h]);
       entry.visit |= static_cast<BlockMask>(hit) << block;
     }
+  };
+  walk_on([&] { return any_open(p) || to_end; }, [&](const Local& l, const Hit& e, Pixels& some) { return blend<walk>(f, l, e, some); });
+  const bool goes_on = any_open(p);
+  if constexpr (walk.full)
+    walk_on([] { return true; }, [&](const Local& l, const Hit& e, Pixels& some) { return count_behind<walk>(f, l, e, some); });
   return goes_on;
 }
 
