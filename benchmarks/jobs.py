@@ -150,8 +150,7 @@ def as_text(found: dict) -> str:
         f" {start['modules']} modules, third-party: {', '.join(start['third_party'])}"
     )
     parts.append(
-        f"PLY of {ply['count']:,} Gaussians, {ply['bytes'] / 1e6:.0f} MB:"
-        f" written in {ply['write_seconds']:.2f} s, read in {ply['read_seconds']:.2f} s"
+        f"PLY of {ply['count']:,} Gaussians, {ply['bytes'] / 1e6:.0f} MB: written in {ply['write_seconds']:.2f} s, read in {ply['read_seconds']:.2f} s"
     )
     return "\n\n".join(parts)
 

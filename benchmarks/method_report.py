@@ -21,7 +21,8 @@ Made by `benchmarks/methods.py --show docs` from the rows in [results/rows.jsonl
 
 Each row is one run of `svrgs train` or `svrgs prune` from the command line, on the processor alone. Test views are every 8th photograph.
 What is scaled with `--schedule`: every milestone and step count, but not the spacing of densifications (100) and opacity resets (3 000), which
-are about how many views have been seen; masks learn faster by as much as they have fewer steps, weights of the loss stay. Photographs were made smaller by `--shrink`. What each method is, and where it departs from its source: [methods.md](methods.md).
+are about how many views have been seen; masks learn faster by as much as they have fewer steps, weights of the loss stay. Photographs were made
+smaller by `--shrink`. What each method is, and where it departs from its source: [methods.md](methods.md).
 """
 
 
@@ -150,7 +151,10 @@ def schedule_part(rows: list[dict]) -> str:
         heads = "".join(f" schedule {s:g}: Gaussians | PSNR | place by PSNR, by count |" for (s,) in schedules)
         lines += [f"| {scene}, photographs 1/{shrink} |{heads}", "|---" * (1 + 3 * len(schedules)) + "|"]
         for run, found in shared.items():
-            cells = [f"{found[s]['count']:,} | {psnr_of([found[s]])} | {place(run, shared, s, 'psnr', -1)}, {place(run, shared, s, 'count', 1)}" for (s,) in schedules]
+            cells = [
+                f"{found[s]['count']:,} | {psnr_of([found[s]])} | {place(run, shared, s, 'psnr', -1)}, {place(run, shared, s, 'count', 1)}"
+                for (s,) in schedules
+            ]
             lines.append(f"| {run} | {' | '.join(cells)} |")
         lines.append("")
     return "\n".join(lines) if len(lines) > 2 else ""
@@ -201,5 +205,3 @@ def ablation_part(rows: list[dict]) -> str:
 
 def named(rows: list[dict]) -> list[dict]:
     return [{**row, "method": row["run"].split()[0]} for row in rows]
-
-

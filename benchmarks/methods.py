@@ -91,7 +91,6 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
                     }  # fmt: skip
 
 
-
 def command(request: dict, data: list[str], work: Path) -> list[str]:
     """The svrgs command of a run; data: its --colmap and --images."""
     out = work / f"{request['study']}.ply"

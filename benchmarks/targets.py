@@ -25,7 +25,21 @@ COLUMNS = ("method", "asked", "target", "reached", "error", "strength", "psnr be
 
 def row(options: argparse.Namespace, method: str, flag: str, asked: float, folder: Path) -> dict:
     words = ["--iterations", options.iterations, "--recovery", options.recovery, "--out", folder / f"{method}.ply", "--quiet", "--json"]
-    command = [sys.executable, "-m", "svrgs_addon", "prune", options.scene, "--colmap", options.colmap, "--method", method, flag, asked, *words, *options.further]
+    command = [
+        sys.executable,
+        "-m",
+        "svrgs_addon",
+        "prune",
+        options.scene,
+        "--colmap",
+        options.colmap,
+        "--method",
+        method,
+        flag,
+        asked,
+        *words,
+        *options.further,
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([str(word) for word in command], capture_output=True, text=True, env=environment)
     if done.returncode:

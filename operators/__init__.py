@@ -26,8 +26,8 @@ from . import (
 )
 
 MODULES = (
-    import_ply, import_colmap, export_ply, prune, prune_settings, estimate, job_pictures, job_result, job_watch, job, apply, prune_state, active_camera, command_line,
-    scene_cache, looking, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+    import_ply, import_colmap, export_ply, prune, prune_settings, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
+    active_camera, command_line, scene_cache, looking, viewport, overlay, render_engine, spatial_mask, contribution, compare,
 )  # fmt: skip
 
 

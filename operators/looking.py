@@ -48,9 +48,7 @@ class SVRGS_PG_looking(bpy.types.PropertyGroup):
         name="Pruned", type=bpy.types.Object, poll=_is_splat,
         description="Empty: the original without what is marked as removed, or 'NAME pruned'",
     )  # fmt: skip
-    compare_camera: PointerProperty(
-        name="Camera", type=bpy.types.Object, poll=lambda _, obj: obj.type == "CAMERA", description="Empty: the scene's camera"
-    )
+    compare_camera: PointerProperty(name="Camera", type=bpy.types.Object, poll=lambda _, obj: obj.type == "CAMERA", description="Empty: the scene's camera")
     wipe: FloatProperty(
         name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=wipe_image.redraw, description="Original on the left, pruned on the right"
     )

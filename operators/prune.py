@@ -26,7 +26,11 @@ class SVRGS_OT_prune(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     scene: StringProperty(name="Scene", subtype="FILE_PATH", description="Splat file to prune. Empty: the active splat")
-    colmap: StringProperty(name="Dataset", subtype="DIR_PATH", description="COLMAP dataset of the photographs the splat was trained on. Empty: that of the cameras imported beside it")
+    colmap: StringProperty(
+        name="Dataset",
+        subtype="DIR_PATH",
+        description="COLMAP dataset of the photographs the splat was trained on. Empty: that of the cameras imported beside it",
+    )
     images: StringProperty(name="Images", description="Name of the image folder in the dataset. Empty: images")
     out: StringProperty(name="Output", subtype="FILE_PATH", description="File for the pruned splat. Empty: it comes into the scene alone")
     report_folder: StringProperty(name="Report", subtype="DIR_PATH", description="Folder for an HTML report. Empty: none")

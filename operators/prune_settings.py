@@ -67,7 +67,12 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     seed: IntProperty(name="Seed", min=0, description="The same seed gives the same result")
     holdout: IntProperty(name="Test Every", min=0, default=8, description="Every so many photographs one is kept for measuring. 0: none")
     min_contribution: FloatProperty(
-        name="First Cut", min=0, max=0.99, default=MIN_CONTRIBUTION, precision=3, description="First drop what never covers this much of a pixel in any photograph"
+        name="First Cut",
+        min=0,
+        max=0.99,
+        default=MIN_CONTRIBUTION,
+        precision=3,
+        description="First drop what never covers this much of a pixel in any photograph",
     )
     visible_mask: BoolProperty(name="Visible Part Only", description="Count along a ray only what is seen, instead of all Gaussians to its end")
     views_by_loss: BoolProperty(name="Harder Views More Often", description="Look at the photographs that are matched best only every other time")

@@ -45,7 +45,9 @@ def _render(commands):
     command.add_argument("scene", type=Path)
     cameras = command.add_mutually_exclusive_group(required=True)
     cameras.add_argument("--colmap", type=Path, metavar="DIR", help="COLMAP dataset or model; photographs are not needed")
-    cameras.add_argument("--cameras", type=Path, metavar="JSON", help='cameras.json of a 3DGS run; with "orthographic": true in a view, fx and fy are pixels per unit')
+    cameras.add_argument(
+        "--cameras", type=Path, metavar="JSON", help='cameras.json of a 3DGS run; with "orthographic": true in a view, fx and fy are pixels per unit'
+    )
     command.add_argument("--views", default="all", help="all, train, test, or image names and positions, comma-separated (default: all)")
     command.add_argument("--outputs", default="rgb", help="any of rgb,mask,depth,alpha (default: rgb)")
     command.add_argument("--format", choices=("png", "exr", "npy"), default="png")
@@ -66,11 +68,22 @@ def _run(command):
     command.add_argument("--seed", type=_count, default=0)
     command.add_argument("--engine", choices=("native", "torch"), default="native")
     command.add_argument("--lambda-f", type=_weight, metavar="L", help="weight of the spatial mask (default: 1e-4; of svr-worth 1e-3, of svr-a 1e-2)")
-    command.add_argument("--lambda-m", type=_weight, metavar="L", help="weight of the term of maskgs and compact3dgs, pressure of gns and svr at first (default: the method's own)")
+    command.add_argument(
+        "--lambda-m",
+        type=_weight,
+        metavar="L",
+        help="weight of the term of maskgs and compact3dgs, pressure of gns and svr at first (default: the method's own)",
+    )
     command.add_argument("--paper", action="store_true", help="with --method svr: the paper's own form, whatever the default is")
     command.add_argument("--visible-mask", action="store_true", help="F stops with the colours instead of walking each ray to its end")
     command.add_argument("--views-by-loss", action="store_true", help="look at the half of the views with the lower loss every other time")
-    command.add_argument("--schedule", type=_schedule, default=1.0, metavar="X", help="every step count times X, pruning decisions included, but not the spacing of densifications; a quick try is 0.1 (default: 1)")
+    command.add_argument(
+        "--schedule",
+        type=_schedule,
+        default=1.0,
+        metavar="X",
+        help="every step count times X, pruning decisions included, but not the spacing of densifications; a quick try is 0.1 (default: 1)",
+    )
     command.add_argument("--resume", action="store_true", help="go on from the last checkpoint of the same job; without it, a job starts anew and forgets them")
     command.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
@@ -90,7 +103,9 @@ def _train(commands):
     command.add_argument("--iterations", type=_count, default=TRAIN_ITERATIONS, help=f"default: {TRAIN_ITERATIONS}")
     command.add_argument("--recovery", type=_count, metavar="N", help=f"steps after pruning (default: {RECOVERY} for methods that prune, else 0)")
     command.add_argument("--coarse-until", type=_count, default=0, metavar="N", help="look at photographs of half the size until this iteration (default: 0)")
-    command.add_argument("--densify-until", type=_count, metavar="N", help="densification ends before this iteration (default: half of the iterations, at most 15000)")
+    command.add_argument(
+        "--densify-until", type=_count, metavar="N", help="densification ends before this iteration (default: half of the iterations, at most 15000)"
+    )
     _size(command, "the Gaussians there are when densification ends")
     command.add_argument("--sh-degree", type=int, choices=range(4), default=3)
     command.add_argument("--out", type=Path, required=True, metavar="FILE")
@@ -102,7 +117,9 @@ def _prune(commands):
     _dataset(command, required=False)
     _run(command)
     command.add_argument("--method", default="svr", help=f"{METHODS} (default: svr)")
-    command.add_argument("--iterations", type=_count, default=PRUNE_ITERATIONS, metavar="N", help=f"steps in which the method learns what to prune (default: {PRUNE_ITERATIONS})")
+    command.add_argument(
+        "--iterations", type=_count, default=PRUNE_ITERATIONS, metavar="N", help=f"steps in which the method learns what to prune (default: {PRUNE_ITERATIONS})"
+    )
     command.add_argument("--recovery", type=_count, default=RECOVERY, metavar="N", help=f"steps after it (default: {RECOVERY})")
     command.add_argument(
         "--min-contribution", type=_small_share, metavar="A",

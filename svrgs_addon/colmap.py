@@ -59,9 +59,7 @@ def find_model(folder: Path) -> Path:
     for below in MODEL_FOLDERS:
         if _has_files(folder / below, ".bin") or _has_files(folder / below, ".txt"):
             return folder / below
-    raise SceneError(
-        f"{folder}: holds no COLMAP model (cameras, images and points3D as .bin or .txt, here or in sparse/0)"
-    )
+    raise SceneError(f"{folder}: holds no COLMAP model (cameras, images and points3D as .bin or .txt, here or in sparse/0)")
 
 
 def read_model(folder: Path) -> Model:
@@ -100,8 +98,7 @@ def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolma
         return _checked(full.resized(width, height)), None
     if not view.camera.is_perspective():
         raise SceneError(
-            f"{view.name}: its camera model is {view.camera.model_name}, a panorama that no pinhole image can hold; "
-            "cut it into perspective views first"
+            f"{view.name}: its camera model is {view.camera.model_name}, a panorama that no pinhole image can hold; cut it into perspective views first"
         )
     size = view.camera.width, view.camera.height
     distorted, flat = _undistort_camera(view.camera.model_name, size, tuple(view.camera.params), (width, height))
@@ -169,9 +166,7 @@ def _view(image: pycolmap.Image) -> View:
 
 
 @functools.lru_cache(maxsize=256)  # the views of a dataset share few cameras
-def _undistort_camera(
-    model: str, size: tuple[int, int], params: tuple[float, ...], scaled: tuple[int, int]
-) -> tuple[pycolmap.Camera, pycolmap.Camera]:
+def _undistort_camera(model: str, size: tuple[int, int], params: tuple[float, ...], scaled: tuple[int, int]) -> tuple[pycolmap.Camera, pycolmap.Camera]:
     """The distorted camera at the scaled (width, height), and the pinhole COLMAP makes of it."""
     library = import_pycolmap()
     distorted = library.Camera(model=model, width=size[0], height=size[1], params=params)
@@ -194,8 +189,7 @@ def _check_aspect(view: View, width: int, height: int) -> None:
     largest = min((side + ROUNDING_PX) / full for side, full in sides)
     if smallest > largest:
         raise SceneError(
-            f"{view.name}: the photograph is {width} x {height}, "
-            f"which is no scaled copy of its camera's {view.camera.width} x {view.camera.height}"
+            f"{view.name}: the photograph is {width} x {height}, which is no scaled copy of its camera's {view.camera.width} x {view.camera.height}"
         )
 
 

@@ -46,9 +46,7 @@ def read_image(path: str | os.PathLike, background: tuple[float, float, float] =
     return to_float(read_pixels(path, background))
 
 
-def read_pixels(
-    path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0), upright: bool = True
-) -> np.ndarray:
+def read_pixels(path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0), upright: bool = True) -> np.ndarray:
     """The image, (H, W, 3), display sRGB: uint8 where the file has 8 bits, float32 in 0..1 elsewhere.
 
     Grey becomes RGB; alpha is composited over `background` (display sRGB, 0..1); scene-linear files are converted;

@@ -305,6 +305,4 @@ def report_views(before: list, after: list, dataset: Dataset):
     """The report's views, from report_pictures() of both scenes."""
     for i, (rgb_before, mask_before), (rgb_after, mask_after) in zip(report_indices(dataset), before, after, strict=True):
         photo = to_float(dataset.image(i))
-        yield report.View(
-            dataset.cameras[i].name, rgb_before, rgb_after, photo, mask_before, mask_after, psnr(rgb_before, photo), psnr(rgb_after, photo)
-        )
+        yield report.View(dataset.cameras[i].name, rgb_before, rgb_after, photo, mask_before, mask_after, psnr(rgb_before, photo), psnr(rgb_after, photo))

@@ -38,12 +38,43 @@ def _struct(name: str, **fields):
     return type(name, (c.Structure,), {"_fields_": list(fields.items())})
 
 
-_Scene = _struct("_Scene", count=c.c_int64, sh_coefficients=c.c_int32, sh_half=c.c_int32, means=_real, log_scales=_real, quats=_real,
-                 opacity_logits=_real, sh=_real, masks=c.c_void_p)
-_Camera = _struct("_Camera", viewmat=c.c_double * 16, fx=c.c_double, fy=c.c_double, cx=c.c_double, cy=c.c_double,
-                  width=c.c_int32, height=c.c_int32, orthographic=c.c_int32, background=c.c_double * 3)
-_Options = _struct("_Options", sh_degree=c.c_int32, antialiased=c.c_int32, full=c.c_int32, mask_kind=c.c_int32,
-                   mask_to_shape=c.c_int32, eps_a=c.c_double, without=c.c_int32, max_pairs=c.c_int64, cancel=c.c_void_p, depth_limit=_real)
+_Scene = _struct(
+    "_Scene",
+    count=c.c_int64,
+    sh_coefficients=c.c_int32,
+    sh_half=c.c_int32,
+    means=_real,
+    log_scales=_real,
+    quats=_real,
+    opacity_logits=_real,
+    sh=_real,
+    masks=c.c_void_p,
+)
+_Camera = _struct(
+    "_Camera",
+    viewmat=c.c_double * 16,
+    fx=c.c_double,
+    fy=c.c_double,
+    cx=c.c_double,
+    cy=c.c_double,
+    width=c.c_int32,
+    height=c.c_int32,
+    orthographic=c.c_int32,
+    background=c.c_double * 3,
+)
+_Options = _struct(
+    "_Options",
+    sh_degree=c.c_int32,
+    antialiased=c.c_int32,
+    full=c.c_int32,
+    mask_kind=c.c_int32,
+    mask_to_shape=c.c_int32,
+    eps_a=c.c_double,
+    without=c.c_int32,
+    max_pairs=c.c_int64,
+    cancel=c.c_void_p,
+    depth_limit=_real,
+)
 _Images = _struct("_Images", rgb=_real, depth=_real, alpha=_real, mask=_real, hits=_real, kept=_real, transmittance=_real)
 _ImageGrads = _struct("_ImageGrads", rgb=_real, depth=_real, alpha=_real, mask=_real)
 _Grads = _struct("_Grads", **{name: _real for name in GRADS})
@@ -172,8 +203,18 @@ class Rasterizer:
         images, pointers = self._images(camera, outputs)
         limit = None if depth_limit is None else _check(depth_limit, "depth_limit", (camera.height, camera.width), self.dtype)
         degree = min(options.sh_degree, int(arrays.sh_coefficients**0.5) - 1)
-        native = _Options(degree, options.antialiased, options.full, MASK_KINDS[options.mask_kind], options.mask_to_shape,
-                          options.eps_a, sum(SKIPS[name] for name in options.without), options.max_pairs, self.cancel.ctypes.data, limit)
+        native = _Options(
+            degree,
+            options.antialiased,
+            options.full,
+            MASK_KINDS[options.mask_kind],
+            options.mask_to_shape,
+            options.eps_a,
+            sum(SKIPS[name] for name in options.without),
+            options.max_pairs,
+            self.cancel.ctypes.data,
+            limit,
+        )
         self._shape = (camera.height, camera.width, arrays.sh_coefficients)
         _call("svrgs_forward", self._context, c.byref(arrays), c.byref(_camera(camera, options.background)), c.byref(native), c.byref(pointers))
         return images
@@ -233,9 +274,14 @@ class Rasterizer:
         if self._view is None:
             raise NativeError("there is no rendered view to score: call forward first")
         n = (len(self._view[0]),)
-        _call("svrgs_scores", self._context, c.c_void_p(_check_out(sum_, "sum", n, np.float64)),
-              c.c_void_p(_check_out(max_, "max", n, np.float32)), c.c_void_p(_check_out(hits, "hits", n, np.int64)),
-              c.c_void_p(None if through is None else _check_out(through, "through", n, np.float64)))
+        _call(
+            "svrgs_scores",
+            self._context,
+            c.c_void_p(_check_out(sum_, "sum", n, np.float64)),
+            c.c_void_p(_check_out(max_, "max", n, np.float32)),
+            c.c_void_p(_check_out(hits, "hits", n, np.int64)),
+            c.c_void_p(None if through is None else _check_out(through, "through", n, np.float64)),
+        )
 
     def moments(self) -> np.ndarray:
         """(V, 12) float64, a row per visible Gaussian of the last view: sums over pixels of w u^a v^b in the order of MOMENTS, w the
@@ -251,17 +297,30 @@ class Rasterizer:
         photograph, would grow without each Gaussian alone; see svrgs.h."""
         if self._view is None:
             raise NativeError("there is no rendered view to score: call forward first")
-        _call("svrgs_removal", self._context, c.c_void_p(_check(residuals, "residuals", (*self._shape[:2], 3), self.dtype)),
-              c.c_void_p(_check_out(cost, "cost", (len(self._view[0]),), np.float64)))
+        _call(
+            "svrgs_removal",
+            self._context,
+            c.c_void_p(_check(residuals, "residuals", (*self._shape[:2], 3), self.dtype)),
+            c.c_void_p(_check_out(cost, "cost", (len(self._view[0]),), np.float64)),
+        )
 
     def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
         """(mean |image - target|, SSIM, dL/dimage or None) of (H, W, 3) images; L = l1_weight L1 + ssim_weight (1 - SSIM)."""
         shape = np.shape(image)
         grad = self._buffer("loss", shape) if want_grad else None
         values = (c.c_double * 2)()
-        _call("svrgs_loss", self._context, c.c_void_p(_check(image, "image", (*shape[:2], 3), self.dtype)),
-              c.c_void_p(_check(target, "target", shape, self.dtype)), c.c_int32(shape[0]), c.c_int32(shape[1]), c.c_double(l1_weight),
-              c.c_double(ssim_weight), c.c_void_p(grad.ctypes.data if want_grad else None), values)
+        _call(
+            "svrgs_loss",
+            self._context,
+            c.c_void_p(_check(image, "image", (*shape[:2], 3), self.dtype)),
+            c.c_void_p(_check(target, "target", shape, self.dtype)),
+            c.c_int32(shape[0]),
+            c.c_int32(shape[1]),
+            c.c_double(l1_weight),
+            c.c_double(ssim_weight),
+            c.c_void_p(grad.ctypes.data if want_grad else None),
+            values,
+        )
         return values[0], values[1], grad
 
     def adam(self, param, moments, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
@@ -352,8 +411,17 @@ def _image_shape(name: str, height: int, width: int) -> tuple:
 
 def _camera(camera: Camera, background) -> _Camera:
     K = camera.K
-    return _Camera((c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()), K[0, 0], K[1, 1], K[0, 2], K[1, 2],
-                   camera.width, camera.height, camera.orthographic, (c.c_double * 3)(*background))
+    return _Camera(
+        (c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()),
+        K[0, 0],
+        K[1, 1],
+        K[0, 2],
+        K[1, 2],
+        camera.width,
+        camera.height,
+        camera.orthographic,
+        (c.c_double * 3)(*background),
+    )
 
 
 def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, np.ndarray]:
@@ -363,14 +431,26 @@ def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, 
     """
     n = np.shape(logits)[:1]
     masks, slope = np.empty(n, np.uint8), np.empty(n, np.float32)
-    _call("svrgs_sample_masks", c.c_void_p(_check(logits, "logits", (*n,), np.float32)), c.c_int64(len(logits)), c.c_uint64(seed),
-          c.c_uint64(step), c.c_void_p(masks.ctypes.data), c.c_void_p(slope.ctypes.data))
+    _call(
+        "svrgs_sample_masks",
+        c.c_void_p(_check(logits, "logits", (*n,), np.float32)),
+        c.c_int64(len(logits)),
+        c.c_uint64(seed),
+        c.c_uint64(step),
+        c.c_void_p(masks.ctypes.data),
+        c.c_void_p(slope.ctypes.data),
+    )
     return masks, slope
 
 
 def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """(N,) uint32: rows of means (N, 3) float32 from the farthest along `axis` (3,) to the nearest; ties in their order."""
     order = np.empty(len(means), np.uint32)
-    _call("svrgs_depth_order", c.c_void_p(_check(means, "means", (len(means), 3), np.float32)), c.c_int64(len(means)),
-          (c.c_double * 3)(*map(float, axis)), c.c_void_p(order.ctypes.data))
+    _call(
+        "svrgs_depth_order",
+        c.c_void_p(_check(means, "means", (len(means), 3), np.float32)),
+        c.c_int64(len(means)),
+        (c.c_double * 3)(*map(float, axis)),
+        c.c_void_p(order.ctypes.data),
+    )
     return order

@@ -37,9 +37,7 @@ def line_chart(series: Series, marks: tuple[tuple[int, str], ...] = ()) -> str:
     summary = f"{series.title}: {course} over {x[-1] - x[0]:.0f} iterations"
     parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(summary)}">']
     parts += _y_axis(y_range) + _x_axis(x_range) + _marks(marks, x_range)
-    parts.append(
-        f'<polyline class="curve" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))}"/>'
-    )
+    parts.append(f'<polyline class="curve" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))}"/>')
     if len(px) <= 40:
         parts += [f'<circle class="dot" cx="{a:.1f}" cy="{b:.1f}" r="2.5"/>' for a, b in zip(px, py, strict=True)]
     return "".join(parts) + "</svg>"
@@ -106,7 +104,5 @@ def _marks(marks: tuple[tuple[int, str], ...], x_range: tuple[float, float]) -> 
         x = _to_x(iteration, x_range)
         parts.append(f'<line class="mark" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP - 14}" y2="{HEIGHT - BOTTOM}"/>')
         anchor, shift = ("start", 4) if x < 0.8 * WIDTH else ("end", -4)
-        parts.append(
-            f'<text class="phase" x="{x + shift:.1f}" y="{TOP - 6}" text-anchor="{anchor}">{escape(name)}</text>'
-        )
+        parts.append(f'<text class="phase" x="{x + shift:.1f}" y="{TOP - 6}" text-anchor="{anchor}">{escape(name)}</text>')
     return parts

@@ -23,9 +23,7 @@ from .report_style import CSS, SCRIPT
 
 MASK_PERCENTILE = 99.5  # one bright pixel must not darken every mask
 
-Quality = dict[
-    str, float | int | None
-]  # keys psnr ssim lpips flip count bytes ms_per_frame; None or absent: not measured
+Quality = dict[str, float | int | None]  # keys psnr ssim lpips flip count bytes ms_per_frame; None or absent: not measured
 
 
 @dataclass(frozen=True)
@@ -220,9 +218,7 @@ def _curves(report: Report) -> str:
     marks = tuple((phase.start, phase.name) for phase in report.phases if phase.start is not None)
     charts = [(series, line_chart(series, marks)) for series in report.curves]
     figures = "\n".join(
-        f'<figure class="card"><h3>{escape(series.title + (series.unit and f" ({series.unit})"))}</h3>{svg}</figure>'
-        for series, svg in charts
-        if svg
+        f'<figure class="card"><h3>{escape(series.title + (series.unit and f" ({series.unit})"))}</h3>{svg}</figure>' for series, svg in charts if svg
     )
     return f'<h2>Over the iterations</h2>\n<div class="columns">\n{figures}\n</div>' if figures else ""
 
@@ -236,10 +232,7 @@ def _views(report: Report) -> str:
     top = _mask_range(report.views)
     views = "\n".join(_view(view, report.names, top) for view in report.views)
     before, after = (escape(name) for name in report.names)
-    explained = (
-        f'<p class="soft">Move the pointer across “{after}” to uncover “{before}” beneath. '
-        f"Differences are amplified × {DIFFERENCE_GAIN}."
-    )
+    explained = f'<p class="soft">Move the pointer across “{after}” to uncover “{before}” beneath. Differences are amplified × {DIFFERENCE_GAIN}.'
     if top is not None:
         explained += " The spatial mask F is bright where the ray of a pixel passes many Gaussians."
     return f"<h2>Views</h2>\n{explained}</p>\n{views}"

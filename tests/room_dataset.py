@@ -1,6 +1,6 @@
 """A dataset of any size, for measuring: the room of the bench as a splat, photographs drawn from it, and their COLMAP model.
 
-    .venv/bin/python -m tests.room_dataset DIR [--count N] [--views V]        writes DIR/scene.ply, DIR/images, DIR/sparse/0
+.venv/bin/python -m tests.room_dataset DIR [--count N] [--views V]        writes DIR/scene.ply, DIR/images, DIR/sparse/0
 """
 
 from __future__ import annotations

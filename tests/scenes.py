@@ -119,10 +119,7 @@ def opaque_stack(n: int, seed: int = 0, sh_degree: int = 3) -> Scene:
     return replace(scene, means=means)
 
 
-HOSTILE_SCENES = {
-    f.__name__: f
-    for f in (needles, near_camera, off_screen, extreme_opacity, extreme_scales, equal_depths, opaque_stack)
-}
+HOSTILE_SCENES = {f.__name__: f for f in (needles, near_camera, off_screen, extreme_opacity, extreme_scales, equal_depths, opaque_stack)}
 
 
 # --- cameras
@@ -249,9 +246,7 @@ def _jittered(scene: Scene, which: np.ndarray, rng: np.random.Generator) -> Scen
     return replace(scene, **arrays)
 
 
-def away_from_thresholds(
-    scene: Scene, camera: Camera, masks: np.ndarray, *, seed: int = 0, rounds: int = 300
-) -> tuple[Scene, np.ndarray]:
+def away_from_thresholds(scene: Scene, camera: Camera, masks: np.ndarray, *, seed: int = 0, rounds: int = 300) -> tuple[Scene, np.ndarray]:
     """Scene and masks without undecided Gaussians: jittered up to `rounds` times, then dropped if nothing helps."""
     rng = np.random.default_rng(seed)
     for _ in range(rounds):

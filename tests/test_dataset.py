@@ -44,9 +44,7 @@ def make_model(names, model=PINHOLE, points=POINTS) -> pycolmap.Reconstruction:
     return result
 
 
-def make_dataset(
-    root, names=None, model=PINHOLE, points=POINTS, text=False, below="sparse/0", images="images", size=(WIDTH, HEIGHT)
-):
+def make_dataset(root, names=None, model=PINHOLE, points=POINTS, text=False, below="sparse/0", images="images", size=(WIDTH, HEIGHT)):
     """Write photographs and model; returns the reconstruction."""
     names = names or [f"{i:02}.png" for i in range(9)]
     reconstruction = make_model(names, model, points)
@@ -271,9 +269,7 @@ def test_images_stay_in_memory_within_the_budget(tmp_path, monkeypatch):
     make_dataset(tmp_path)
     reads = []
     read_pixels = dataset_module.read_pixels
-    monkeypatch.setattr(
-        dataset_module, "read_pixels", lambda path, *a, **k: reads.append(path.name) or read_pixels(path, *a, **k)
-    )
+    monkeypatch.setattr(dataset_module, "read_pixels", lambda path, *a, **k: reads.append(path.name) or read_pixels(path, *a, **k))
     data = load_dataset(tmp_path, memory_budget=3 * WIDTH * HEIGHT * 3)
     for _ in range(2):
         for index in range(4):

@@ -92,9 +92,7 @@ def test_model_is_a_plain_pinhole_dataset(dataset, model):
     camera = next(iter(model.cameras.values()))
     assert camera.model_name == "PINHOLE" and (camera.width, camera.height) == (96, 72)
     assert np.allclose(camera.params, [86.4, 86.4, 48, 36])
-    assert sorted(image.name for image in model.images.values()) == sorted(
-        path.name for path in (dataset / "images").iterdir()
-    )
+    assert sorted(image.name for image in model.images.values()) == sorted(path.name for path in (dataset / "images").iterdir())
 
 
 def test_keypoints_are_the_projections_of_their_points(model):

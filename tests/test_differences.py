@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import scenes
+from pictures import photographed
 from svrgs_addon.finetune.control import psnr_of
-from svrgs_addon.finetune.loop import Run
 from svrgs_addon.finetune.engine import NativeEngine
+from svrgs_addon.finetune.loop import Run
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.plan import prune_settings, train_settings
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.finetune.worth import SHARE, worth
 from svrgs_addon.native import Rasterizer, RenderOptions
-from pictures import photographed
 
 COUNT = 60
 

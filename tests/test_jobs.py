@@ -139,7 +139,9 @@ def test_a_pruned_file_keeps_the_order_of_its_source(tiny, data, tmp_path):
     assert moved.max() < 0.05 < np.median(np.linalg.norm(source.means - source.means.mean(axis=0), axis=1))
 
 
-@pytest.mark.parametrize(("method", "min_contribution", "target"), [("svr", 0.0, 0), ("svr", 0.2, 0), ("svr", 0.9, 150), ("svr", 0.9, 230), ("contribution", 0.1, 40)])
+@pytest.mark.parametrize(
+    ("method", "min_contribution", "target"), [("svr", 0.0, 0), ("svr", 0.2, 0), ("svr", 0.9, 150), ("svr", 0.9, 230), ("contribution", 0.1, 40)]
+)
 def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, min_contribution, target):
     """Faint ones are no part of what is looked at, though all of a scene is drawn once: not even in place of those that no view shows."""
     scene = load_scene(tiny.splat).scene

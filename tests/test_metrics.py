@@ -203,27 +203,21 @@ def test_lpips_reads_the_names_of_the_lpips_package(weights, network, tmp_path):
         return key.replace("features", f"net.slice{number}")
 
     path = tmp_path / "weights.pt"
-    torch.save(
-        {package_name(key): tensor for key, tensor in weights.items()} | {"scaling_layer.shift": torch.zeros(1)}, path
-    )
+    torch.save({package_name(key): tensor for key, tensor in weights.items()} | {"scaling_layer.shift": torch.zeros(1)}, path)
     other, _ = load_lpips(path)
     path.unlink()
     a, b = waves(0.0)[:16, :16], waves(0.3)[:16, :16]
     assert other(a, b) == network(a, b)
 
 
-@pytest.mark.parametrize(
-    ("path", "reason"), [(None, "no LPIPS weight file"), ("nowhere.pt", "nowhere.pt does not exist")]
-)
+@pytest.mark.parametrize(("path", "reason"), [(None, "no LPIPS weight file"), ("nowhere.pt", "nowhere.pt does not exist")])
 def test_without_lpips_weights_the_reason_is_told(path, reason):
     network, why = load_lpips(path)
     assert network is None and reason in why
 
 
 @pytest.mark.parametrize("name", ["weights.pt", "weights.pth", "weights.npz", "weights.bin"])
-@pytest.mark.parametrize(
-    "content", [b"", b"not weights\n" * 50, b"PK\x03\x04" + bytes(100)], ids=["empty", "text", "torn"]
-)
+@pytest.mark.parametrize("content", [b"", b"not weights\n" * 50, b"PK\x03\x04" + bytes(100)], ids=["empty", "text", "torn"])
 def test_lpips_refuses_other_files(tmp_path, name, content):
     pytest.importorskip("torch")
     path = tmp_path / name

@@ -164,9 +164,7 @@ def test_active_sh_degree_is_that_of_the_reference():
     scene, masks = scenes.away_from_thresholds(scene, camera, scenes.random_masks(30, 5), rounds=60)
     for degree in (0, 1, 2):
         params = scenes.leaves(scene)
-        expected = reference_images(
-            params, masks, camera, mask_kind="svr", full=True, antialiased=False, sh_degree=degree
-        )
+        expected = reference_images(params, masks, camera, mask_kind="svr", full=True, antialiased=False, sh_degree=degree)
         weights = {"rgb": image_weights(camera)["rgb"]}
         (expected["rgb"] * torch.tensor(weights["rgb"])).sum().backward()
         images = render("float64", scene, camera, masks, sh_degree=degree)

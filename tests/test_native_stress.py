@@ -68,9 +68,7 @@ def test_hostile_scenes_stay_finite(kind, level):
     for seed, name in enumerate(HOSTILE_CAMERAS):
         scene, masks = scenes.HOSTILE_SCENES[kind](60, seed, seed % 4), scenes.random_masks(60, seed)
         for antialiased, mask_kind in ((False, "svr"), (True, "a"), (False, "b")):
-            images, grads = view_and_gradients(
-                level, scene, CAMERAS[name], masks, antialiased=antialiased, mask_kind=mask_kind
-            )
+            images, grads = view_and_gradients(level, scene, CAMERAS[name], masks, antialiased=antialiased, mask_kind=mask_kind)
             assert_in_range(images)
             assert_finite(grads)
             drawn += images["hits"].sum()

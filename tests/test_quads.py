@@ -30,7 +30,9 @@ def test_each_gaussian_has_its_mean_opacity_and_covariance_once():
     np.testing.assert_allclose(cloud.geometry[:, 2, :3], covariance[:, [1, 1, 2], [1, 2, 2]], rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("values", [np.random.default_rng(0).normal(size=5000), np.repeat([3.0, -1.0, 0.0, 1e30, -1e-30], 40), np.array([0.0, -0.0, 0.0]), np.empty(0)])
+@pytest.mark.parametrize(
+    "values", [np.random.default_rng(0).normal(size=5000), np.repeat([3.0, -1.0, 0.0, 1e30, -1e-30], 40), np.array([0.0, -0.0, 0.0]), np.empty(0)]
+)
 def test_the_order_is_that_of_the_depths(values):
     means = np.zeros((len(values), 3), np.float32)
     means[:, 2] = values

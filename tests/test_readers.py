@@ -64,7 +64,9 @@ def test_every_truncated_header_and_200_bodies(seeds):
 HEADER_LINES = st.one_of(
     st.sampled_from([b"property float x", b"property float y", b"property uchar y", b"property list uchar int a", b"property", b"comment", b"obj_info x"]),
     st.sampled_from([b"format ascii 1.0", b"format binary_little_endian 1.0", b"format binary_big_endian 1.0", b"end_header", b"ply", b""]),
-    st.builds(lambda name, n: b"element %s %d" % (name, n), st.sampled_from([b"vertex", b"face", b"chunk"]), st.sampled_from([0, 1, 5, 2**31, 2**32, 2**63, 10**9])),
+    st.builds(
+        lambda name, n: b"element %s %d" % (name, n), st.sampled_from([b"vertex", b"face", b"chunk"]), st.sampled_from([0, 1, 5, 2**31, 2**32, 2**63, 10**9])
+    ),
     st.binary(max_size=30),
 )
 

@@ -11,8 +11,7 @@ from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import masks
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.loop import Run
-from svrgs_addon.finetune.methods import METHODS
-from svrgs_addon.finetune.methods import selection
+from svrgs_addon.finetune.methods import METHODS, selection
 from svrgs_addon.finetune.methods.selection import LARGEST, SHARES, pressure_shares
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.penalties import OpacityPressure

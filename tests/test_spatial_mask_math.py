@@ -77,9 +77,7 @@ def one_ray_F(alpha, M, kind: str, **options) -> torch.Tensor:
     """F of the rasterizer's own compositing for one ray."""
     nothing = torch.zeros(len(alpha), dtype=torch.float64)
     hit = torch.ones(1, len(alpha), dtype=torch.bool)
-    images = ref.blend(
-        alpha[None], hit, M, nothing[:, None].expand(-1, 3), nothing, torch.zeros(3), mask_kind=kind, **options
-    )
+    images = ref.blend(alpha[None], hit, M, nothing[:, None].expand(-1, 3), nothing, torch.zeros(3), mask_kind=kind, **options)
     return images[3][0]
 
 

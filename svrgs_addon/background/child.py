@@ -64,9 +64,7 @@ class Worker:
         options.scene = options.scenes[0]
         watch = Watch(self.folder, self)
         try:
-            result = prune_one(
-                options, lambda job: replace(job, begin=watch.begin, observe=watch.observe, stop=lambda: job.stop() or bool(self.ending))
-            )
+            result = prune_one(options, lambda job: replace(job, begin=watch.begin, observe=watch.observe, stop=lambda: job.stop() or bool(self.ending)))
         except Cancelled:
             self.tell("STATUS", state=self.ending or "interrupted", text="")
             return 0

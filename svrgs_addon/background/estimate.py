@@ -104,7 +104,9 @@ def _worth(scene, dataset) -> np.ndarray:
 
     train = dataset.train_indices or list(range(len(dataset.cameras)))
     cameras = [dataset.cameras[index] for index in train[:: max(1, len(train) // WORTH_VIEWS)][:WORTH_VIEWS]]
-    return worth(scene, [camera.reduced(max(1, max(camera.width, camera.height) // SIDE)) for camera in cameras], Rasterizer(), render_options(scene, dataset.background))
+    return worth(
+        scene, [camera.reduced(max(1, max(camera.width, camera.height) // SIDE)) for camera in cameras], Rasterizer(), render_options(scene, dataset.background)
+    )
 
 
 def _within(scene, dataset, peaks: np.ndarray, drop: float) -> np.ndarray:

@@ -1,11 +1,11 @@
 """What lies in a job's folder, and nothing that is not the job's own is ever read, trusted or removed.
 
-    job.json       the request: schema, version, name, options
-    state.json     where the job is; replaced as a whole, at least every HEARTBEAT seconds while it runs
-    scene.ply      the splat as it was when the job began, each Gaussian with its row
-    messages.jsonl what the running process said, one JSON object a line;  log.txt its stderr
-    metrics.csv    iteration, count, loss, psnr;  previews/ITERATION.png
-    pruned.ply, kept.npy, score.npy, result.json   the result; result.json is written last;  probability.npy where masks were learned
+job.json       the request: schema, version, name, options
+state.json     where the job is; replaced as a whole, at least every HEARTBEAT seconds while it runs
+scene.ply      the splat as it was when the job began, each Gaussian with its row
+messages.jsonl what the running process said, one JSON object a line;  log.txt its stderr
+metrics.csv    iteration, count, loss, psnr;  previews/ITERATION.png
+pruned.ply, kept.npy, score.npy, result.json   the result; result.json is written last;  probability.npy where masks were learned
 """
 
 from __future__ import annotations

@@ -108,7 +108,6 @@ def row_bytes(count: int) -> int:
     return 4 * count + len(f"property uint {ROW}\n")
 
 
-
 def _line(row) -> str:
     values = [None if value is None or value != value else value for value in row]
     return ",".join("" if value is None else f"{value:.6g}" if i > 1 else str(int(value)) for i, value in enumerate(values))

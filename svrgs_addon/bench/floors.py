@@ -94,9 +94,7 @@ def stage_floors(work: dict, facts: dict, level: str, peak: dict) -> dict[str, f
         "mask": BEHIND_BLOCK * behind * block + counters,
         "mask_visible": counters,
         "raster_grads": max(grads * block + GRADS_PAIR * work["used_pairs_full"] * slot, (RECORD + SUMS) * visible * update),
-        "parameter_grads": max(
-            PARAMETER_SLOTS * visible * lane, (touched + (RECORD + SUMS) * visible) * read + 2 * stored * visible * update
-        ),
+        "parameter_grads": max(PARAMETER_SLOTS * visible * lane, (touched + (RECORD + SUMS) * visible) * read + 2 * stored * visible * update),
         "loss": max(LOSS_FLOP * values / peak["fma"], LOSS_BYTES * values * update),
         "adam": (2 * touched + 2 * moments + stored * visible) * update,
     }

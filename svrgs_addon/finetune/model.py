@@ -27,9 +27,7 @@ class Model:
     source scene's other fields.
     """
 
-    def __init__(
-        self, values: dict[str, np.ndarray], moments: dict | None = None, origin: np.ndarray | None = None, beside: dict | None = None
-    ):
+    def __init__(self, values: dict[str, np.ndarray], moments: dict | None = None, origin: np.ndarray | None = None, beside: dict | None = None):
         self.values = values
         self.moments = moments or {name: none_yet(array) for name, array in values.items()}
         self.origin = np.arange(len(values["means"]), dtype=np.int32) if origin is None else origin

@@ -142,9 +142,7 @@ def _check_size(header: Header, vertex: Element, file_size: int) -> None:
     available = file_size - header.size
     if header.encoding == "ascii":
         if available > MAX_ASCII_BYTES:
-            raise FormatError(
-                f"is an ASCII PLY of more than {MAX_ASCII_BYTES // 2**20} MiB; convert it to binary first"
-            )
+            raise FormatError(f"is an ASCII PLY of more than {MAX_ASCII_BYTES // 2**20} MiB; convert it to binary first")
         if available + 1 < 2 * vertex.count * len(vertex.properties):  # a digit and a separator for each value
             raise FormatError(f"is truncated: {vertex.count} Gaussians cannot fit into {available} bytes of text")
         return

@@ -76,9 +76,7 @@ def _split_lines(data: bytes) -> tuple[list[str], int]:
         raise FormatError("is not a PLY file")
     end = re.search(rb"\nend_header\r?\n", data[:MAX_HEADER_BYTES])
     if end is None:
-        raise FormatError(
-            f"has no end of header within {MAX_HEADER_BYTES // 1024} KiB; it is truncated or not a PLY file"
-        )
+        raise FormatError(f"has no end of header within {MAX_HEADER_BYTES // 1024} KiB; it is truncated or not a PLY file")
     try:
         lines = [line.rstrip("\r") for line in data[: end.start()].decode("ascii").split("\n")]
     except UnicodeDecodeError as error:

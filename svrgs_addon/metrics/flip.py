@@ -74,9 +74,7 @@ def _mix(matrix: np.ndarray, planes: np.ndarray) -> np.ndarray:
 def _hunt_lab(white_xyz: np.ndarray) -> np.ndarray:
     """CIELAB with a and b scaled by L/100 (section 4.1.2): chroma matters less in the dark."""
     delta = 6 / 29
-    x, y, z = np.where(
-        white_xyz > delta**3, np.cbrt(white_xyz), white_xyz / np.float32(3 * delta**2) + np.float32(4 / 29)
-    )
+    x, y, z = np.where(white_xyz > delta**3, np.cbrt(white_xyz), white_xyz / np.float32(3 * delta**2) + np.float32(4 / 29))
     lightness = 116 * y - 16
     hunt = lightness / 100
     return np.stack([lightness, 500 * (x - y) * hunt, 200 * (y - z) * hunt])
@@ -139,10 +137,7 @@ def _features(y: np.ndarray, ppd: float) -> tuple[np.ndarray, np.ndarray]:
     gaussian = np.exp(-(x**2) / (2 * sigma**2))
     smooth = gaussian / gaussian.sum()
     derivatives = (_balanced(-x * gaussian), _balanced((x**2 / sigma**2 - 1) * gaussian))
-    edge, point = (
-        np.hypot(filter_separable(y, smooth, taps, "edge"), filter_separable(y, taps, smooth, "edge"))
-        for taps in derivatives
-    )
+    edge, point = (np.hypot(filter_separable(y, smooth, taps, "edge"), filter_separable(y, taps, smooth, "edge")) for taps in derivatives)
     return edge, point
 
 

@@ -68,9 +68,7 @@ class Lpips:
 
         a, b = image_pair(a, b)
         if min(a.shape[:2]) < SMALLEST:
-            raise SceneError(
-                f"LPIPS needs images of at least {SMALLEST} x {SMALLEST} pixels, not {a.shape[1]} x {a.shape[0]}"
-            )
+            raise SceneError(f"LPIPS needs images of at least {SMALLEST} x {SMALLEST} pixels, not {a.shape[1]} x {a.shape[0]}")
         batch = torch.from_numpy(np.stack([a, b])).permute(0, 3, 1, 2).contiguous()
         with torch.no_grad():
             return sum(self._stage_distance(k, taps) for k, taps in enumerate(self._taps(batch)))

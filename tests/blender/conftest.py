@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 import bpy
 import numpy as np
 import pytest
+from extension import DATA, PACKAGE, part
+from job_helpers import SHORT, follow, set_up
 
-PACKAGE = "bl_ext.user_default.svrgs"
-DATA = Path(os.environ["SVRGS_TEST_DATA"])
 KINDS = ("objects", "meshes", "pointclouds", "cameras", "images", "collections")
 
 
@@ -29,11 +27,6 @@ def installed() -> Path:
 def empty():
     for kind in KINDS:
         bpy.data.batch_remove(list(getattr(bpy.data, kind)))
-
-
-def part(name: str) -> ModuleType:
-    """A module of the installed extension."""
-    return importlib.import_module(f"{PACKAGE}.{name}")
 
 
 @pytest.fixture
@@ -90,3 +83,44 @@ def make_scene():
         return Scene(means, log_scales, quats, logits, sh, True, columns if further else {}, ("made by hand", "SplatRenderMode: mip"))
 
     return make
+
+
+# --- jobs
+
+
+@pytest.fixture
+def watch():
+    module = part("operators.job_watch")
+    yield module
+    for job in module.jobs.values():
+        if job.running:
+            job.cancel()
+            follow(module, lambda job=job: not job.running)
+    module.jobs.clear()
+
+
+@pytest.fixture
+def results():
+    return part("operators.job_result")
+
+
+@pytest.fixture
+def splat(tmp_path):
+    """The tiny splat, active, with settings for its dataset and a folder for its jobs."""
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    settings = bpy.context.scene.svrgs_prune
+    for name in settings.bl_rna.properties.keys():
+        if name not in ("rna_type", "name", "lambda_f"):
+            settings.property_unset(name)
+    settings.colmap, settings.folder = str(DATA / "tiny"), str(tmp_path / "jobs")
+    return bpy.context.object
+
+
+@pytest.fixture
+def pruned(splat, watch):
+    """(original, result) of a job that was run to its end."""
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: len(bpy.data.objects) == 2)
+    (result,) = (obj for obj in bpy.data.objects if obj != splat)
+    return splat, result

@@ -7,40 +7,11 @@ from types import SimpleNamespace
 
 import bpy
 import numpy as np
-import pytest
-from conftest import DATA, part
+from extension import part
 
 SHORT = {"method": "svr-mask", "iterations": 40, "recovery": 20, "goal": "SHARE", "share": 50}
 LONG = {"iterations": 20_000, "recovery": 0, "goal": "LAMBDA", "lambda_f": 1e-5, "min_contribution": 0.0}
 COUNT = 250  # Gaussians of the tiny splat
-
-
-@pytest.fixture
-def watch():
-    module = part("operators.job_watch")
-    yield module
-    for job in module.jobs.values():
-        if job.running:
-            job.cancel()
-            follow(module, lambda job=job: not job.running)
-    module.jobs.clear()
-
-
-@pytest.fixture
-def results():
-    return part("operators.job_result")
-
-
-@pytest.fixture
-def splat(tmp_path):
-    """The tiny splat, active, with settings for its dataset and a folder for its jobs."""
-    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
-    settings = bpy.context.scene.svrgs_prune
-    for name in settings.bl_rna.properties.keys():
-        if name not in ("rna_type", "name", "lambda_f"):
-            settings.property_unset(name)
-    settings.colmap, settings.folder = str(DATA / "tiny"), str(tmp_path / "jobs")
-    return bpy.context.object
 
 
 def set_up(options: dict):
@@ -55,16 +26,6 @@ def follow(watch, until, seconds: float = 60):
         watch.tick()
         assert time.monotonic() < end, [(job.facts, job.folder.log_tail()) for job in watch.jobs.values()]
         time.sleep(0.02)
-
-
-@pytest.fixture
-def pruned(splat, watch):
-    """(original, result) of a job that was run to its end."""
-    set_up(SHORT)
-    bpy.ops.svrgs.job_start()
-    follow(watch, lambda: len(bpy.data.objects) == 2)
-    (result,) = (obj for obj in bpy.data.objects if obj != splat)
-    return splat, result
 
 
 def marked(bridge, obj) -> np.ndarray:

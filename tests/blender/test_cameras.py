@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
-from conftest import DATA, part
+from extension import DATA, part
 from mathutils import Matrix, Vector
 
 PX = 0.01
@@ -19,9 +19,7 @@ def seen_by_blender(obj, scene, points) -> np.ndarray:
     """(P, 2) pixels, from the top left, at which Blender's projection matrix shows world points; NaN behind the camera."""
     render = scene.render
     width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
-    projection = obj.calc_matrix_camera(
-        bpy.context.evaluated_depsgraph_get(), x=width, y=height, scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y
-    )
+    projection = obj.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), x=width, y=height, scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y)
     clip = np.array([projection @ obj.matrix_world.normalized().inverted() @ Vector((*point, 1)) for point in points])
     with np.errstate(invalid="ignore"):
         ndc = np.where(clip[:, 3:] > 0.01, clip[:, :2] / clip[:, 3:], np.nan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from conftest import DATA, part
+from extension import DATA, part
 
 
 def said() -> str:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import gpu
 import numpy as np
 import pytest
-from conftest import part
+from extension import part
 from mathutils import Matrix
 
 SIDE = 64

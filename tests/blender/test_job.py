@@ -7,8 +7,8 @@ import time
 import bpy
 import numpy as np
 import pytest
-from conftest import DATA, part
-from job_helpers import COUNT, LONG, SHORT, delete, drawn, evaluated_count, follow, marked, pruned, results, set_up, splat, watch
+from extension import DATA, part
+from job_helpers import COUNT, LONG, SHORT, delete, drawn, evaluated_count, follow, marked, set_up
 
 
 def test_a_job_run_to_its_end_marks_the_original_and_adds_the_recovered(pruned, bridge, results, watch, ply):
@@ -225,7 +225,9 @@ def test_without_a_splat_the_buttons_say_what_to_do():
 @pytest.mark.parametrize(
     "goal, target",
     [
-        ({"goal": "SHARE", "share": 10}, 25), ({"goal": "COUNT", "count": 70}, 70), ({"goal": "SIZE", "size": 0.0104}, 100),
+        ({"goal": "SHARE", "share": 10}, 25),
+        ({"goal": "COUNT", "count": 70}, 70),
+        ({"goal": "SIZE", "size": 0.0104}, 100),
         ({"goal": "COUNT", "count": 9999}, 250),
     ],  # fmt: skip
 )
@@ -335,7 +337,9 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     assert "Discard Original" in drawn("prune") and splat.name in drawn("prune")
 
 
-@pytest.mark.parametrize("panel, said", [("scene", "Select a splat"), ("compare", "Compare draws"), ("spatial_mask", "Refresh draws"), ("overlay", ""), ("engine", "")])
+@pytest.mark.parametrize(
+    "panel, said", [("scene", "Select a splat"), ("compare", "Compare draws"), ("spatial_mask", "Refresh draws"), ("overlay", ""), ("engine", "")]
+)
 def test_every_panel_draws_without_anything_in_the_scene(panel, said):
     bpy.context.scene.svrgs_looking.compare_result = bpy.context.scene.svrgs_looking.mask_result = ""
     assert said in drawn(panel)

@@ -6,8 +6,8 @@ import shutil
 
 import bpy
 import pytest
-from conftest import DATA, part
-from job_helpers import LONG, SHORT, delete, drawn, follow, marked, pruned, results, set_up, splat, watch
+from extension import DATA, part
+from job_helpers import LONG, SHORT, delete, drawn, follow, marked, set_up
 
 
 def undo(times: int = 1):

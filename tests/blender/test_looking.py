@@ -12,7 +12,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from conftest import DATA, part
+from extension import DATA, part
 from mathutils import Matrix
 
 LEVEL = 1 / 255 + 1e-6
@@ -414,7 +414,12 @@ def test_gaussians_that_change_by_frame_are_read_anew_and_others_are_not(stage, 
         group.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
     kinds = "NodeGroupInput", "NodeGroupOutput", "GeometryNodeSetPosition", "ShaderNodeCombineXYZ", "GeometryNodeInputSceneTime"
     into, out, move, offset, time = (group.nodes.new(kind) for kind in kinds)
-    wires = (into.outputs[0], move.inputs[0]), (time.outputs["Frame"], offset.inputs[2]), (offset.outputs[0], move.inputs["Offset"]), (move.outputs[0], out.inputs[0])
+    wires = (
+        (into.outputs[0], move.inputs[0]),
+        (time.outputs["Frame"], offset.inputs[2]),
+        (offset.outputs[0], move.inputs["Offset"]),
+        (move.outputs[0], out.inputs[0]),
+    )
     for socket, to in wires:
         group.links.new(socket, to)
     splat.modifiers.new("rising", "NODES").node_group = group

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 import bpy
-from conftest import PACKAGE
+from extension import PACKAGE
 
 MENUS = ("TOPBAR_MT_file_import", "TOPBAR_MT_file_export")
 HANDLERS = [name for name in dir(bpy.app.handlers) if isinstance(getattr(bpy.app.handlers, name), list)]
@@ -15,11 +15,21 @@ def traces() -> dict:
     """What an add-on can leave behind."""
     return {
         "types": {name for name in dir(bpy.types) if "SVRGS" in name.upper()},
-        "subclasses": {c.__name__ for base in (bpy.types.Operator, bpy.types.Panel, bpy.types.FileHandler) for c in base.__subclasses__() if c.is_registered and "SVRGS" in c.__name__},
+        "subclasses": {
+            c.__name__
+            for base in (bpy.types.Operator, bpy.types.Panel, bpy.types.FileHandler)
+            for c in base.__subclasses__()
+            if c.is_registered and "SVRGS" in c.__name__
+        },
         "handlers": {name: len(getattr(bpy.app.handlers, name)) for name in HANDLERS},
         "menus": {name: len(getattr(bpy.types, name).draw._draw_funcs) for name in MENUS},
         "operators": set(dir(bpy.ops.svrgs)),
-        "properties": {(kind, name) for kind in ("Scene", "Object", "WindowManager") for name in getattr(bpy.types, kind).bl_rna.properties.keys() if "svrgs" in name},
+        "properties": {
+            (kind, name)
+            for kind in ("Scene", "Object", "WindowManager")
+            for name in getattr(bpy.types, kind).bl_rna.properties.keys()
+            if "svrgs" in name
+        },
     }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import sys
 
 import bpy
 import pytest
-from conftest import DATA, PACKAGE, part
+from extension import DATA, PACKAGE, part
 
 SHORT = {"iterations": 10, "recovery": 5, "target": 0.5, "seed": 3}
 FIGURES = ("count", "psnr", "ssim", "flip", "lpips", "bytes", "method", "lambda_f")

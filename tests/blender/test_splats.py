@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from conftest import part
+from extension import part
 
 
 @pytest.fixture

@@ -93,18 +93,14 @@ def _surroundings() -> None:
     # The dome is only looked at: light comes from the lamp and the world behind it.
     dome.visible_shadow = dome.visible_diffuse = False
 
-    floor = mat.bricks(
-        "floor", [(0.42, 0.17, 0.10), (0.62, 0.36, 0.22), (0.55, 0.53, 0.48)], Scale=3.2
-    )
+    floor = mat.bricks("floor", [(0.42, 0.17, 0.10), (0.62, 0.36, 0.22), (0.55, 0.53, 0.48)], Scale=3.2)
     add("yard", cone(2.5, 2.5, 64), floor, at=(0, 0, PAVING / 2), size=(1, 1, PAVING))
     _pines_and_rocks()
 
 
 def _pines_and_rocks() -> None:
     rng = np.random.default_rng(3)
-    needles = mat.patterned(
-        "pine", "Noise", [(0.01, 0.03, 0.01), (0.03, 0.10, 0.03), (0.10, 0.22, 0.06)], Scale=9
-    )
+    needles = mat.patterned("pine", "Noise", [(0.01, 0.03, 0.01), (0.03, 0.10, 0.03), (0.10, 0.22, 0.06)], Scale=9)
     stone = mat.patterned("rock", "Voronoi", [(0.10, 0.10, 0.11), (0.45, 0.42, 0.38)], Scale=3)
     for index in range(48):
         angle, away, size = rng.uniform((0, 7.5, 0.7), (2 * math.pi, 30, 1.3))
@@ -115,9 +111,7 @@ def _pines_and_rocks() -> None:
             add("rock", rock, stone, at=(x, y, base), turn=rng.uniform(0, 360, 3), size=size)
         else:
             tall = (0.8 * size, 0.8 * size, 3.2 * size)
-            smooth(
-                add("pine", cone(1, 0.02, 12), needles, at=(x, y, base + tall[2] / 2), size=tall)
-            )
+            smooth(add("pine", cone(1, 0.02, 12), needles, at=(x, y, base + tall[2] / 2), size=tall))
 
 
 def _monument() -> None:
@@ -157,9 +151,7 @@ def _monument() -> None:
 
 def _column() -> None:
     """The occluder: it stands in front of the clutter."""
-    bands = mat.patterned(
-        "bands", "Wave", [(0.06, 0.10, 0.30), (0.85, 0.80, 0.62)], Scale=3.2, Distortion=7, Detail=3
-    )
+    bands = mat.patterned("bands", "Wave", [(0.06, 0.10, 0.30), (0.85, 0.80, 0.62)], Scale=3.2, Distortion=7, Detail=3)
     x, y, z = MARKER["centre"]
     top = z - MARKER["radius"]
     smooth(add("column", cone(0.17, 0.14), bands, at=(x, y, top / 2), size=(1, 1, top)))
@@ -173,9 +165,7 @@ def _clutter() -> None:
     finishes = [
         mat.cells("confetti", 7),
         mat.patterned("checks", "Checker", [(0.9, 0.85, 0.7), (0.6, 0.04, 0.03)], Scale=4),
-        mat.patterned(
-            "swirl", "Magic", [(0.9, 0.5, 0.05), (0.1, 0.05, 0.3)], Scale=3, Distortion=2
-        ),
+        mat.patterned("swirl", "Magic", [(0.9, 0.5, 0.05), (0.1, 0.05, 0.3)], Scale=3, Distortion=2),
         mat.patterned("moss", "Noise", [(0.02, 0.08, 0.02), (0.5, 0.7, 0.2)], Scale=5, Detail=6),
     ]
     for index in range(34):
@@ -249,13 +239,8 @@ def _crates() -> None:
 
 
 def _railing() -> None:
-    paint = mat.patterned(
-        "rust", "Noise", [(0.02, 0.02, 0.03), (0.30, 0.10, 0.04)], roughness=0.5, Scale=3
-    )
-    posts = [
-        Vector((2.2 * math.cos(angle), 2.2 * math.sin(angle), PAVING))
-        for angle in np.radians(np.linspace(140, 245, 16))
-    ]
+    paint = mat.patterned("rust", "Noise", [(0.02, 0.02, 0.03), (0.30, 0.10, 0.04)], roughness=0.5, Scale=3)
+    posts = [Vector((2.2 * math.cos(angle), 2.2 * math.sin(angle), PAVING)) for angle in np.radians(np.linspace(140, 245, 16))]
     for post in posts:
         bar(paint, post, post + Vector((0, 0, 0.7)))
     for here, there in pairwise(posts):

@@ -24,9 +24,7 @@ class Cloud:
     xy: np.ndarray  # (M, 2) float64, where in the image, pixel centres at k + 0.5
 
 
-def sample(
-    surface: BVHTree, camera: Intrinsics, poses: list[Pose], images: np.ndarray, count: int
-) -> Cloud:
+def sample(surface: BVHTree, camera: Intrinsics, poses: list[Pose], images: np.ndarray, count: int) -> Cloud:
     """About `count` points from `images` (V, H, W, 3) uint8, an equal share from each view."""
     shares = np.diff(np.linspace(0, count, len(poses) + 1).round().astype(int))
     shot = [
@@ -39,10 +37,7 @@ def sample(
     keep = seen.sum(axis=0) >= MIN_TRACK
     xyz, rgb, seen = xyz[keep], rgb[keep], seen[:, keep]
     view, point = np.nonzero(seen)
-    xy = [
-        camera.project(pose.world_to_camera, xyz[row])[0]
-        for pose, row in zip(poses, seen, strict=True)
-    ]
+    xy = [camera.project(pose.world_to_camera, xyz[row])[0] for pose, row in zip(poses, seen, strict=True)]
     return Cloud(xyz, rgb, view, point, np.concatenate(xy))
 
 

@@ -11,9 +11,7 @@ from mathutils import Matrix
 from .views import Intrinsics, Pose
 
 
-def render_views(
-    scene: bpy.types.Scene, camera: Intrinsics, poses: list[Pose], folder: Path, samples: int
-) -> np.ndarray:
+def render_views(scene: bpy.types.Scene, camera: Intrinsics, poses: list[Pose], folder: Path, samples: int) -> np.ndarray:
     """Write one PNG a pose into `folder`. Returns the images, (V, H, W, 3) uint8 sRGB."""
     _configure_cycles(scene, samples)
     _configure_output(scene, camera)

@@ -61,9 +61,7 @@ def cone(bottom: float, top: float, segments: int = 32):
     """A frustum of height 1 around the z axis, its middle at the origin."""
 
     def shape(solid) -> None:
-        bmesh.ops.create_cone(
-            solid, cap_ends=True, segments=segments, radius1=bottom, radius2=top, depth=1
-        )
+        bmesh.ops.create_cone(solid, cap_ends=True, segments=segments, radius1=bottom, radius2=top, depth=1)
 
     return shape
 
@@ -73,10 +71,7 @@ def sheet(columns: int, rows: int, place, closed: bool):
 
     def shape(solid) -> None:
         height = rows if closed else rows + 1
-        points = [
-            [solid.verts.new(place(column / columns, row / rows)) for column in range(columns)]
-            for row in range(height)
-        ]
+        points = [[solid.verts.new(place(column / columns, row / rows)) for column in range(columns)] for row in range(height)]
         for row in range(rows):
             for column in range(columns):
                 here, above = points[row], points[(row + 1) % height]

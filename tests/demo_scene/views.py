@@ -32,9 +32,7 @@ class Intrinsics:
         half = self.width / 2, self.height / 2
         return np.array([[self.focal, 0, half[0]], [0, self.focal, half[1]], [0, 0, 1.0]])
 
-    def project(
-        self, world_to_camera: np.ndarray, xyz: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, world_to_camera: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points (N, 3) to pixels (N, 2) and depths (N,) along the viewing axis."""
         xyz_c = xyz @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
         uvw = xyz_c @ self.matrix.T

@@ -21,7 +21,11 @@ def main() -> int:
         started = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             survived = _run(Path(folder), options) if target == "run" else kill_writer(target, Path(folder), options.kills, options.seed)
-        more = f"{survived.resumed} starts from a checkpoint, {survived.finished} runs to the end" if target == "run" else f"{survived.finished} times the new file"
+        more = (
+            f"{survived.resumed} starts from a checkpoint, {survived.finished} runs to the end"
+            if target == "run"
+            else f"{survived.finished} times the new file"
+        )
         print(f"{target}: {survived.kills} kills survived; {more}; {time.monotonic() - started:.0f} s", flush=True)
     return 0
 

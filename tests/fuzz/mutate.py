@@ -4,8 +4,36 @@ from __future__ import annotations
 
 import random
 
-BINARY = [b"\xff" * 8, bytes(8), b"\xff\xff\xff\x7f", b"\0\0\0\x80", b"\0\0\0\0\0\0\xf0\x7f", b"\0\0\0\0\0\0\xf8\x7f", b"\0\0\x80\x7f", b"\0\0\xc0\x7f", b"\x01"]
-TEXT = [b"nan", b"inf", b"-1", b"1e400", b"4294967296", b"18446744073709551615", b"99999999999", b" ", b"\n", b"\0", b"\xff", b"null", b"[]", b"{}", b'"', b"../", b"\n\n"]
+BINARY = [
+    b"\xff" * 8,
+    bytes(8),
+    b"\xff\xff\xff\x7f",
+    b"\0\0\0\x80",
+    b"\0\0\0\0\0\0\xf0\x7f",
+    b"\0\0\0\0\0\0\xf8\x7f",
+    b"\0\0\x80\x7f",
+    b"\0\0\xc0\x7f",
+    b"\x01",
+]
+TEXT = [
+    b"nan",
+    b"inf",
+    b"-1",
+    b"1e400",
+    b"4294967296",
+    b"18446744073709551615",
+    b"99999999999",
+    b" ",
+    b"\n",
+    b"\0",
+    b"\xff",
+    b"null",
+    b"[]",
+    b"{}",
+    b'"',
+    b"../",
+    b"\n\n",
+]
 
 
 def mutated(seed: bytes, chance: random.Random) -> bytes:
