@@ -40,7 +40,7 @@ def measure(folder: Path, count: int):
 def write_scene(path: Path, count: int):
     import numpy as np
 
-    from svrgs_addon.formats import write_ply
+    from svrgs_addon.files.ply import write_ply
     from svrgs_addon.scene import Scene
 
     rng = np.random.default_rng(0)

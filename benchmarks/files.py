@@ -13,7 +13,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("torch", "pycolmap", "OpenImageIO", "scipy", "bpy")
-INFO = "import sys; from svrgs_addon.cli import main; main(sys.argv[1:]); print(*{n.partition('.')[0] for n in sys.modules}, file=sys.stderr)"
+INFO = "import sys; from svrgs_addon.cli.main import main; main(sys.argv[1:]); print(*{n.partition('.')[0] for n in sys.modules}, file=sys.stderr)"
 
 
 def start_up(scene: Path, runs: int = 7) -> dict:
@@ -34,7 +34,7 @@ def start_up(scene: Path, runs: int = 7) -> dict:
 
 def ply_times(count: int = 1_000_000, runs: int = 3) -> dict:
     """Median seconds to write and to read a PLY of `count` Gaussians of degree 3."""
-    from svrgs_addon.formats import read_ply, write_ply
+    from svrgs_addon.files.ply import read_ply, write_ply
     from svrgs_addon.scene import Scene
 
     rng = np.random.default_rng(0)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from statistics import fmean
 
-from method_charts import curve_chart, pareto_chart
+from benchmarks.method_charts import curve_chart, pareto_chart
 
 SCENARIOS = ("Scenario A", "Scenario B", "SVR-GS (paper)")  # the paper's Table 2
 PAPER, BASE, RIVAL = "SVR-GS (paper)", "3DGS", "MaskGS alpha"

@@ -23,8 +23,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from method_report import write_report
-from method_scenes import prepared
+from benchmarks.method_report import write_report
+from benchmarks.method_scenes import prepared
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame", "iterations", "before", "curves", "peak_memory_bytes")
@@ -97,7 +97,7 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
     trained = work / f"trained-{request['seed']}-{request['trained']}.ply"
     common = [*request["flags"], *data, "--seed", str(request["seed"]), "--schedule", str(request["schedule"]), "--json", "--quiet"]
     change = ABLATION[request["run"].rpartition(" ")[0]] if request["study"] == "ablation" else ""
-    start = [sys.executable, "-c", f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli import main\nsys.exit(main())"]
+    start = [sys.executable, "-c", f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli.main import main\nsys.exit(main())"]
     if request["study"] in ("pareto", "ablation"):
         return [*start, "prune", str(trained), "--out", str(out), *common]
     return [*start, "train", "--out", str(trained if request["run"] == "3DGS" else out), *common]

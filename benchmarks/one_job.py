@@ -73,20 +73,21 @@ def settings_of(request: dict):
 
 def run_job(request: dict) -> dict:
     """The job's own result with figures of memory and time beside it."""
-    from svrgs_addon import jobs, memory
-    from svrgs_addon.dataset import load_dataset
+    from svrgs_addon import memory
+    from svrgs_addon.jobs import train_and_prune
+    from svrgs_addon.photographs.dataset import load_dataset
 
     native = time_native_calls()
     dataset = load_dataset(Path(request["colmap"]), need_points=request["kind"] == "train")
     base, counts = memory.peak(), [0]
-    options = jobs.JobOptions(Path(request["out"]), observe=lambda progress: counts.append(progress.count))
+    options = train_and_prune.JobOptions(Path(request["out"]), observe=lambda progress: counts.append(progress.count))
     profile = cProfile.Profile()
     if request["profile"]:
         profile.enable()
     if request["kind"] == "train":
-        result = jobs.train(dataset, settings_of(request), options)
+        result = train_and_prune.train(dataset, settings_of(request), options)
     else:
-        result = jobs.prune(Path(request["scene"]), dataset, settings_of(request), options)
+        result = train_and_prune.prune(Path(request["scene"]), dataset, settings_of(request), options)
     profile.disable()
     result |= {
         "base_memory_bytes": base,
@@ -100,7 +101,7 @@ def run_job(request: dict) -> dict:
 
 def main():
     answer = run_job(json.load(sys.stdin))
-    from svrgs_addon.commands import plain
+    from svrgs_addon.exit_status import plain
 
     print(json.dumps(plain(answer)))
 

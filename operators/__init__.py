@@ -14,7 +14,6 @@ from . import (
     job_pictures,
     job_result,
     job_watch,
-    looking,
     overlay,
     prune,
     prune_settings,
@@ -22,12 +21,13 @@ from . import (
     render_engine,
     scene_cache,
     spatial_mask,
+    view_properties,
     viewport,
 )
 
 MODULES = (
     import_ply, import_colmap, export_ply, prune, prune_settings, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
-    active_camera, command_line, scene_cache, looking, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+    active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
 )  # fmt: skip
 
 

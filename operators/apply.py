@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..svrgs_addon.errors import SplatError
-from . import bridge, editable, job_result
+from . import bridge, edit_guard, job_result
 from .job import file_size, forget_job
 from .select import select
 
@@ -20,7 +20,7 @@ class SVRGS_OT_apply(bpy.types.Operator):
     def poll(cls, context):
         _, pruned = job_result.pair_of(context.object)
         undecided = job_result.undecided(pruned)
-        problem = editable.problem(context, pruned) if undecided else "Select a splat that was pruned and not applied yet"
+        problem = edit_guard.problem(context, pruned) if undecided else "Select a splat that was pruned and not applied yet"
         if problem:
             cls.poll_message_set(problem)
         return not problem

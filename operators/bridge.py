@@ -15,8 +15,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..svrgs_addon import lens as lenses
-from ..svrgs_addon.attribute_layout import BASE, REQUIRED, SH, from_attributes, notes_of, to_attributes
+from ..svrgs_addon.blender import lens as lenses
+from ..svrgs_addon.blender.attribute_layout import BASE, REQUIRED, SH, from_attributes, notes_of, to_attributes
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.scene import Scene

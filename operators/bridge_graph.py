@@ -9,14 +9,14 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..svrgs_addon.assembly import merged
+from ..svrgs_addon.blender.lens import camera_of_projection
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
-from ..svrgs_addon.images import linear_to_srgb
-from ..svrgs_addon.lens import camera_of_projection
+from ..svrgs_addon.files.images import linear_to_srgb
+from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
+from ..svrgs_addon.geometry.merge import merged
+from ..svrgs_addon.render.mesh_depth import Surface, Triangles, surface
 from ..svrgs_addon.scene import Scene
-from ..svrgs_addon.surfaces import Surface, Triangles, surface
-from ..svrgs_addon.transform import UNIFORM, stretch, transformed
 from . import bridge
 
 SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}

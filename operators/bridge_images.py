@@ -6,8 +6,8 @@ import bpy
 import numpy as np
 from mathutils import Color
 
-from ..svrgs_addon.film import SRGB_PRIMARIES
-from ..svrgs_addon.images import linear_to_srgb
+from ..svrgs_addon.files.images import linear_to_srgb
+from ..svrgs_addon.render.passes import SRGB_PRIMARIES
 
 PREVIEW = 256  # longer side, pixels
 

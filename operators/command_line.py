@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import bpy
 
-from ..svrgs_addon import child
+from ..svrgs_addon.blender import subprocess_python
 
 _commands = []
 
 
 def run(words: list[str]) -> int:
     """Exit status of `svrgs WORDS`; stdout and stderr are Blender's."""
-    return child.run(words, capture=False)[0]
+    return subprocess_python.run(words, capture=False)[0]
 
 
 def register():

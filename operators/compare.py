@@ -10,13 +10,13 @@ from bpy.app.handlers import persistent
 
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
-from ..svrgs_addon.evaluate import render_options, shown
-from ..svrgs_addon.formats import file_size
+from ..svrgs_addon.files.ply import file_size
 from ..svrgs_addon.metrics import flip, psnr, ssim
+from ..svrgs_addon.metrics.evaluate import render_options, shown
 from ..svrgs_addon.native import Rasterizer
-from ..svrgs_addon.pictures import contact_sheet, difference_image, to_uint8
+from ..svrgs_addon.report.pictures import contact_sheet, difference_image, to_uint8
 from ..svrgs_addon.scene import Scene
-from . import bridge, bridge_graph, bridge_images, job_result, wipe_image
+from . import bridge, bridge_graph, bridge_images, comparison_images, job_result
 from .contribution import chosen_cameras
 from .preferences import threads
 from .spatial_mask import show_in_editors
@@ -89,8 +89,8 @@ class SVRGS_OT_compare(bpy.types.Operator):
         except (SplatError, NativeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        wipe_image.show(*pictures, settings.wipe)
-        show_in_editors(context, bpy.data.images[wipe_image.WIPE])
+        comparison_images.show(*pictures, settings.wipe)
+        show_in_editors(context, bpy.data.images[comparison_images.WIPE])
         rows = [measured(*both, photo) for both in zip(pair.scenes, pictures, strict=True)]
         settings.compare_result = json.dumps({"camera": obj.name, "original": rows[0], "pruned": rows[1], "between": psnr(*pictures)})
         self.report({"INFO"}, summary(rows, psnr(*pictures)))
@@ -158,7 +158,7 @@ def _has_camera(cls, context) -> bool:
 @persistent
 def _without_lost_pictures(*_):
     """Numbers of pictures that were not saved with the file would stand beside black ones."""
-    if any(bridge_images.lost(name) for name in (wipe_image.ORIGINAL, wipe_image.PRUNED, wipe_image.WIPE)):
+    if any(bridge_images.lost(name) for name in (comparison_images.ORIGINAL, comparison_images.PRUNED, comparison_images.WIPE)):
         for scene in bpy.data.scenes:
             scene.svrgs_looking.compare_result = ""
 

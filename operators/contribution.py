@@ -7,10 +7,10 @@ from bpy.props import EnumProperty
 
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SplatError
-from ..svrgs_addon.evaluate import render_options
 from ..svrgs_addon.finetune.scores import contribution
+from ..svrgs_addon.metrics.evaluate import render_options
 from ..svrgs_addon.native import Rasterizer
-from . import bridge, bridge_graph, editable
+from . import bridge, bridge_graph, edit_guard
 from .preferences import threads
 
 NAME = "contribution"
@@ -33,7 +33,7 @@ class SVRGS_OT_contribution(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        problem = editable.problem(context, context.object) if bridge.is_splat(context.object) else "Make a splat the active object first"
+        problem = edit_guard.problem(context, context.object) if bridge.is_splat(context.object) else "Make a splat the active object first"
         if problem:
             cls.poll_message_set(problem)
         return not problem

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import bpy
 
-from ..svrgs_addon import child
+from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.splat_files import write_scene
+from ..svrgs_addon.files.registry import write_scene
 from . import bridge
 from .job import JobOperator, file_size, obstacle, options_of
 from .job_watch import redraw_panels
 
-MODULE = "svrgs_addon.background.estimate"
+MODULE = "svrgs_addon.jobs.estimate"
 EVERY = 0.1  # seconds
 
 _found: dict[int, dict] = {}  # by session_uid of the splat: what was found out, {"busy": True} until then
@@ -86,7 +86,7 @@ class SVRGS_OT_estimate(JobOperator):
 
 def _work(key: int, request: dict, aside: tempfile.TemporaryDirectory):
     with aside:
-        status, result = child.run([], MODULE, request)
+        status, result = subprocess_python.run([], MODULE, request)
     _found[key] = result if "kept" in result else {"error": result.get("error", f"the estimate ended with status {status}")}
 
 

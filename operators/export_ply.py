@@ -9,8 +9,8 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.splat_files import write_scene
-from ..svrgs_addon.transform import UNIFORM, stretch, transformed
+from ..svrgs_addon.files.registry import write_scene
+from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from . import bridge
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
+from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.posed_photos import PosedPhotos, read_in_child
 from . import bridge, undistort
 from .select import select
 

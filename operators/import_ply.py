@@ -10,8 +10,9 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
 
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.formats import drop_nonfinite, read_ply_parts
-from ..svrgs_addon.splat_files import read_scene
+from ..svrgs_addon.files.ply import read_ply_parts
+from ..svrgs_addon.files.registry import read_scene
+from ..svrgs_addon.files.repair import drop_nonfinite
 from . import bridge
 from .select import select
 

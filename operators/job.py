@@ -9,14 +9,14 @@ from pathlib import Path
 
 import bpy
 
-from ..svrgs_addon.background.folder import JobFolder
-from ..svrgs_addon.background.parent import Job
 from ..svrgs_addon.errors import FormatError, SplatError
 from ..svrgs_addon.finetune.methods import METHODS
-from . import bridge, editable
+from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.jobs.job_process import Job
+from . import bridge, edit_guard
 from .job_watch import BESIDE, BUSY, WAITING, current, finish, follow, job_of, jobs, link, unlink
+from .native_check import native_problem
 from .preferences import PACKAGE, threads
-from .trouble import native_problem
 
 BYTES = {0: 68, 1: 104, 2: 164, 3: 248}  # of a Gaussian in a file, by SH degree
 
@@ -80,7 +80,7 @@ def obstacle(context) -> str:
     """Why the active object cannot be pruned now; empty where it can."""
     if not bridge.is_splat(context.object):
         return "Select a Gaussian splat first"
-    if said := editable.problem(context, context.object):
+    if said := edit_guard.problem(context, context.object):
         return said
     job = job_of(context.object)
     if job is not None and job.state in BUSY:
@@ -224,7 +224,7 @@ class SVRGS_OT_job_load(CurrentJobOperator):
     def poll(cls, context):
         if not super().poll(context):
             return False
-        problem = editable.problem(context, current(context)[0])
+        problem = edit_guard.problem(context, current(context)[0])
         if problem:
             cls.poll_message_set(problem)
         return not problem

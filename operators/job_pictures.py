@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 import bpy.utils.previews
 
-from ..svrgs_addon.background import plot
-from ..svrgs_addon.background.folder import JobFolder
+from ..svrgs_addon.jobs import job_plot
+from ..svrgs_addon.jobs.job_folder import JobFolder
 
 _pictures: list = []  # the collection, while the extension is enabled
 _drawn: dict[str, tuple] = {}  # by folder: what was plotted last
@@ -19,8 +19,8 @@ def redraw(folder: JobFolder):
     key, what = str(folder.path), (len(metrics["iteration"]), total)
     if what[0] and _drawn.get(key) != what:
         preview = _pictures[0][key] if key in _pictures[0] else _pictures[0].new(key)
-        preview.image_size = (plot.SIDE, plot.SIDE)
-        preview.image_pixels_float.foreach_set(plot.draw(metrics, total).reshape(-1))
+        preview.image_size = (job_plot.SIDE, job_plot.SIDE)
+        preview.image_pixels_float.foreach_set(job_plot.draw(metrics, total).reshape(-1))
         _drawn[key] = what
     newest = folder.newest_preview()
     if newest is not None and _shown.get(key) != str(newest):

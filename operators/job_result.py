@@ -9,11 +9,11 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from ..svrgs_addon.background.folder import JobFolder
-from ..svrgs_addon.background.selection import BOUNDARY, lowest, merged, numbered
 from ..svrgs_addon.errors import SceneError
+from ..svrgs_addon.files.registry import read_scene
+from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.jobs.kept_share import BOUNDARY, lowest, merged, numbered
 from ..svrgs_addon.scene import Scene
-from ..svrgs_addon.splat_files import read_scene
 from . import bridge
 from .bridge_graph import REMOVED
 

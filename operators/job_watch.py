@@ -12,10 +12,10 @@ import os
 import bpy
 from bpy.app.handlers import persistent
 
-from ..svrgs_addon.background.folder import JobFolder
-from ..svrgs_addon.background.parent import Job
 from ..svrgs_addon.errors import SplatError
-from . import bridge, editable, job_pictures, job_result
+from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.jobs.job_process import Job
+from . import bridge, edit_guard, job_pictures, job_result
 from .select import in_view_layer
 
 FOLDER = "svrgs_job"  # property of a splat
@@ -135,7 +135,7 @@ def follow():
 def _arrived(job: Job):
     """Loads the result where its splat is at hand; else the panel offers it."""
     splats = [obj for obj in bpy.data.objects if obj.users_collection and folder_of(obj) == str(job.folder.path)]
-    if not splats or editable.problem(bpy.context, splats[0]):
+    if not splats or edit_guard.problem(bpy.context, splats[0]):
         return
     with contextlib.suppress(SplatError, OSError):  # the Load button says it again
         finish(bpy.context, splats[0], job)

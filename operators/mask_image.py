@@ -7,10 +7,11 @@ import time
 
 import bpy
 
-from ..svrgs_addon import color_maps, native
+from ..svrgs_addon import native
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.native import Rasterizer, RenderOptions
-from ..svrgs_addon.pictures import with_color_bar
+from ..svrgs_addon.render import color_maps
+from ..svrgs_addon.report.pictures import with_color_bar
 from . import bridge, bridge_graph, bridge_images, scene_cache
 from .preferences import threads
 

@@ -13,12 +13,12 @@ import gpu
 from bpy.app.handlers import persistent
 
 from ..svrgs_addon import native
+from ..svrgs_addon.blender.lens import depth_of_projection, step_back
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import NativeError, SplatError
-from ..svrgs_addon.film import lay
-from ..svrgs_addon.lens import depth_of_projection, step_back
-from ..svrgs_addon.live_view import LiveView, Picture
-from ..svrgs_addon.quads import Quads, colors, painted, quads
+from ..svrgs_addon.render.live_view import LiveView, Picture
+from ..svrgs_addon.render.passes import lay
+from ..svrgs_addon.render.quads import Quads, colors, painted, quads
 from ..svrgs_addon.scene import Scene
 from . import bridge, bridge_gpu, bridge_graph, scene_cache
 from .preferences import threads

@@ -9,11 +9,11 @@ from pathlib import Path
 import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ..svrgs_addon import child
-from ..svrgs_addon.arguments import PRUNE_ITERATIONS, RECOVERY
+from ..svrgs_addon.blender import subprocess_python
+from ..svrgs_addon.cli.arguments import PRUNE_ITERATIONS, RECOVERY
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.splat_files import read_scene, write_scene
-from . import bridge, editable, job_result
+from ..svrgs_addon.files.registry import read_scene, write_scene
+from . import bridge, edit_guard, job_result
 from .preferences import threads
 from .prune_settings import PRUNING
 from .select import select
@@ -78,12 +78,12 @@ class SVRGS_OT_prune(bpy.types.Operator):
         scene = Path(bpy.path.abspath(self.scene))
         if source is not None or not self.scene:
             gaussians = bridge.scene_from_object(source)  # which says so where there is no splat
-            if problem := editable.problem(bpy.context, source):
+            if problem := edit_guard.problem(bpy.context, source):
                 raise SplatError(problem)
             scene = aside / "scene.ply"
             write_scene(scene, gaussians)
         out = Path(bpy.path.abspath(self.out)) if self.out else aside / "pruned.ply"
-        status, result = child.run(["prune", str(scene), "--out", str(out), *self.words(source), "--threads", str(threads)])
+        status, result = subprocess_python.run(["prune", str(scene), "--out", str(out), *self.words(source), "--threads", str(threads)])
         if status or "count" not in result:
             raise SplatError(result.get("error", f"pruning ended with status {status}"))
         print(json.dumps(result), flush=True)

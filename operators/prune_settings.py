@@ -7,7 +7,7 @@ import math
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..svrgs_addon.arguments import MIN_CONTRIBUTION, PRUNE_ITERATIONS, RECOVERY
+from ..svrgs_addon.cli.arguments import MIN_CONTRIBUTION, PRUNE_ITERATIONS, RECOVERY
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.finetune.methods.base import Method
 from . import bridge, job_result

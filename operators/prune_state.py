@@ -9,10 +9,10 @@ import bpy
 from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.finetune.methods import METHODS
-from . import bridge, editable, estimate, job_pictures, job_result
+from . import bridge, edit_guard, estimate, job_pictures, job_result
 from .job import dataset_of, file_size, mismatch, uses_lambda
 from .job_watch import BUSY, WAITING, current
-from .trouble import native_problem
+from .native_check import native_problem
 
 SILENT = 60.0  # seconds without a sign of life that are worth telling
 WAITING_TEXT = {"paused": "Paused", "cancelled": "Cancelled", "interrupted": "An interrupted job was found", "failed": "The job failed"}
@@ -43,7 +43,7 @@ def sentences(context) -> list[str]:
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
     said = ["Looking at some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
-    said += filter(None, [editable.problem(context, context.object), mismatch(context.scene.svrgs_prune)])
+    said += filter(None, [edit_guard.problem(context, context.object), mismatch(context.scene.svrgs_prune)])
     return said if dataset_of(context)[0] else [*said, "Choose the dataset of the splat's photographs, or import its cameras in step 1"]
 
 

@@ -6,10 +6,10 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..svrgs_addon import native
-from ..svrgs_addon.drawing import draw_while
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
-from ..svrgs_addon.film import PASSES, blank, passes
 from ..svrgs_addon.native import Rasterizer
+from ..svrgs_addon.render.composite import draw_while
+from ..svrgs_addon.render.passes import PASSES, blank, passes
 from . import bridge, bridge_graph, bridge_images
 from .bridge_images import working_space
 from .preferences import threads

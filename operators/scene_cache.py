@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import bpy
 from bpy.app.handlers import persistent
 
-from ..svrgs_addon.finetune.order import morton_order
+from ..svrgs_addon.geometry.morton_order import morton_order
 from ..svrgs_addon.scene import Scene
 from . import bridge, bridge_graph
 

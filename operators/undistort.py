@@ -7,8 +7,8 @@ from pathlib import Path
 
 import bpy
 
+from ..svrgs_addon.blender.posed_photos import read_in_child
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.posed_photos import read_in_child
 from .job_watch import redraw_panels
 
 EVERY = 0.5  # seconds

@@ -11,11 +11,11 @@ from gpu_extras.presets import draw_texture_2d
 
 from ..svrgs_addon import native
 from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.drawing import draw
 from ..svrgs_addon.errors import NativeError, SplatError
-from ..svrgs_addon.film import film
-from ..svrgs_addon.live_view import LiveView, Picture
-from ..svrgs_addon.surfaces import Triangles
+from ..svrgs_addon.render.composite import draw
+from ..svrgs_addon.render.live_view import LiveView, Picture
+from ..svrgs_addon.render.mesh_depth import Triangles
+from ..svrgs_addon.render.passes import film
 from . import bridge_gpu, bridge_graph, scene_cache
 from .bridge_images import working_space
 from .preferences import threads

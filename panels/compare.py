@@ -4,8 +4,8 @@ import json
 
 import bpy
 
-from .lines import lines, usable
 from .spatial_mask import draw_image
+from .wrapped_label import lines, usable
 
 WIPE = "SVR-GS Wipe"
 

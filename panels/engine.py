@@ -2,7 +2,7 @@
 
 import bpy
 
-from .lines import lines, usable
+from .wrapped_label import lines, usable
 
 ENGINE = "SVRGS"
 NOT_OURS = {"VIEWLAYER_PT_filter", "VIEWLAYER_PT_layer_passes", "RENDER_PT_simplify"}

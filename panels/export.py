@@ -2,7 +2,7 @@
 
 import bpy
 
-from .lines import lines
+from .wrapped_label import lines
 
 
 class SVRGS_PT_export(bpy.types.Panel):

@@ -2,7 +2,7 @@
 
 import bpy
 
-from .lines import usable
+from .wrapped_label import usable
 
 
 class SVRGS_PT_overlay(bpy.types.Panel):

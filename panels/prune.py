@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .lines import lines
+from .wrapped_label import lines
 
 PRESETS = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # of the paper
 GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # property by goal; LAMBDA has its own row

@@ -4,7 +4,7 @@ import json
 
 import bpy
 
-from .lines import lines, usable
+from .wrapped_label import lines, usable
 
 IMAGE = "SVR-GS Spatial Mask"
 TICKS = 5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -63,3 +64,9 @@ class Camera:
         Exact: the centre k + 0.5 of a pixel is the centre of the block it stands for.
         """
         return replace(self, K=np.diag([1 / factor, 1 / factor, 1.0]) @ self.K, width=self.width // factor, height=self.height // factor)
+
+
+def view_stem(name: str) -> str:
+    """The image name without its extension; folders stay, and so does a number after a dot."""
+    path = PurePosixPath(name)
+    return str(path if path.suffix[1:].isdecimal() else path.with_suffix(""))

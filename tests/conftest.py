@@ -48,12 +48,12 @@ class Outcome:
 @pytest.fixture
 def svrgs(capfd):
     """Runs a command line in this process; returns its Outcome."""
-    from svrgs_addon import cli
+    from svrgs_addon.cli.main import main as run_svrgs
 
     def run(*words: object) -> Outcome:
         capfd.readouterr()
         try:
-            status = cli.main([str(word) for word in words])
+            status = run_svrgs([str(word) for word in words])
         except SystemExit as stop:  # usage errors, --help
             status = stop.code
         return Outcome(status, *capfd.readouterr())

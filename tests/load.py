@@ -18,9 +18,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from svrgs_addon import cli
-
-from .faults import forked
+from faults import forked
+from svrgs_addon.cli.main import main as run_svrgs
 
 VIEWS = 8
 SHARE = 0.3  # kept where a score decides
@@ -48,8 +47,8 @@ def generate(folder: Path, options: argparse.Namespace):
     from colmap_model import write_colmap
     from svrgs_addon import native
     from svrgs_addon.bench.scenes import orbit_camera, room
-    from svrgs_addon.formats import write_ply
-    from svrgs_addon.images import write_image
+    from svrgs_addon.files.images import write_image
+    from svrgs_addon.files.ply import write_ply
 
     native.set_threads(options.threads)
     scene, rasterizer = room(options.count), native.Rasterizer()
@@ -65,7 +64,7 @@ def command(*words, **expected) -> Callable[[], object]:
 
     def run():
         with contextlib.redirect_stdout(io.StringIO()) as said:
-            status = cli.main([*map(str, words), "--json"])
+            status = run_svrgs([*map(str, words), "--json"])
         assert status == 0, f"exit status {status}"
         result = json.loads(said.getvalue())
         found = {name: result[name] for name in expected}

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import scenes
-from svrgs_addon.dataset import Dataset
 from svrgs_addon.native import Rasterizer
+from svrgs_addon.photographs.dataset import Dataset
 from svrgs_addon.scene import Scene
 
 WIDTH, HEIGHT = 48, 36

@@ -14,8 +14,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from colmap_model import write_colmap
 from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.formats import write_ply
-from svrgs_addon.images import write_image
+from svrgs_addon.files.images import write_image
+from svrgs_addon.files.ply import write_ply
 from svrgs_addon.native import Rasterizer
 
 WIDTH, HEIGHT = 640, 360

@@ -16,11 +16,11 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
-from svrgs_addon import worker
-from svrgs_addon.batch_list import Item, expand
+from svrgs_addon.cli.batch_list import Item, expand
 from svrgs_addon.errors import SceneError
-from svrgs_addon.formats import read_ply
-from svrgs_addon.splat_files import read_scene
+from svrgs_addon.files.ply import read_ply
+from svrgs_addon.files.registry import read_scene
+from svrgs_addon.jobs import worker
 
 ROOT = Path(__file__).resolve().parents[1]
 BATCH = ROOT / "svrgs_addon" / "batch.py"

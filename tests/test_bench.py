@@ -19,7 +19,7 @@ from svrgs_addon.bench.scenes import room
 from svrgs_addon.bench.skips import measure_skips
 from svrgs_addon.bench.text import as_text
 from svrgs_addon.bench.trial import Trial
-from svrgs_addon.formats import write_ply
+from svrgs_addon.files.ply import write_ply
 
 STAGES = ["project", "tiles", "sort", "blend", "mask", "mask_visible", "raster_grads", "parameter_grads", "loss", "adam", "forward", "backward", "step"]
 WORK = {"visible", "pairs", "used_pairs", "blocks", "hit_blocks", "evaluated", "hits", "contributing"}

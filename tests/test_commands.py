@@ -17,14 +17,15 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
-from svrgs_addon import commands, jobs
-from svrgs_addon.evaluate import render_options
+from svrgs_addon.cli import commands
+from svrgs_addon.files.images import read_image
+from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.files.registry import load_scene
 from svrgs_addon.finetune import scores
 from svrgs_addon.finetune.methods import METHODS
-from svrgs_addon.formats import read_ply, write_ply
-from svrgs_addon.images import read_image
+from svrgs_addon.jobs import train_and_prune
+from svrgs_addon.metrics.evaluate import render_options
 from svrgs_addon.native import Rasterizer, RenderOptions
-from svrgs_addon.splat_files import load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURES = {"psnr", "ssim", "lpips", "flip", "count", "bytes", "ms_per_frame"}
@@ -503,7 +504,7 @@ UNWRITABLE = {
 
 @pytest.mark.parametrize("line", UNWRITABLE.values(), ids=UNWRITABLE)
 def test_an_output_that_cannot_be_written_is_found_before_the_work(tiny, svrgs, tmp_path, monkeypatch, line):
-    for module, name in ((jobs, "load_scene"), (jobs, "fine_tune"), (Rasterizer, "forward")):
+    for module, name in ((train_and_prune, "load_scene"), (train_and_prune, "fine_tune"), (Rasterizer, "forward")):
         monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("the work has begun"))
     (tmp_path / "file").write_text("no folder")
     (tmp_path / "busy.ply.job").write_text("no folder")
@@ -523,7 +524,7 @@ def test_failures_that_are_nobody_s_input_exit_1(tiny, svrgs, monkeypatch):
     def out_of_memory(*_):
         raise MemoryError
 
-    monkeypatch.setattr(commands.splat_files, "describe", out_of_memory)
+    monkeypatch.setattr(commands.registry, "describe", out_of_memory)
     done = svrgs("info", tiny.splat)
     assert (done.status, done.out, done.err) == (1, "", "svrgs: out of memory\n")
 

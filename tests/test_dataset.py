@@ -11,11 +11,11 @@ import threading
 import numpy as np
 import pytest
 
-from svrgs_addon import dataset as dataset_module
-from svrgs_addon.cameras_json import load_cameras_json
-from svrgs_addon.dataset import load_dataset
 from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.images import write_image
+from svrgs_addon.files.images import write_image
+from svrgs_addon.photographs import dataset as dataset_module
+from svrgs_addon.photographs.cameras_json import load_cameras_json
+from svrgs_addon.photographs.dataset import load_dataset
 
 pycolmap = pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")

@@ -14,13 +14,13 @@ pytest.importorskip("OpenImageIO")
 
 from svrgs_addon import native
 from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.dataset import load_dataset
+from svrgs_addon.files.registry import load_scene
 from svrgs_addon.finetune import loop
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.plan import prune_settings
 from svrgs_addon.native import GRADS, IMAGES, Rasterizer, RenderOptions
-from svrgs_addon.splat_files import load_scene
+from svrgs_addon.photographs.dataset import load_dataset
 
 THREADS = (1, 2, 3, 7, 16)
 

@@ -43,12 +43,12 @@ def data(tiny, tmp_path_factory) -> Path:
     """tiny/: a dataset and its splat; renders/: what `svrgs render` makes of them; varied/: cameras of other shapes; distorted/: a lens
     with distortion. NAME.npz: the cameras."""
     import scenes
-    from svrgs_addon import cli
-    from svrgs_addon.images import write_image
+    from svrgs_addon.cli.main import main as run_svrgs
+    from svrgs_addon.files.images import write_image
 
     folder = tmp_path_factory.mktemp("data")
     (folder / "tiny").symlink_to(tiny.folder)
-    assert cli.main(["render", str(tiny.splat), "--colmap", str(tiny.folder), "--out", str(folder / "renders")]) == 0
+    assert run_svrgs(["render", str(tiny.splat), "--colmap", str(tiny.folder), "--out", str(folder / "renders")]) == 0
     views = [replace(scenes.CAMERAS[name], name=f"{name}/{i}.png") for i, name in enumerate(("rotated", "off_centre", "outside", "wide", "narrow"))]
     write_colmap(folder / "varied/sparse/0", views, tiny.truth.means)
     for view in views:

@@ -16,12 +16,12 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from faults import WRITERS, digest
-from svrgs_addon import jobs
-from svrgs_addon.dataset import load_dataset
 from svrgs_addon.errors import SceneError, SplatError
+from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import checkpoint
 from svrgs_addon.finetune.plan import prune_settings
-from svrgs_addon.formats import read_ply
+from svrgs_addon.jobs import train_and_prune
+from svrgs_addon.photographs.dataset import load_dataset
 
 resource = pytest.importorskip("resource", reason="this system cannot limit the size of files")
 
@@ -123,7 +123,7 @@ def at(iteration: int, action):
 @pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(b"gone"), lambda path: path.write_bytes(path.read_bytes()[:90])])
 def test_photographs_that_vanish_lose_no_work(tiny, data, tmp_path, damage):
     """A checkpoint of the last whole step is left, and with the photographs back the run ends as if nothing had been."""
-    jobs.prune(tiny.splat, data, SETTINGS, jobs.JobOptions(tmp_path / "whole.ply"))
+    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(tmp_path / "whole.ply"))
     photos = sorted((tmp_path / "data/images").iterdir())
     kept = {photo: photo.read_bytes() for photo in photos}
 
@@ -133,19 +133,19 @@ def test_photographs_that_vanish_lose_no_work(tiny, data, tmp_path, damage):
 
     out = tmp_path / "o.ply"
     with pytest.raises(SplatError, match=r"images/\d+\.png") as caught:
-        jobs.prune(tiny.splat, data, SETTINGS, jobs.JobOptions(out, observe=at(12, lose)))
+        train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out, observe=at(12, lose)))
     assert "\n" not in str(caught.value) and not out.exists()
     (left,) = (tmp_path / "o.ply.job").iterdir()
     assert checkpoint.read_manifest(left)["iteration"] >= 12
     for photo, content in kept.items():
         photo.write_bytes(content)
-    jobs.prune(tiny.splat, data, SETTINGS, jobs.JobOptions(out, resume=True))
+    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out, resume=True))
     assert out.read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
 def test_a_full_disk_at_the_end_leaves_the_last_checkpoint(tiny, data, tmp_path, monkeypatch):
     out = tmp_path / "o.ply"
-    monkeypatch.setattr(jobs, "CHECKPOINT_SECONDS", 0)
+    monkeypatch.setattr(train_and_prune, "CHECKPOINT_SECONDS", 0)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def write(path, scene):
@@ -155,24 +155,26 @@ def test_a_full_disk_at_the_end_leaves_the_last_checkpoint(tiny, data, tmp_path,
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
-    original = jobs.write_scene
-    monkeypatch.setattr(jobs, "write_scene", write)
+    original = train_and_prune.write_scene
+    monkeypatch.setattr(train_and_prune, "write_scene", write)
     with pytest.raises(SceneError, match="cannot be written"):
-        jobs.prune(tiny.splat, data, SETTINGS, jobs.JobOptions(out))
+        train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out))
     assert not out.exists()
-    monkeypatch.setattr(jobs, "write_scene", original)
+    monkeypatch.setattr(train_and_prune, "write_scene", original)
     seen = []
-    jobs.prune(tiny.splat, data, SETTINGS, jobs.JobOptions(out, resume=True, observe=lambda p: seen.append(p.iteration)))
+    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out, resume=True, observe=lambda p: seen.append(p.iteration)))
     assert len(seen) <= 1 and read_ply(out).count > 5
 
 
 def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tiny, data, tmp_path, monkeypatch):
     out = tmp_path / "o.ply"
-    monkeypatch.setattr(jobs, "CHECKPOINT_SECONDS", 0)
+    monkeypatch.setattr(train_and_prune, "CHECKPOINT_SECONDS", 0)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
         with pytest.raises(SceneError, match="arrays.npz: cannot be written"):
-            jobs.prune(tiny.splat, data, SETTINGS, jobs.JobOptions(out, observe=at(8, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard)))))
+            train_and_prune.prune(
+                tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out, observe=at(8, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))))
+            )
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     left = sorted((tmp_path / "o.ply.job").rglob("*.*"))
@@ -209,7 +211,7 @@ def test_a_splat_that_vanishes(svrgs, tiny, tmp_path):
 
 
 def test_a_file_that_shrinks_while_it_is_read(tmp_path, monkeypatch):
-    from svrgs_addon.formats import ply_body
+    from svrgs_addon.files import ply_body
 
     WRITERS["scene.ply"](tmp_path / "a.ply", 1)
     original = ply_body.Body._convert

@@ -9,7 +9,6 @@ import pytest
 import scenes
 from pictures import EYES, HEIGHT, WIDTH, photographed
 from svrgs_addon import native
-from svrgs_addon.dataset import Dataset
 from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.finetune import loop, masks
 from svrgs_addon.finetune.engine import NativeEngine, StepResult
@@ -20,6 +19,7 @@ from svrgs_addon.finetune.settings import Densify, Phase, Rates, Settings, recov
 from svrgs_addon.finetune.torch_engine import TorchEngine
 from svrgs_addon.metrics import psnr
 from svrgs_addon.native import Rasterizer
+from svrgs_addon.photographs.dataset import Dataset
 from svrgs_addon.scene import Scene
 
 

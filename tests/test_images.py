@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.images import image_size, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
+from svrgs_addon.files.images import image_size, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
 
 oiio = pytest.importorskip("OpenImageIO")
 

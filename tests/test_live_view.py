@@ -8,7 +8,7 @@ import time
 import pytest
 
 from svrgs_addon.errors import Cancelled
-from svrgs_addon.live_view import COARSE, LiveView
+from svrgs_addon.render.live_view import COARSE, LiveView
 
 
 class Painter:

@@ -14,12 +14,14 @@ pytest.importorskip("OpenImageIO")
 
 import scenes
 import tiny_dataset
-from svrgs_addon import commands, jobs, memory
+from svrgs_addon import memory
 from svrgs_addon.bench.scenes import room
-from svrgs_addon.dataset import load_dataset
+from svrgs_addon.cli import commands
 from svrgs_addon.errors import Cancelled
+from svrgs_addon.files.ply import write_ply
 from svrgs_addon.finetune.settings import Densify, Phase, Rates, Settings
-from svrgs_addon.formats import write_ply
+from svrgs_addon.jobs import train_and_prune
+from svrgs_addon.photographs.dataset import load_dataset
 
 REFUSED = r"needs about [\d.]+ [GM]B of memory, but only [\d.]+ [GM]B are available"
 
@@ -94,7 +96,7 @@ GROWING = Settings("3dgs", (Phase("train", 10, Rates(), RULE),))
 
 
 def trained(tiny, out, **options) -> dict:
-    return jobs.train(load_dataset(tiny.folder), GROWING, jobs.JobOptions(out, **options))
+    return train_and_prune.train(load_dataset(tiny.folder), GROWING, train_and_prune.JobOptions(out, **options))
 
 
 def short_from_the_start_on(monkeypatch):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svrgs_addon import color_maps
-from svrgs_addon.images import linear_to_srgb
-from svrgs_addon.pictures import contact_sheet, wipe, with_color_bar
+from svrgs_addon.files.images import linear_to_srgb
+from svrgs_addon.render import color_maps
+from svrgs_addon.report.pictures import contact_sheet, wipe, with_color_bar
 
 
 @pytest.mark.parametrize("name", color_maps.NAMES)

@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svrgs_addon.atomic import atomic_write, check_writable
 from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.formats import clamp_extremes, drop_nonfinite, read_ply, read_ply_parts, write_ply
+from svrgs_addon.files.atomic import atomic_write, check_writable
+from svrgs_addon.files.ply import read_ply, read_ply_parts, write_ply
+from svrgs_addon.files.repair import clamp_extremes, drop_nonfinite
 from svrgs_addon.scene import SH_COEFFICIENTS, Scene
 
 ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import scenes
+from svrgs_addon.bench.preview import Preview
 from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.native import Rasterizer
-from svrgs_addon.preview import Preview
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,11 @@ import torch
 
 import scenes
 from reference import rasterize as ref
-from svrgs_addon.activation import opacities
 from svrgs_addon.bench.scenes import orbit_camera, room
+from svrgs_addon.blender.activation import opacities
+from svrgs_addon.geometry.rotations import rotation_matrices
 from svrgs_addon.native import depth_order
-from svrgs_addon.quads import colors, quads, recolored
-from svrgs_addon.transform import rotation_matrices
+from svrgs_addon.render.quads import colors, quads, recolored
 
 
 def test_each_gaussian_has_its_mean_opacity_and_covariance_once():

@@ -20,9 +20,9 @@ from fuzz.mutate import mutated
 from fuzz.seeds import camera_entries, ply_seeds
 from fuzz.targets import Checkpoint, cameras_json, ply
 from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.formats import read_ply, write_ply
+from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.files.registry import describe, load_scene
 from svrgs_addon.scene import SH_COEFFICIENTS, Scene
-from svrgs_addon.splat_files import describe, load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")

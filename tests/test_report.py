@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from svrgs_addon.errors import SceneError
-from svrgs_addon.pictures import data_uri, difference_image, mask_to_rgb, png_bytes
-from svrgs_addon.plots import Series, line_chart
-from svrgs_addon.report import Phase, Report, View, page, write_report
+from svrgs_addon.report.line_chart import Series, line_chart
+from svrgs_addon.report.page import Phase, Report, View, page, write_report
+from svrgs_addon.report.pictures import data_uri, difference_image, mask_to_rgb, png_bytes
 
 BEFORE = {
     "psnr": 27.41,

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svrgs_addon import cli
-from svrgs_addon.images import read_pixels
+from svrgs_addon.cli.main import main as run_svrgs
+from svrgs_addon.files.images import read_pixels
 from test_extension import extension_zip  # noqa: F401
 
 WINDOW = Path(__file__).parent / "window"
@@ -86,7 +86,7 @@ def test_looking_with_the_mouse(drive, tiny, tmp_path):
     assert seen["mask"]["camera"] == seen["compare"]["camera"] == seen["camera"] and seen["mask"]["largest"] > seen["mask"]["mean"] > 0
     original, pruned = seen["compare"]["original"], seen["compare"]["pruned"]
     assert (original["count"], pruned["count"]) == (250, 100) and min(original["psnr"], pruned["psnr"]) > 15
-    assert cli.main(["render", str(tiny.splat), "--colmap", str(tiny.folder), "--views", seen["camera"], "--out", str(tmp_path / "renders")]) == 0
+    assert run_svrgs(["render", str(tiny.splat), "--colmap", str(tiny.folder), "--views", seen["camera"], "--out", str(tmp_path / "renders")]) == 0
     (expected,) = (tmp_path / "renders").iterdir()
     rendered, expected = (read_pixels(path).astype(int)[..., :3] for path in (Path(seen["f12"]), expected))
     assert rendered.shape == expected.shape and np.abs(rendered - expected).max() <= 1

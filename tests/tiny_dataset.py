@@ -13,8 +13,8 @@ import numpy as np
 import scenes
 from colmap_model import write_colmap
 from svrgs_addon.camera import Camera
-from svrgs_addon.formats import write_ply
-from svrgs_addon.images import write_image
+from svrgs_addon.files.images import write_image
+from svrgs_addon.files.ply import write_ply
 from svrgs_addon.native import Rasterizer
 from svrgs_addon.scene import Scene
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from ..camera import Camera
 from ..errors import SceneError
+from ..files.registry import load_scene
 from ..scene import SH_COEFFICIENTS, Scene
-from ..splat_files import load_scene
 from .scenes import facing_camera, orbit_camera, room
 
 COUNTS, SH_DEGREES, SIZES = (100_000, 500_000), (0, 3), ((640, 360), (1280, 720))
@@ -66,11 +66,11 @@ def _given(path: Path, view: Camera | None, quick: bool) -> Iterator[Case]:
 
 def _first_view(options: argparse.Namespace) -> Camera | None:
     if options.cameras:
-        from ..cameras_json import load_cameras_json
+        from ..photographs.cameras_json import load_cameras_json
 
         return load_cameras_json(options.cameras)[0]
     if options.colmap:
-        from ..dataset import load_dataset
+        from ..photographs.dataset import load_dataset
 
         return load_dataset(options.colmap, cameras_only=True).cameras[0]
     return None

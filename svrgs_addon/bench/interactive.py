@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from .. import native
-from ..preview import Preview
+from .preview import Preview
 from .scenes import orbit_camera, room
 from .timing import WARMUPS, seconds
 

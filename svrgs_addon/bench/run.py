@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from .. import native
-from ..atomic import atomic_write, check_writable
+from ..files.atomic import atomic_write, check_writable
 from .accuracy import error
 from .cases import chosen_cases, room_case
 from .interactive import measure_interactive

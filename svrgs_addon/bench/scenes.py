@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..camera import Camera
-from ..finetune.order import morton_order
+from ..geometry.morton_order import morton_order
 from ..scene import SH_COEFFICIENTS, Scene
 
 ROOM = np.array([4.0, 2.5, 4.0])  # half sides, metres

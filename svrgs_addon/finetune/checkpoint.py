@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import write_arrays
-from ..atomic import atomic_write, check_writable
 from ..errors import FormatError, SceneError
-from .closing import Closing
-from .control import Control
+from ..files.atomic import atomic_write, check_writable
+from ..files.npz import write_arrays
 from .densify import Statistics
 from .loop import Curves, Run
+from .recovery_pruning import Closing
+from .strength_controller import Control
 
 SCHEMA = 9
 KEPT = 2  # newest checkpoints kept

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..geometry.rotations import rotation_matrices
 from .model import Model
 from .settings import Densify
 
@@ -65,17 +66,6 @@ def _place_children(rows: dict[str, np.ndarray], clones: int, rule: Densify, rng
     offsets = rng.standard_normal(scales.shape) * scales
     rows["means"][children] += np.einsum("nij,nj->ni", rotation_matrices(rows["quats"][children]), offsets)
     rows["log_scales"][children] -= np.log(rule.split_shrink)
-
-
-def rotation_matrices(quats: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) from quaternions (n, 4) w x y z of any positive length."""
-    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def reset_opacity(model: Model):

@@ -14,17 +14,17 @@ import numpy as np
 
 from .. import memory
 from ..camera import Camera
-from ..dataset import Dataset
 from ..errors import Cancelled, SceneError, SplatError
+from ..geometry.morton_order import morton_order
 from ..native import RenderOptions
+from ..photographs.dataset import Dataset
 from . import densify, masks
-from .closing import Closing
-from .control import control_for
 from .engine import Step, StepResult
 from .methods import method_named
 from .model import Model
-from .order import morton_order
+from .recovery_pruning import Closing
 from .settings import Densify, Phase, Settings
+from .strength_controller import control_for
 from .views import Views, as_real, fitting_reduction
 
 SMOOTHING = 0.05  # of the loss shown

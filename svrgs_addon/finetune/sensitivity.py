@@ -15,9 +15,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..camera import Camera
+from ..geometry.rotations import rotation_matrices
 from ..native import MOMENTS, Rasterizer, RenderOptions
 from ..scene import Scene
-from .densify import rotation_matrices
 from .views import fitting_reduction
 
 REDUCTION = 4  # published: views at a quarter of their size

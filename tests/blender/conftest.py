@@ -37,7 +37,7 @@ def bridge():
 @pytest.fixture
 def ply():
     """Reads and writes PLY files."""
-    return part("svrgs_addon.formats")
+    return part("svrgs_addon.files.ply")
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def shaders():
 
 def quads_picture(shaders, scene, camera, hidden: float = 1.0, reduction: int = 1) -> np.ndarray:
     """(H, W, 4) of all Gaussians, from the top; hidden: depth in [0, 1] of what is in front."""
-    bridge_gpu, native, quads = part("operators.bridge_gpu"), part("svrgs_addon.native"), part("svrgs_addon.quads")
+    bridge_gpu, native, quads = part("operators.bridge_gpu"), part("svrgs_addon.native"), part("svrgs_addon.render.quads")
     cloud = quads.quads(scene, scene.count)
     lists = {
         "order": bridge_gpu.texture(native.depth_order(cloud.means, camera.viewmat[2, :3]), "R32F"),

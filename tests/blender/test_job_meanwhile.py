@@ -119,7 +119,7 @@ def test_a_job_whose_folder_was_deleted_fails_in_a_sentence(splat, watch, what):
 
 
 def test_a_full_disk_stops_no_other_job(splat, watch, monkeypatch):
-    folder = part("svrgs_addon.background.folder")
+    folder = part("svrgs_addon.jobs.job_folder")
     set_up(LONG)
     bpy.ops.svrgs.job_start()
     (job,) = watch.jobs.values()

@@ -21,7 +21,7 @@ def json_lines(text: str) -> list[dict]:
 @pytest.fixture(scope="module")
 def from_a_shell(tmp_path_factory) -> tuple[dict, bytes]:
     out = tmp_path_factory.mktemp("shell") / "pruned.ply"
-    child = part("svrgs_addon.child")
+    child = part("svrgs_addon.blender.subprocess_python")
     words = [f"--{name}={value}" for name, value in SHORT.items()]
     command = [sys.executable, "-m", "svrgs_addon", "prune", DATA / "tiny/scene.ply", "--colmap", DATA / "tiny", *words, "--out", out, "--json", "--quiet"]
     done = subprocess.run([str(word) for word in command], env=child.environment(), capture_output=True, text=True)
@@ -96,7 +96,7 @@ def test_the_command_line_of_blender_is_the_products(capfd):
     run = part("operators.command_line").run
     assert run(["info", str(DATA / "tiny/scene.ply"), "--json"]) == 0
     (facts,) = json_lines(capfd.readouterr().out)
-    assert facts == part("svrgs_addon.splat_files").describe(DATA / "tiny/scene.ply")
+    assert facts == part("svrgs_addon.files.registry").describe(DATA / "tiny/scene.ply")
     assert run(["info", "/nowhere.ply"]) == 2
     assert "there is no such file" in capfd.readouterr().err
 
@@ -110,7 +110,7 @@ def test_threads_are_taken_from_the_preferences(capfd):
 
 
 def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch):
-    child = part("svrgs_addon.child")
+    child = part("svrgs_addon.blender.subprocess_python")
     run = child.run
 
     def identical(words):

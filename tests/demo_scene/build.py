@@ -12,8 +12,8 @@ import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
-from . import materials as mat
-from .shapes import add, bar, cone, cube, rock, sheet, smooth, sphere
+from demo_scene import materials as mat
+from demo_scene.shapes import add, bar, cone, cube, rock, sheet, smooth, sphere
 
 DOME_RADIUS = 60.0
 PAVING = 0.06  # height of the yard's floor

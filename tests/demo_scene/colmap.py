@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .points import Cloud
-from .views import Intrinsics, Pose
+from demo_scene.points import Cloud
+from demo_scene.views import Intrinsics, Pose
 
 PINHOLE = 1
 CAMERA_ID = 1

@@ -83,7 +83,7 @@ def _generate(folder: Path, request: Request) -> None:
     # Imported here so that finding a dataset up to date does not start Blender.
     import bpy  # noqa: F401  bmesh and mathutils can be imported only after it
 
-    from . import build, colmap, points, render, views
+    from demo_scene import build, colmap, points, render, views
 
     camera = views.Intrinsics.for_size(request.width, request.height)
     poses = views.rings(request.views)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
-from .views import Intrinsics, Pose
+from demo_scene.views import Intrinsics, Pose
 
 MIN_TRACK = 2  # views; structure from motion cannot place a point seen by fewer
 

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from .views import Intrinsics, Pose
+from demo_scene.views import Intrinsics, Pose
 
 
 def render_views(scene: bpy.types.Scene, camera: Intrinsics, poses: list[Pose], folder: Path, samples: int) -> np.ndarray:

@@ -8,7 +8,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from . import WRITERS, done, kill_run, kill_writer
+from faults import WRITERS, done, kill_run, kill_writer
 
 
 def main() -> int:
@@ -32,7 +32,7 @@ def main() -> int:
 
 def _run(folder: Path, options: argparse.Namespace):
     import tiny_dataset
-    from svrgs_addon.dataset import load_dataset
+    from svrgs_addon.photographs.dataset import load_dataset
 
     done(lambda: tiny_dataset.write_tiny(folder / "tiny"))  # in a child: it draws
     (folder / "out").mkdir()

@@ -13,7 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from . import NAMES
+from fuzz import NAMES
 
 
 def main() -> int:
@@ -30,8 +30,8 @@ def main() -> int:
 
 
 def _with_mutations(options: argparse.Namespace, folder: Path) -> int:
-    from .mutate import mutated
-    from .seeds import target
+    from fuzz.mutate import mutated
+    from fuzz.seeds import target
 
     check, seeds = target(options.target, folder)
     chance, tried, accepted, slowest = random.Random(options.seed), 0, 0, 0.0
@@ -54,7 +54,7 @@ def _with_atheris(options: argparse.Namespace, folder: Path) -> int:
     import atheris
 
     with atheris.instrument_imports(include=["svrgs_addon"]):
-        from .seeds import target
+        from fuzz.seeds import target
 
     check, seeds = target(options.target, folder)
     corpus = folder / "corpus"

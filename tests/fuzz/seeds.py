@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fuzz.targets import Checkpoint, Colmap, cameras_json, ply
 from svrgs_addon.bench.scenes import room
-from svrgs_addon.formats import write_ply
-
-from .targets import Checkpoint, Colmap, cameras_json, ply
+from svrgs_addon.files.ply import write_ply
 
 
 def target(name: str, folder: Path):

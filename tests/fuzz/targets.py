@@ -18,12 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from svrgs_addon.camera import Camera
-from svrgs_addon.cameras_json import load_cameras_json
-from svrgs_addon.colmap import MODEL_FILES, pinhole_camera, read_model
 from svrgs_addon.errors import SplatError
+from svrgs_addon.files.ply import read_ply, read_ply_parts
+from svrgs_addon.files.repair import clamp_extremes, drop_nonfinite
 from svrgs_addon.finetune import checkpoint
-from svrgs_addon.formats import clamp_extremes, drop_nonfinite, read_ply, read_ply_parts
 from svrgs_addon.native import Rasterizer
+from svrgs_addon.photographs.cameras_json import load_cameras_json
+from svrgs_addon.photographs.colmap import MODEL_FILES, pinhole_camera, read_model
 from svrgs_addon.scene import Scene
 
 SECONDS = 1.0  # of the processor

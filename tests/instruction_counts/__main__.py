@@ -7,7 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from . import RECORD, builder, measure, missing, record, recorded
+from instruction_counts import RECORD, builder, measure, missing, record, recorded
 
 
 def main() -> int:

@@ -5,15 +5,15 @@ from __future__ import annotations
 from copy import copy
 
 from ...errors import SceneError
-from . import compact3dgs, differences, gns, lightgaussian, maskgs, scores, selection, svr, three_dgs
+from . import compact3dgs, gns, lightgaussian, maskgs, pressure, saliency, scores, svr, three_dgs
 from .base import Method
 
 PAPER = "svr-paper"  # what `--method svr --paper` stands for; not a name of its own on the command line
 
 METHODS: dict[str, Method] = {
-    "svr": selection.Selection(),
+    "svr": pressure.Selection(),
     **svr.VARIANTS,
-    "svr-worth": differences.Differences(),
+    "svr-worth": saliency.Differences(),
     **maskgs.VARIANTS,
     "compact3dgs": compact3dgs.Compact3DGS(),
     "gns": gns.GNS(),

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..control import fewest_within
 from ..model import Model
 from ..penalties import OpacityPressure, sigmoid
+from ..saliency import worth
 from ..scores import top
 from ..settings import Densify, Phase, Rates
-from ..worth import worth
+from ..strength_controller import fewest_within
 from .base import Keep, Method
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import masks
-from ..control import fewest_within
 from ..model import MASK, Model
 from ..penalties import sigmoid
 from ..settings import Phase, Rates, Settings
+from ..strength_controller import fewest_within
 from .base import Keep, Method
 
 if TYPE_CHECKING:

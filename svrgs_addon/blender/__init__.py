@@ -1,0 +1,1 @@
+"""Conventions of Blender, without bpy: attribute layout, activation, lens, processes of its Python."""

@@ -1,0 +1,82 @@
+"""From what the user names to a list of scenes: splat files, scene folders, folders of scene folders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import SceneError
+
+SUFFIX = ".ply"
+PRUNED = "_pruned"
+
+
+@dataclass(frozen=True)
+class Item:
+    """One scene to prune."""
+
+    name: str
+    scene: Path
+    colmap: Path | None  # its dataset; None: not found
+    out: Path
+
+
+def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Path | None = None) -> list[Item]:
+    """Every scene under `paths`, in order.
+
+    A folder with a splat is one scene, its dataset the folder itself; a folder without is searched one level down.
+    colmap: the dataset of every scene, instead. out: a folder, or for a single scene a file; default: beside each.
+    report: the folder of the reports, which have the scenes' names too.
+    Raises SceneError if a path does not exist, or is a folder without a scene.
+    """
+    found = [pair for path in paths for pair in _scenes(path, out)]
+    names = [name for name, _ in found]
+    if len(set(names)) < len(names) and (out or report):
+        raise SceneError(f"two scenes are called '{next(n for n in names if names.count(n) > 1)}': prune them into separate folders")
+    alone = len(found) == 1 and not paths[0].is_dir()
+    to_file = out is not None and not out.is_dir() and (out.suffix.lower() == SUFFIX or (alone and out.suffix != ""))
+    if to_file and len(found) > 1:
+        raise SceneError(f"{out}: is the name of a file, but there are {len(found)} scenes; give a folder")
+    return [Item(name, scene, colmap or _dataset(scene), out if to_file else _output(name, scene, out)) for name, scene in found]
+
+
+def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
+    if not path.exists():
+        raise SceneError(f"{path}: there is no such file or folder")
+    if not path.is_dir():
+        return [(path.stem, path)]
+    outputs = out and out.resolve()
+    if path.resolve() == outputs:
+        raise SceneError(f"{path}: is to hold scenes and outputs alike; choose another folder for the outputs")
+    own = _splat_in(path)
+    if own:
+        return [(path.name, own)]
+    below = [(folder.name, splat) for folder in sorted(path.iterdir()) if folder.is_dir() and folder.resolve() != outputs and (splat := _splat_in(folder))]
+    if not below:
+        raise SceneError(f"{path}: holds no splat: neither a {SUFFIX} file nor folders with one")
+    return below
+
+
+def _splat_in(folder: Path) -> Path | None:
+    """The folder's splat: the last of a 3DGS run's point_cloud folder, or else its only .ply that is no output of ours.
+
+    The folder itself where there are several: reading it fails with a sentence, and the other scenes go on.
+    """
+    trained = {p: p.parent.name.removeprefix("iteration_") for p in folder.glob("point_cloud/iteration_*/point_cloud" + SUFFIX)}
+    numbered = [p for p, number in trained.items() if number.isdecimal()]
+    if numbered:  # beside it such a run keeps its sparse points, input.ply
+        return max(numbered, key=lambda p: int(trained[p]))
+    files = [p for p in sorted(folder.glob("*" + SUFFIX)) if not p.stem.endswith(PRUNED) and not p.name.startswith(".")]
+    return folder if len(files) > 1 else files[0] if files else None
+
+
+def _dataset(scene: Path) -> Path | None:
+    """The nearest folder above the splat that looks like a COLMAP dataset."""
+    for folder in list(scene.absolute().parents)[:3]:
+        if (folder / "sparse").is_dir() or any((folder / f"cameras{suffix}").exists() for suffix in (".bin", ".txt")):
+            return folder
+    return None
+
+
+def _output(name: str, scene: Path, folder: Path | None) -> Path:
+    return scene.with_name(f"{scene.stem}{PRUNED}{SUFFIX}") if folder is None else folder / f"{name}{SUFFIX}"

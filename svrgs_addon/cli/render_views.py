@@ -1,0 +1,102 @@
+"""`svrgs render`: one file a view and output, VIEW.OUTPUT.EXT."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from .. import memory
+from ..camera import Camera, view_stem
+from ..errors import SceneError
+from ..files.atomic import atomic_write, check_writable
+from ..files.images import write_image
+from ..files.registry import load_scene
+from ..metrics.evaluate import render_options
+from ..native import Rasterizer
+from ..photographs.dataset import HOLDOUT, load_cameras_json, load_dataset
+from ..report.pictures import mask_to_rgb, to_uint8
+
+OUTPUTS = ("rgb", "mask", "depth", "alpha")
+
+
+def render_views(options: argparse.Namespace) -> list[Path]:
+    """Renders options.outputs of options.views; returns the files written. All masks are 1, F walks each ray to its end."""
+    outputs = _outputs(options.outputs)
+    check_writable(options.out / "view.png")
+    scene = load_scene(options.scene).scene
+    chosen = choose(_cameras(options), options.views)
+    refuse_same_names(chosen)
+    largest = max(chosen, key=lambda camera: camera.width * camera.height)
+    memory.refuse_excess(f"{options.scene}: rendering it", memory.rendering(scene.count, largest.width, largest.height))
+    rasterizer = Rasterizer()
+    settings = render_options(scene, options.background, "svr" if "mask" in outputs else "none")
+    saved = []
+    for camera in chosen:
+        images = rasterizer.forward(scene, camera, settings, outputs=outputs)
+        saved += [_save(options.out, camera, name, images[name], options.format) for name in outputs]
+    return saved
+
+
+def _outputs(text: str) -> tuple[str, ...]:
+    names = tuple(part.strip() for part in text.split(","))
+    unknown = [name for name in names if name not in OUTPUTS]
+    if unknown:
+        raise SceneError(f"output '{unknown[0]}' is unknown; choose from {', '.join(OUTPUTS)}")
+    return names
+
+
+def _cameras(options: argparse.Namespace) -> list[Camera]:
+    if options.cameras:
+        return sorted(load_cameras_json(options.cameras), key=lambda camera: camera.name)
+    return load_dataset(options.colmap, cameras_only=True).cameras
+
+
+def choose(cameras: list[Camera], views: str) -> list[Camera]:
+    """Cameras by 'all', 'test' (every 8th), 'train', or a comma-separated list of image names, stems, or positions."""
+    if not cameras:
+        raise SceneError("there are no cameras to render from")
+    if views in ("all", "test", "train"):
+        chosen = [c for i, c in enumerate(cameras) if views == "all" or (i % HOLDOUT == 0) == (views == "test")]
+        if not chosen:
+            raise SceneError(f"there are no {views} views among the {len(cameras)}")
+        return chosen
+    by_name = {key: camera for camera in cameras for key in (view_stem(camera.name), camera.name)}
+    chosen = []
+    for part in views.split(","):
+        if part in by_name:
+            chosen.append(by_name[part])
+        elif part.isdecimal() and int(part) < len(cameras):
+            chosen.append(cameras[int(part)])
+        else:
+            raise SceneError(f"there is no view '{part}'; views are called like '{cameras[0].name}' or numbered 0 to {len(cameras) - 1}")
+    return chosen
+
+
+def refuse_same_names(cameras: list[Camera]):
+    """Raises SceneError where one view's files would replace another's."""
+    by_stem: dict[str, Camera] = {}
+    for camera in cameras:
+        other = by_stem.setdefault(view_stem(camera.name), camera)
+        if other is not camera:
+            raise SceneError(f"views '{other.name}' and '{camera.name}' would be written to the same files; render them one at a time, into separate folders")
+
+
+def _save(folder: Path, camera: Camera, output: str, image: np.ndarray, extension: str) -> Path:
+    path = folder / f"{view_stem(camera.name)}.{output}.{extension}"
+    if extension == "npy":
+        with atomic_write(path) as file:
+            np.save(file, image)
+    else:
+        write_image(path, image if extension == "exr" else _as_picture(output, image))
+    return path
+
+
+def _as_picture(output: str, image: np.ndarray) -> np.ndarray:
+    """8 bits to look at: F in the mask's colours, depth from black (0) to white (the farthest)."""
+    if output == "mask":
+        return mask_to_rgb(image)
+    if output == "depth":
+        return to_uint8(image / max(float(image.max()), 1e-12))
+    return to_uint8(image)

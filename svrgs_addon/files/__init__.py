@@ -1,0 +1,1 @@
+"""Bytes on disk: splat formats behind one registry, images, atomic writes."""

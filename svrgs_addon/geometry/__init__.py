@@ -1,0 +1,1 @@
+"""Coordinates: affine transforms, rotations of shapes and colours, merged scenes, Morton order."""

@@ -1,0 +1,1 @@
+"""Training and pruning as whole jobs, in this process or in one that Blender starts and watches."""

@@ -1,0 +1,118 @@
+"""What a job writes down while it runs, and the result it leaves: metrics, previews, which Gaussians went when."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..exit_status import plain
+from ..files.atomic import atomic_write
+from ..files.images import write_image
+from ..files.registry import load_scene, read_scene, write_scene
+from ..finetune import loop, masks
+from ..metrics.evaluate import render_options, shown
+from ..native import Rasterizer, RenderOptions
+from ..scene import Scene
+from .job_folder import METRICS, ROW, JobFolder
+from .ranking import Ranking, importance
+
+if TYPE_CHECKING:
+    from .job_main import Worker
+
+PREVIEW_SIDE = 512  # pixels, at most
+METRIC_ROWS = 200  # of a whole run
+
+
+class Watch:
+    """Follows one run: begin() before its first step, observe() after each, finish() with the job's result."""
+
+    def __init__(self, folder: JobFolder, worker: Worker):
+        self.folder, self.worker = folder, worker
+        self.count = folder.request()["count"]
+        self.ranking = Ranking(self.count, folder / "ranking.npz")
+
+    def begin(self, run: loop.Run):
+        self.run = run
+        self.ranking.begin(run, run.model.beside["attributes"][ROW])
+        self._points = len(run.curves.iteration)
+        old = self.folder.metrics()
+        rows = [row for row in zip(*(old[name] for name in METRICS), strict=True) if row[0] <= run.iteration]
+        self._metrics = [",".join(METRICS), *map(_line, rows)]
+        self._write_metrics()
+
+    def observe(self, progress: loop.Progress):
+        run, curves = self.run, self.run.curves
+        self.ranking.observe(run)
+        new_point = len(curves.iteration) > self._points
+        psnr = curves.psnr[-1] if curves.psnr else None
+        count = int(masks.decided(run.model).sum()) if run.model.learns_masks else run.model.count
+        if new_point or progress.iteration % max(1, progress.total // METRIC_ROWS) == 0:
+            self._metrics.append(_line((progress.iteration, count, progress.loss, psnr if new_point else None)))
+            self._write_metrics()
+        if new_point:
+            self._points = len(curves.iteration)
+            self._preview(progress.iteration)
+        self.worker.progress(
+            "finishing" if run.finished else "looping", iteration=progress.iteration, total=progress.total, phase=progress.phase,
+            count=count, loss=round(progress.loss, 6), psnr=psnr, seconds_left=round(progress.seconds_left, 1),
+        )  # fmt: skip
+
+    def finish(self, result: dict) -> dict:
+        """Writes the result's files; returns the JSON result, with the figures of files without the column of rows."""
+        recovered = read_scene(self.folder / "recovered.ply")
+        rows = recovered.attributes[ROW]
+        kept = np.zeros(self.count, bool)
+        kept[rows] = True
+        rank = np.zeros(self.count, np.float32)
+        source = load_scene(self.folder / "scene.ply").scene
+        rank[source.attributes[ROW]] = importance(source, self.run.dataset, Rasterizer(), render_options(source, self.run.settings.background))
+        _save(self.folder / "kept.npy", kept)
+        _save(self.folder / "score.npy", self.ranking.scores(kept, rank))
+        probability = self.ranking.probabilities()
+        if probability is not None:
+            _save(self.folder / "probability.npy", probability)
+        write_scene(self.folder / "pruned.ply", without_rows(recovered))
+        result |= {"out": str(self.folder / "pruned.ply"), "bytes": (self.folder / "pruned.ply").stat().st_size}
+        result["after"] = result["after"] | {"bytes": result["bytes"]}
+        result["before"] = result["before"] | {"bytes": result["before"]["bytes"] - row_bytes(self.count)}
+        result = plain(result)
+        self.folder.write_json("result.json", result)
+        (self.folder / "recovered.ply").unlink()
+        return result
+
+    def _preview(self, iteration: int):
+        run: loop.Run = self.run
+        views = run.dataset.test_indices or run.dataset.train_indices
+        camera = run.dataset.cameras[views[0]]
+        camera = camera.reduced(max(1, -(-max(camera.width, camera.height) // PREVIEW_SIDE)))
+        kept = masks.decided(run.model).astype(np.uint8) if run.model.learns_masks else None
+        options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
+        name = f"previews/{iteration:07d}.png"
+        write_image(self.folder / name, shown(run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]))
+        self.worker.tell("PREVIEW", path=name)
+
+    def _write_metrics(self):
+        with atomic_write(self.folder / "metrics.csv") as file:
+            file.write(("\n".join(self._metrics) + "\n").encode())
+
+
+def without_rows(scene: Scene) -> Scene:
+    attributes = {name: column for name, column in scene.attributes.items() if name != ROW}
+    return replace(scene, attributes=attributes, property_order=tuple(name for name in scene.property_order if name != ROW))
+
+
+def row_bytes(count: int) -> int:
+    """What the column of rows takes in a file."""
+    return 4 * count + len(f"property uint {ROW}\n")
+
+
+def _line(row) -> str:
+    values = [None if value is None or value != value else value for value in row]
+    return ",".join("" if value is None else f"{value:.6g}" if i > 1 else str(int(value)) for i, value in enumerate(values))
+
+
+def _save(path, array: np.ndarray):
+    with atomic_write(path) as file:
+        np.save(file, array)

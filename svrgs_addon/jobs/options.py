@@ -1,0 +1,29 @@
+"""What a job does, apart from its settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..finetune import loop
+
+
+@dataclass(frozen=True)
+class JobOptions:
+    """What a job does beside its settings."""
+
+    out: Path
+    report: Path | None = None
+    resume: bool = False
+    engine: str = "native"
+    lpips: Callable | None = None  # (image, photograph) -> float
+    lpips_missing: str = ""  # why there is none
+    observe: Callable[[loop.Progress], None] = lambda _: None
+    stop: Callable[[], bool] = lambda: False
+    begin: Callable[[loop.Run], None] = lambda _: None  # called with the run, restored if there is a checkpoint, before its first step
+
+    @property
+    def folder(self) -> Path:
+        """Where checkpoints lie while the job is not finished."""
+        return self.out.with_name(self.out.name + ".job")

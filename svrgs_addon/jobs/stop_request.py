@@ -1,0 +1,42 @@
+"""A clean stop on Ctrl-C or SIGTERM."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+from collections.abc import Callable
+
+
+class StopRequest:
+    """Within the block, Ctrl-C and SIGTERM ask for a clean stop; a second Ctrl-C interrupts at once.
+
+    tell is called when the first request arrives, within the signal's handler.
+    """
+
+    def __init__(self, tell: Callable[[], None] | None = None):
+        self.asked = False
+        self._tell = tell or _announce
+
+    def __enter__(self) -> StopRequest:
+        self._old = {s: signal.signal(s, self._ask) for s in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_):
+        for number, handler in self._old.items():
+            signal.signal(number, handler)
+
+    def __call__(self) -> bool:
+        return self.asked
+
+    def _ask(self, number: int, _frame):
+        told, self.asked = self.asked, True
+        if number == signal.SIGINT:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        if not told:
+            self._tell()
+
+
+def _announce():
+    with contextlib.suppress(OSError):
+        os.write(2, b"\nstopping after this step; press Ctrl-C again to stop at once\n")  # not print, which may be what was interrupted

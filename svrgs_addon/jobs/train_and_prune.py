@@ -1,0 +1,234 @@
+"""Whole jobs: train from sparse points, prune a trained scene. Each checks everything it needs before it starts to work."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import time
+from pathlib import Path
+
+import numpy as np
+
+from .. import memory
+from ..errors import SceneError
+from ..files.atomic import check_writable
+from ..files.registry import invisible, load_scene, write_scene
+from ..finetune import checkpoint, loop, masks, scores
+from ..finetune.engine import NativeEngine
+from ..finetune.methods import method_named
+from ..finetune.model import Model, scene_from_points
+from ..finetune.settings import Settings
+from ..metrics.evaluate import evaluate, mean_psnr, refuse_unseen, render_options
+from ..native import Rasterizer, RenderOptions
+from ..photographs.dataset import Dataset
+from ..report.prune_report import report_pictures, write_prune_report
+from ..scene import Scene
+from .options import JobOptions
+
+CURVE_VIEWS = 4  # test views behind the PSNR curve
+CHECKPOINT_SECONDS = 120.0
+CANNOT_REACH = "method '{}' without iterations in which it prunes cannot reach a target"
+
+
+def train(dataset: Dataset, settings: Settings, options: JobOptions, sh_degree: int = 3) -> dict:
+    """3DGS (with masks, where the method learns them) from the dataset's sparse points; returns the JSON result."""
+    check_outputs(options)
+    check_request(dataset, settings)
+    if (settings.target or settings.share) and not settings.prunes:
+        raise SceneError(CANNOT_REACH.format(settings.method))
+    clock = Clock()
+    refuse_excess("training", len(dataset.points), (sh_degree + 1) ** 2, dataset)
+    with clock.phase("initialise"):
+        model = Model.of(scene_from_points(dataset.points, dataset.point_colors, sh_degree), copy=False)
+    run, scene = fine_tune(model, dataset, settings, options, clock)
+    with clock.phase("evaluate"):
+        after = measured(scene, dataset, options)
+    return {**after, **run_facts(run, options, clock)}
+
+
+def prune(scene_path: Path, dataset: Dataset, settings: Settings, options: JobOptions) -> dict:
+    """Prunes and recovers a trained scene; writes it, and the report if asked; returns the JSON result."""
+    check_outputs(options)
+    if options.out.resolve() == scene_path.resolve():
+        raise SceneError(f"{options.out}: is the input itself; choose another output, the original is never overwritten")
+    check_request(dataset, settings)
+    clock = Clock()
+    with clock.phase("read"):
+        source = load_scene(scene_path).scene
+        refuse_unseen(source, dataset.cameras, str(scene_path))
+        refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset)
+    with clock.phase("evaluate before"):
+        before = measured(source, dataset, options, scene_path)
+        pictures = report_pictures(source, dataset) if options.report else []
+    with clock.phase("first cut"):
+        model = Model.of(first_cut(source, dataset, settings), copy=False)
+        cut = source.count - model.count
+    del source  # its memory is the optimiser's from here on
+    run, scene = fine_tune(model, dataset, settings, options, clock)
+    with clock.phase("evaluate after"):
+        after = measured(scene, dataset, options)
+    result = {**after, "scene": str(scene_path), "before": before, "after": after, "first_cut": cut}
+    result |= run_facts(run, options, clock)
+    if options.report:
+        write_prune_report(options.report, scene_path.stem, pictures, scene, dataset, run, result, options.lpips_missing)
+    return result
+
+
+class Clock:
+    """Seconds by phase, in the order they were spent."""
+
+    def __init__(self):
+        self.started = time.perf_counter()
+        self.earlier = 0.0  # spent before the job was resumed
+        self.phases: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def phase(self, name: str):
+        begun = time.perf_counter()
+        yield
+        self.phases[name] = time.perf_counter() - begun
+
+    @property
+    def total(self) -> float:
+        return self.earlier + time.perf_counter() - self.started
+
+
+def check_outputs(options: JobOptions):
+    """Finds out before the work whether its results can be written. Raises SceneError."""
+    if options.out.suffix.lower() != ".ply":
+        raise SceneError(f"{options.out}: scenes are written as .ply")
+    check_writable(options.out)
+    check_writable(options.folder / "manifest.json")
+    if options.report:
+        check_writable(options.report / "index.html")
+
+
+def check_request(dataset: Dataset, settings: Settings):
+    """Finds out before the work whether dataset and settings allow it. Raises SceneError."""
+    if not dataset.train_indices:
+        raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
+    ranks, asked = method_named(settings.method).ranks, settings.target or settings.share
+    if settings.max_drop and not (method_named(settings.method).holds_drop and settings.prunes):
+        raise SceneError(f"method '{settings.method}' cannot take --max-drop: that needs a method that learns what to prune, and iterations in which it does")
+    if ranks and not asked:
+        raise SceneError(f"method '{settings.method}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
+    if asked and not ranks and not settings.prunes:
+        raise SceneError(CANNOT_REACH.format(settings.method))
+
+
+def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
+    """Raises SceneError where memory would not hold the fine-tuning of so many Gaussians."""
+    memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget))
+
+
+def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
+    """Drops what no view misses: opacity < 1/255, which is exact, and alpha T below settings.min_contribution in every
+    training view, as far as a target count allows. Methods that rank drop all but the target count.
+
+    Both are selected at once, when nothing else is held: copies would be the job's peak of memory.
+    """
+    method, faint = method_named(settings.method), invisible(scene)
+    views = [dataset.cameras[i] for i in dataset.train_indices]
+    keep = ~faint
+    if settings.min_contribution:
+        _, peaks, _ = scores.contribution(scene, views, Rasterizer(), render_options(scene, settings.background))
+        keep &= (peaks >= settings.min_contribution) | scores.top(np.where(faint, -1, peaks), settings.target)
+        masks.refuse_emptying(keep, scene.count - int(faint.sum()), settings.target)
+    scene = scene if keep.all() else scene.select(keep)
+    if not method.ranks:
+        return scene
+    keep = scores.top(method.score(scene, views, Rasterizer(), render_options(scene, settings.background)), settings.target)
+    masks.refuse_emptying(keep, scene.count, settings.target)
+    return scene.select(keep)
+
+
+def make_engine(name: str):
+    if name == "native":
+        return NativeEngine()
+    from ..finetune.torch_engine import TorchEngine
+
+    return TorchEngine()
+
+
+def fine_tune(model: Model, dataset: Dataset, settings: Settings, options: JobOptions, clock: Clock) -> tuple[loop.Run, Scene]:
+    """Runs all phases with checkpoints, writes options.out, and forgets the checkpoints; each phase's seconds go to the clock. The model
+    ends as the scene that is returned."""
+    run = loop.Run(model, dataset, settings, make_engine(options.engine), model.beside["antialiased"])
+    identity = run_identity(model, dataset, settings, options.engine)
+    if options.resume:
+        checkpoint.restore(run, options.folder, identity)
+        clock.earlier = sum(run.seconds.values())
+    else:
+        checkpoint.forget(options.folder)
+    options.begin(run)
+    saved = time.monotonic()
+
+    def observe(progress: loop.Progress):
+        nonlocal saved
+        options.observe(progress)
+        if time.monotonic() - saved > CHECKPOINT_SECONDS:
+            checkpoint.save(run, options.folder, identity)
+            saved = time.monotonic()
+
+    loop.run_to_end(run, observe, options.stop, lambda: checkpoint.save(run, options.folder, identity), lambda: curve_psnr(run))
+    clock.phases |= run.seconds
+    run.drop = run.closing.drop(run) if run.closing else None
+    run.engine = make_engine(options.engine)  # one without the buffers of the steps, before others need memory
+    scene = model.into_scene()
+    with clock.phase("write"):
+        write_scene(options.out, scene)
+    checkpoint.forget(options.folder)
+    return run, scene
+
+
+def run_identity(start: Model, dataset: Dataset, settings: Settings, engine: str) -> str:
+    """Digest of everything a resumed run must share with the one it continues."""
+    digest = hashlib.sha256(repr((settings, engine, dataset.train_indices, start.beside["antialiased"])).encode())
+    for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
+        digest.update(array)
+    for camera in dataset.cameras:
+        digest.update(repr((camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())).encode())
+    for photo in dataset.photos:
+        digest.update(repr(photo.path.stat().st_size).encode())
+    return digest.hexdigest()
+
+
+def curve_psnr(run: loop.Run) -> float | None:
+    """PSNR over a few test views of what would be left if pruning ended now."""
+    dataset, model = run.dataset, run.model
+    views = dataset.test_indices[:: max(1, len(dataset.test_indices) // CURVE_VIEWS)][:CURVE_VIEWS]
+    if not views:
+        return None
+    kept = run.method.existing(model) if model.learns_masks else None
+    options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
+    return mean_psnr(model, dataset, views, run.engine.rasterizer, options, None if kept is None else kept.astype(np.uint8))
+
+
+def measured(scene: Scene, dataset: Dataset, options: JobOptions, path: Path | None = None) -> dict:
+    """The keys of `svrgs eval` for a scene that lies in `path` (default: the output)."""
+    views = dataset.test_indices or dataset.train_indices
+    return {**evaluate(scene, dataset, views, Rasterizer(), options.lpips), "bytes": (path or options.out).stat().st_size}
+
+
+def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
+    """What the JSON result says of a run beside the scene's quality."""
+    settings, tuned = run.settings, sum(run.seconds.values())
+    return {
+        "out": str(options.out),
+        "method": settings.method,
+        "lambda_f": settings.lambda_f if run.method.weighs(settings) else None,
+        "lambda_m": settings.lambda_m or None,
+        "target": run.target or None,
+        "reached": run.control.reached if run.control else None,
+        "drop": run.drop,
+        "strength": run.strength,
+        "seconds": clock.total,
+        "seconds_by_phase": clock.phases,
+        "iterations": run.iteration,
+        "iterations_per_second": run.iteration / tuned if tuned else None,
+        "peak_memory_bytes": memory.peak(),
+        "nonfinite_gradients": run.nonfinite,
+        "densifications_held_back": run.held_back,
+        "seed": settings.seed,
+        "curves": vars(run.curves),
+    }

@@ -1,0 +1,69 @@
+"""One pruning job in a process of its own: a crash or an exhausted memory ends that job, not the batch.
+
+Parent: run_in_child(). Child: `python -m svrgs_addon.jobs.worker`, the command's options as one JSON object on stdin, the
+result, or {"error": sentence}, as one on stdout; progress and warnings on stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from ..exit_status import STOPPED, guarded
+from .stop_request import StopRequest
+
+PATHS = ("scene", "colmap", "out", "report", "lpips_weights")
+
+
+def run_in_child(options: dict) -> tuple[int, dict]:
+    """Runs one job; options: those of `svrgs prune` plus scene, colmap, out, report. Returns (exit status, result).
+
+    The status is STOPPED where a stop was asked for, even if the job was so near its end that its result is whole.
+    """
+    above = str(Path(__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (above, os.environ.get("PYTHONPATH"))))}
+    request = json.dumps({name: str(value) if isinstance(value, Path) else value for name, value in options.items()})
+    command = [sys.executable, "-m", "svrgs_addon.jobs.worker"]
+    with subprocess.Popen(command, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as child:
+        with StopRequest(lambda: _stop(child)) as stop:
+            try:
+                output, _ = child.communicate(request)
+            except BaseException:  # a second Ctrl-C
+                child.kill()
+                raise
+    status = STOPPED if stop.asked else child.returncode
+    try:
+        return status, json.loads(output.splitlines()[-1])
+    except (IndexError, ValueError):
+        return status or 1, {"error": f"the job ended without a result (exit status {child.returncode})"}
+
+
+def _stop(child: subprocess.Popen):
+    """Asks for a clean stop. A terminal's Ctrl-C reaches the child too, which does no harm; on Windows it is the only way."""
+    if os.name == "posix":
+        child.terminate()
+
+
+def main() -> int:
+    from ..cli.commands import prune_one
+    from ..exit_status import plain
+
+    request = json.load(sys.stdin)
+    options = argparse.Namespace(**{name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()})
+    result: dict = {}
+
+    def job() -> int:
+        result.update(prune_one(options))
+        return 0
+
+    status = guarded(job, lambda sentence: result.update(error=sentence))
+    print(json.dumps(plain(result)), flush=True)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Posed photographs: COLMAP models, datasets, camera lists."""

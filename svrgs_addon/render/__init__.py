@@ -1,0 +1,1 @@
+"""Complete pictures: compositing with meshes, passes, live views, quads, colour maps."""

@@ -1,0 +1,1 @@
+"""The HTML report: page, charts, pictures, and what a job or a comparison puts into it."""

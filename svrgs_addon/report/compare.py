@@ -1,0 +1,53 @@
+"""`svrgs compare`: two scenes from the same cameras, as pictures and as an HTML page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from .. import __version__
+from ..camera import view_stem
+from ..files.atomic import check_writable
+from ..files.images import write_image
+from ..files.registry import load_scene
+from ..metrics import load_lpips
+from ..metrics.evaluate import evaluate, refuse_unseen
+from ..native import Rasterizer
+from ..photographs.dataset import Dataset
+from .page import MASK_PERCENTILE, Report, View, write_report
+from .pictures import difference_image, mask_to_rgb, to_uint8
+from .prune_report import report_pictures, report_views
+
+
+def compare(a: Path, b: Path, dataset: Dataset, out: Path, lpips_weights: Path | None = None) -> dict:
+    """Writes, for a few test views, A | B | difference | mask of A | mask of B as one PNG each, and index.html.
+
+    Returns {'a', 'b': keys of eval, 'report': page, 'pictures': files}.
+    """
+    check_writable(out / "index.html")
+    lpips, missing = load_lpips(lpips_weights)
+    scenes, figures = [], []
+    for path in (a, b):
+        scene = load_scene(path).scene
+        refuse_unseen(scene, dataset.cameras, str(path))
+        scenes.append(scene)
+        views = dataset.test_indices or dataset.train_indices
+        figures.append({**evaluate(scene, dataset, views, Rasterizer(), lpips), "bytes": path.stat().st_size})
+    pictures = list(report_views(*(report_pictures(scene, dataset) for scene in scenes), dataset))
+    files = [_save(out, view) for view in pictures]
+    page = Report(
+        scene=f"{a.name} and {b.name}", before=figures[0], after=figures[1], names=(a.name, b.name),
+        lpips_missing=missing, views=tuple(pictures), versions={"SVR-GS": __version__},
+    )  # fmt: skip
+    path = write_report(out, page)
+    return {"a": figures[0], "b": figures[1], "report": str(path), "pictures": [str(file) for file in files]}
+
+
+def _save(out: Path, view: View) -> Path:
+    top = max(float(np.percentile(view.mask_before, MASK_PERCENTILE)), 1e-6)
+    parts = [to_uint8(view.before), to_uint8(view.after), difference_image(view.before, view.after)]
+    parts += [mask_to_rgb(mask, top) for mask in (view.mask_before, view.mask_after)]
+    path = out / f"{view_stem(view.name)}.png"
+    write_image(path, np.concatenate(parts, axis=1))
+    return path

@@ -1,0 +1,80 @@
+"""What the report says of a pruning job: its figures, curves, and pictures of a few views."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from .. import __version__
+from ..files.images import to_float
+from ..finetune.loop import Run
+from ..metrics import psnr
+from ..metrics.evaluate import render_options, shown
+from ..native import Rasterizer
+from ..photographs.dataset import Dataset
+from ..scene import Scene
+from .line_chart import Series
+from .page import Phase, Report, View, write_report
+
+REPORT_VIEWS = 3
+
+
+def write_prune_report(folder: Path, name: str, before: list, after: Scene, dataset: Dataset, run: Run, result: dict, lpips_missing: str):
+    """Writes folder/index.html of a pruning job. before: report_pictures() of the source scene; result: the JSON result. Raises SceneError."""
+    page = Report(
+        scene=name,
+        before=result["before"],
+        after=result["after"],
+        method=result["method"],
+        lambda_f=result["lambda_f"],
+        lpips_missing=lpips_missing,
+        phases=_phases(run, result["seconds_by_phase"]),
+        seconds=result["seconds"],
+        iterations_per_second=result["iterations_per_second"],
+        peak_memory_bytes=result["peak_memory_bytes"],
+        seed=result["seed"],
+        versions={"SVR-GS": __version__, "Python": platform.python_version(), "NumPy": np.__version__, "SIMD": Rasterizer().level},
+        curves=_series(run),
+        views=tuple(report_views(before, report_pictures(after, dataset), dataset)),
+    )
+    write_report(folder, page)
+
+
+def _phases(run: Run, seconds_by_phase: dict[str, float]) -> tuple[Phase, ...]:
+    starts, start = {}, 0
+    for phase in run.settings.phases:
+        starts[phase.name] = start
+        start += phase.steps
+    return tuple(Phase(name, seconds, starts.get(name)) for name, seconds in seconds_by_phase.items())
+
+
+def _series(run: Run) -> tuple[Series, ...]:
+    curves = run.curves
+    if not curves.iteration:
+        return ()
+    count = Series("Gaussians", curves.iteration, curves.count, from_zero=True)
+    psnrs = [Series("PSNR", curves.iteration, curves.psnr, "dB")] if any(value is not None for value in curves.psnr) else []
+    return (count, *psnrs, Series("Loss", curves.iteration, curves.loss))
+
+
+def report_indices(dataset: Dataset, count: int = REPORT_VIEWS) -> list[int]:
+    """A few test views, spread over the dataset."""
+    views = dataset.test_indices or dataset.train_indices
+    return views[:: max(1, len(views) // count)][:count]
+
+
+def report_pictures(scene: Scene, dataset: Dataset) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Colours (H, W, 3) as shown and spatial mask (H, W) of each view of the report."""
+    rasterizer, options = Rasterizer(), render_options(scene, dataset.background, "svr")
+    renders = [rasterizer.forward(scene, dataset.cameras[i], options, outputs=("rgb", "mask")) for i in report_indices(dataset)]
+    return [(shown(images["rgb"]), images["mask"]) for images in renders]
+
+
+def report_views(before: list, after: list, dataset: Dataset) -> Iterator[View]:
+    """The report's views, from report_pictures() of both scenes."""
+    for i, (rgb_before, mask_before), (rgb_after, mask_after) in zip(report_indices(dataset), before, after, strict=True):
+        photo = to_float(dataset.image(i))
+        yield View(dataset.cameras[i].name, rgb_before, rgb_after, photo, mask_before, mask_after, psnr(rgb_before, photo), psnr(rgb_after, photo))

@@ -1,0 +1,128 @@
+"""`--method svr`: lambda_F says how many stay, pressure on opacities which, and in the recovery some are absent."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import scenes
+from pictures import photographed
+from svrgs_addon.errors import SceneError
+from svrgs_addon.finetune import masks
+from svrgs_addon.finetune.engine import NativeEngine
+from svrgs_addon.finetune.loop import Run
+from svrgs_addon.finetune.methods import METHODS, pressure
+from svrgs_addon.finetune.methods.pressure import LARGEST, SHARES, pressure_shares
+from svrgs_addon.finetune.model import Model
+from svrgs_addon.finetune.penalties import OpacityPressure
+from svrgs_addon.finetune.plan import prune_settings, train_settings
+from svrgs_addon.finetune.saliency import worth
+from svrgs_addon.finetune.settings import MOST_ABSENT
+
+COUNT = 60
+
+
+def run_of(settings) -> Run:
+    scene = scenes.random_scene(COUNT, 2, 1, scale=0.25)
+    return Run(Model.of(scene), photographed(scene), settings, NativeEngine())
+
+
+def to_the_end(run: Run) -> Run:
+    while not run.finished:
+        run.advance()
+    run.close()
+    return run
+
+
+def test_as_many_stay_as_are_worth_more_than_lambda():
+    look = run_of(prune_settings("svr", 40, 0))
+    value = np.sort(worth(look.model, look.training_cameras, look.engine.rasterizer, look.score_options))
+    limit = float(value[COUNT - 23 : COUNT - 21].mean())  # between the 22nd and the 23rd
+    assert to_the_end(run_of(prune_settings("svr", 40, 5, lambda_f=limit))).model.count == 22
+
+
+def test_a_lambda_that_nothing_is_worth_is_refused_at_once():
+    run = run_of(prune_settings("svr", 40, 0, lambda_f=1e12))
+    with pytest.raises(SceneError, match="use a smaller lambda-f"):
+        run.advance()
+    run.close()
+    assert run.iteration == 0
+
+
+def test_what_would_be_missed_least_is_pressed_hardest():
+    cost = np.array([4.0, 1.0, 0.25, 1e-9, 0.0])
+    shares = pressure_shares(cost, 2)
+    assert shares.mean() == pytest.approx(1) and (np.diff(shares[:4]) > 0).all() and shares[4] == shares[3]
+    np.testing.assert_allclose(shares / shares[1], [0.5, 1, 2, LARGEST, LARGEST])
+
+
+def test_from_few_photographs_all_are_pressed_alike(monkeypatch):
+    run, settings = run_of(replace(prune_settings("svr", 160, 0), target=20)), prune_settings("svr", 160, 0)
+    views = len(run.training_cameras)
+    assert views < pressure.FEW and run.method.shares(run, settings.phases[0], 1) is None
+    monkeypatch.setattr(pressure, "FEW", views)
+    assert len(np.unique(run.method.shares(run, settings.phases[0], 1))) > COUNT // 2
+
+
+def test_shares_follow_their_gaussians(monkeypatch):
+    monkeypatch.setattr(pressure, "FEW", 0)
+    run = run_of(replace(prune_settings("svr", 160, 0), target=20))
+    for _ in range(21):  # a look at the costs every 16 pushes, a push a step
+        run.advance()
+    before = dict(zip(run.model.origin, run.model.values[SHARES], strict=True))
+    run.model.keep(np.arange(run.model.count) % 2 == 0)
+    run.model.reorder(np.arange(run.model.count)[::-1])
+    run.close()
+    assert len(set(before.values())) > COUNT // 2
+    assert all(before[origin] == share for origin, share in zip(run.model.origin, run.model.values[SHARES], strict=True))
+
+
+@pytest.mark.parametrize("by_faintness", [False, True])
+def test_gradient_of_an_uneven_pressure(by_faintness):
+    rng = np.random.default_rng(0)
+    logits, shares, h = rng.normal(0, 2, 12), rng.uniform(0.3, 3, 12), 1e-6
+    pressure = OpacityPressure(0.7, by_faintness, shares)
+    slopes = [(pressure.value(logits + h * e, np) - pressure.value(logits - h * e, np)) / (2 * h) for e in np.eye(12)]
+    np.testing.assert_allclose(pressure.grad(logits), slopes, rtol=1e-6)
+
+
+def test_some_are_absent_from_most_of_the_recovery_and_none_at_its_end():
+    for settings in (prune_settings("svr", 10, 50), train_settings("svr", 30, 50)):
+        recovery = settings.phases[-1]
+        assert [recovery.left_out(number, 60) for number in (1, 40, 41, 50)] == [0.1, 0.1, 0, 0]
+        assert not any(phase.absent for phase in settings.phases[:-1])
+    absent = [1 - masks.some_absent(10_000, 0.1, 3, step).mean() for step in range(20)]
+    assert np.mean(absent) == pytest.approx(0.1, abs=0.002) and len(set(absent)) > 10
+
+
+def test_the_fewer_views_the_more_are_absent():
+    recovery = prune_settings("svr", 10, 50).phases[-1]
+    shares = [recovery.left_out(1, views) for views in (1, 20, 30, 60, 600)]
+    assert shares == [MOST_ABSENT, MOST_ABSENT, 0.2, 0.1, 0.01]
+    assert prune_settings("maskgs", 10, 50).phases[-1].left_out(1, 20) == 0
+
+
+def test_who_is_absent_does_not_change_in_that_step():
+    run = run_of(prune_settings("3dgs", 0, 5))
+    run.settings = replace(run.settings, phases=(replace(run.settings.phases[0], absent=1e9),))
+    here = masks.some_absent(COUNT, MOST_ABSENT, run.settings.seed, 0)
+    run._into_order()
+    before = {name: value.copy() for name, value in run.model.values.items()}
+    run.advance()
+    run.close()
+    for name, value in run.model.values.items():
+        changed = (value != before[name]).reshape(COUNT, -1).any(axis=1)
+        assert not changed[here == 0].any() and (name != "opacity_logits" or changed[here == 1].any())
+
+
+def test_a_loss_in_db_is_held_by_worth():
+    assert prune_settings("svr", 10, 5, max_drop=0.5).method == "svr-worth"
+    assert prune_settings("maskgs", 10, 5, max_drop=0.5).method == "maskgs"
+
+
+def test_pushes_keep_their_distance_in_a_short_phase():
+    def spacing(method: str, steps: int) -> int:
+        return METHODS[method].push_every(prune_settings(method, steps, 0).phases[0])
+
+    assert [spacing("svr", steps) for steps in (8000, 800, 80)] == [50, 5, 4]
+    assert [spacing("gns", steps) for steps in (8000, 800, 80)] == [50, 8, 8]
