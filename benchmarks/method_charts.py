@@ -17,8 +17,8 @@ def pareto_chart(curves: dict[str, list[tuple[int, float]]], before: tuple[int, 
     """curves: points (Gaussians, dB) of each method, by rising count; before: those of the scene that was pruned. `svr` is black."""
     figure, axes = plt.subplots(figsize=(8.5, 5))
     for k, (method, points) in enumerate(sorted(curves.items())):
-        ours = method.startswith("svr")
-        style = {"linewidth": 2 if ours else 1, "markersize": 4, "color": "black" if method == "svr" else plt.cm.tab20(k % 20)}
+        ours = method.startswith(("svr", "pressure", "saliency"))
+        style = {"linewidth": 2 if ours else 1, "markersize": 4, "color": "black" if method == "pressure" else plt.cm.tab20(k % 20)}
         axes.plot(*zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", label=method, **style)
     axes.plot(*before, "k+", markersize=10, label="before")
     axes.set_xscale("log")

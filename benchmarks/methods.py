@@ -43,12 +43,12 @@ TABLE = {
     "Scenario B": ["--method", "svr-b"],
     "SVR-GS, self term": ["--method", "svr-self"],
     "SVR-GS, even": ["--method", "svr-even"],
-    "svr": ["--method", "svr"],
+    "pressure": ["--method", "pressure"],
 }
 LAMBDAS = ("1e-4", "1.25e-4", "1.6e-4", "2e-4")
 TARGETS = ("0.5", "0.25", "0.17", "0.08")
 RIVALS = ("opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns")
-OURS = ("svr-mask", "svr-self", "svr-even", "svr-worth", "svr")
+OURS = ("svr", "svr-self", "svr-even", "saliency", "pressure")
 
 
 def pareto() -> dict[str, list[str]]:
@@ -57,23 +57,23 @@ def pareto() -> dict[str, list[str]]:
     return runs | {f"{method} {target}": ["--method", method, "--target", target] for target in TARGETS for method in RIVALS + OURS}
 
 
-SELECTION = "from svrgs_addon.finetune.methods import gns, selection; "
+PRESSURE = "from svrgs_addon.finetune.methods import pressure; "
 ABLATION = {  # what is changed in the program before it runs
-    "svr": "",
-    "pressure alike for all": SELECTION + "selection.POWER = 0",
-    "nobody absent in recovery": SELECTION + "selection.ABSENT = 0",
-    "neither": SELECTION + "selection.POWER = selection.ABSENT = 0",
-    "no opacity left after 7/8, as gns": "from svrgs_addon.finetune.methods import METHODS; METHODS['svr'].goal_zero = 7 / 8",
-    "by the fourth root, within 3": SELECTION + "selection.POWER, selection.LARGEST = 0.25, 3.0",
-    "by the cost itself, within 1000": SELECTION + "selection.POWER, selection.LARGEST = 1.0, 1000.0",
-    "three times as many absent": SELECTION + "selection.ABSENT = 18",
-    "by the cost from few photographs too": SELECTION + "selection.FEW = 0",
+    "pressure": "",
+    "pressure alike for all": PRESSURE + "pressure.POWER = 0",
+    "no dropout in recovery": PRESSURE + "pressure.DROPOUT = 0",
+    "neither": PRESSURE + "pressure.POWER = pressure.DROPOUT = 0",
+    "no opacity left after 7/8, as gns": "from svrgs_addon.finetune.methods import METHODS; METHODS['pressure'].goal_zero = 7 / 8",
+    "by the fourth root, within 3": PRESSURE + "pressure.POWER, pressure.LARGEST = 0.25, 3.0",
+    "by the removal error itself, within 1000": PRESSURE + "pressure.POWER, pressure.LARGEST = 1.0, 1000.0",
+    "three times the dropout": PRESSURE + "pressure.DROPOUT = 18",
+    "by the removal error from few photographs too": PRESSURE + "pressure.FEW = 0",
 }
 STUDIES = {
     "table": TABLE,
     "lambda": {f"lambda_F {value}": ["--method", "svr", "--paper", "--lambda-f", value] for value in LAMBDAS},
     "pareto": pareto(),
-    "ablation": {f"{label} {target}": ["--method", "svr", "--target", target] for target in ("0.17", "0.08") for label in ABLATION},
+    "ablation": {f"{label} {target}": ["--method", "pressure", "--target", target] for target in ("0.17", "0.08") for label in ABLATION},
 }
 
 

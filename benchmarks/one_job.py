@@ -59,14 +59,14 @@ def stages(profile: cProfile.Profile) -> dict[str, float]:
 
 
 def settings_of(request: dict):
-    from svrgs_addon.finetune.plan import prune_settings, train_settings
+    from plans import prune_settings, train_settings
     from svrgs_addon.finetune.settings import Densify
 
     iterations, recovery, seed = request["iterations"], request["recovery"], request["seed"]
     if request["kind"] == "train":
         settings = train_settings("3dgs", iterations, recovery, seed=seed, densify=Densify(until=int(0.6 * iterations)))
     else:
-        settings = prune_settings("svr-mask", iterations, recovery, seed=seed, min_contribution=0.02)
+        settings = prune_settings("svr", iterations, recovery, seed=seed, min_contribution=0.02)
     first, *rest = settings.phases
     return replace(settings, phases=(replace(first, **request["phase"]), *rest), **request["run"])
 
@@ -80,7 +80,7 @@ def run_job(request: dict) -> dict:
     native = time_native_calls()
     dataset = load_dataset(Path(request["colmap"]), need_points=request["kind"] == "train")
     base, counts = memory.peak(), [0]
-    options = train_and_prune.JobOptions(Path(request["out"]), observe=lambda progress: counts.append(progress.count))
+    options = train_and_prune.JobContext(Path(request["out"]), observe=lambda progress: counts.append(progress.count))
     profile = cProfile.Profile()
     if request["profile"]:
         profile.enable()

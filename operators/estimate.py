@@ -66,11 +66,12 @@ class SVRGS_OT_estimate(JobOperator):
 
     def work(self, context) -> str:
         obj = context.object
-        options = {"lambda_f": None, "target_count": 0, "max_drop": 0.0, "min_contribution": 0.0, **options_of(context, obj)}
-        aside = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
-        write_scene(Path(aside.name) / "scene.ply", bridge.scene_from_object(obj))
+        temp_dir = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
+        write_scene(Path(temp_dir.name) / "scene.ply", bridge.scene_from_object(obj))
         _found[obj.session_uid], _asked[obj.session_uid] = {"busy": True}, _question(obj)
-        thread = threading.Thread(target=_work, args=(obj.session_uid, {**options, "scene": str(Path(aside.name) / "scene.ply")}, aside))
+        thread = threading.Thread(
+            target=_work, args=(obj.session_uid, {"scene": str(Path(temp_dir.name) / "scene.ply"), "options": options_of(context, obj)}, temp_dir)
+        )
         _threads.append(thread)
         thread.start()
         if not bpy.app.background:
@@ -84,8 +85,8 @@ class SVRGS_OT_estimate(JobOperator):
         return "; ".join(sentences(obj))
 
 
-def _work(key: int, request: dict, aside: tempfile.TemporaryDirectory):
-    with aside:
+def _work(key: int, request: dict, temp_dir: tempfile.TemporaryDirectory):
+    with temp_dir:
         status, result = subprocess_python.run([], MODULE, request)
     _found[key] = result if "kept" in result else {"error": result.get("error", f"the estimate ended with status {status}")}
 

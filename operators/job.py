@@ -38,9 +38,10 @@ def options_of(context, obj: bpy.types.Object) -> dict:
         "colmap": colmap, "images": images, "method": s.method, "iterations": s.iterations, "recovery": s.recovery, "seed": s.seed,
         "threads": threads(context), "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
-    if uses_lambda(s.method):
+    method = METHODS[s.method]
+    if method.lambda_f:
         options["lambda_f"] = s.lambda_f
-    if METHODS[s.method].first_cut:
+    if method.first_cut:
         options["min_contribution"] = s.min_contribution
     targets = {"SHARE": s.share / 100 * total, "COUNT": s.count, "SIZE": s.size * 1e6 / bytes_each(obj)}
     if s.goal in targets:
@@ -61,17 +62,12 @@ def file_size(obj: bpy.types.Object, count: int) -> str:
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
 
 
-def uses_lambda(method: str) -> bool:
-    """Whether the method has a spatial mask to weigh."""
-    return METHODS[method].lambda_f > 0
-
-
 def mismatch(settings) -> str:
     """Why the chosen method cannot reach the chosen goal; empty where it can."""
     method, learns = METHODS[settings.method], settings.iterations > 0
     if settings.goal == "LAMBDA" and method.ranks and not method.share:
         return f"'{settings.method}' only ranks the Gaussians: choose a percentage, a count or a size as goal"
-    if settings.goal == "DROP" and not (method.holds_drop and learns):
+    if settings.goal == "DROP" and not (method.supports_max_drop and learns):
         return f"'{settings.method}' cannot hold a loss: choose another goal or method" if learns else "To hold a loss it takes iterations"
     return ""
 
@@ -198,7 +194,7 @@ class SVRGS_OT_job_resume(CurrentJobOperator):
         obj, job = current(context)
         job.start()
         follow()
-        return f"Pruning '{obj.name}' goes on"
+        return f"Pruning '{obj.name}' goes on{job.renamed and '. ' + job.renamed}"
 
 
 class SVRGS_OT_job_discard(CurrentJobOperator):

@@ -7,15 +7,14 @@ import tempfile
 from pathlib import Path
 
 import bpy
-from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import StringProperty
 
 from ..svrgs_addon.blender import subprocess_python
-from ..svrgs_addon.cli.arguments import PRUNE_ITERATIONS, RECOVERY
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import read_scene, write_scene
 from . import bridge, edit_guard, job_result
+from .option_properties import method_property, option_property
 from .preferences import threads
-from .prune_settings import PRUNING
 from .select import select
 
 
@@ -26,22 +25,18 @@ class SVRGS_OT_prune(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     scene: StringProperty(name="Scene", subtype="FILE_PATH", description="Splat file to prune. Empty: the active splat")
-    colmap: StringProperty(
-        name="Dataset",
-        subtype="DIR_PATH",
-        description="COLMAP dataset of the photographs the splat was trained on. Empty: that of the cameras imported beside it",
-    )
-    images: StringProperty(name="Images", description="Name of the image folder in the dataset. Empty: images")
+    colmap: option_property("colmap", name="Dataset", description="COLMAP dataset of the photographs. Empty: that of the cameras imported with the splat")
+    images: option_property("images")
     out: StringProperty(name="Output", subtype="FILE_PATH", description="File for the pruned splat. Empty: it comes into the scene alone")
     report_folder: StringProperty(name="Report", subtype="DIR_PATH", description="Folder for an HTML report. Empty: none")
-    method: EnumProperty(name="Method", items=PRUNING, description="How it is found out what can go")
-    lambda_f: FloatProperty(name="λ_F", min=0, soft_min=1e-5, soft_max=1e-3, precision=5, description="Weight of the spatial mask. 0: the method's own")
-    target: FloatProperty(name="Target", min=0, max=1, subtype="FACTOR", description="Share of the Gaussians to keep. 0: whatever survives")
-    target_count: IntProperty(name="Target Count", min=0, description="Number of Gaussians to keep. 0: whatever survives")
-    max_drop: FloatProperty(name="Max Drop", min=0, precision=2, description="Instead of a target: dB that may be lost in the end. 0: no such limit")
-    iterations: IntProperty(name="Iterations", min=0, default=PRUNE_ITERATIONS, description="Steps of mask learning")
-    recovery: IntProperty(name="Recovery", min=0, default=RECOVERY, description="Steps after it")
-    seed: IntProperty(name="Seed", min=0, description="The same seed gives the same result")
+    method: method_property()
+    lambda_f: option_property("lambda_f", name="λ_F", soft_min=1e-5, soft_max=1e-3, precision=5, description="Weight of the spatial mask. 0: the method's own")
+    target: option_property("target", subtype="FACTOR", description="Share of the Gaussians to keep. 0: the method decides")
+    target_count: option_property("target_count", min=0, description="Number of Gaussians to keep. 0: the method decides")
+    max_drop: option_property("max_drop", precision=2, description="PSNR in dB that may be lost, instead of a target. 0: no such limit")
+    iterations: option_property("iterations")
+    recovery: option_property("recovery")
+    seed: option_property("seed")
 
     @classmethod
     def poll(cls, context):

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..svrgs_addon.cli.arguments import MIN_CONTRIBUTION, PRUNE_ITERATIONS, RECOVERY
-from ..svrgs_addon.finetune.methods import METHODS
-from ..svrgs_addon.finetune.methods.base import Method
+from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
 from . import bridge, job_result
+from .option_properties import method_property, option_property
 
 GOALS = [
     ("LAMBDA", "Strength λ_F", "Remove what the spatial mask finds superfluous; λ_F says how strictly"),
@@ -19,17 +18,6 @@ GOALS = [
     ("SIZE", "Size", "Keep as many Gaussians as fit into a file of this size"),
     ("DROP", "Loss", "Remove as much as loses about so many dB in the end"),
 ]
-
-
-def _about(method: Method) -> str:
-    """What a method does, for its tooltip."""
-    share = f"; keeps {method.share:.0%} unless a goal is set" if method.share else ""
-    if method.ranks:
-        return f"Ranks the Gaussians once{share or '; needs a percentage, a count or a size'}"
-    return f"Learns what can go{', by the spatial mask' if method.lambda_f else ''}{share}"
-
-
-PRUNING = [(name, name, _about(method)) for name, method in METHODS.items() if method.prunes]
 
 
 def _get_lambda(settings) -> float:
@@ -46,11 +34,9 @@ def _share_changed(obj, context):
 
 
 class SVRGS_PG_prune(bpy.types.PropertyGroup):
-    colmap: StringProperty(
-        name="Dataset", subtype="DIR_PATH", description="COLMAP dataset of the photographs the splat was trained on. Empty: that of the imported cameras"
-    )
-    images: StringProperty(name="Images", description="Name of the image folder in the dataset, such as images_4. Empty: images")
-    goal: EnumProperty(name="Goal", items=GOALS, description="What decides how much goes")
+    colmap: option_property("colmap", name="Dataset", description="COLMAP dataset of the photographs. Empty: that of the imported cameras")
+    images: option_property("images")
+    goal: EnumProperty(name="Goal", items=GOALS, description="What decides how many Gaussians stay")
     strength: FloatProperty(
         name="λ_F", min=-7, max=0, soft_min=-5, soft_max=-3, default=-4, step=5, precision=2, description="Weight of the spatial mask, as power of ten"
     )
@@ -61,24 +47,18 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     count: IntProperty(name="Keep", min=1, default=100_000, description="Number of Gaussians to keep")
     size: FloatProperty(name="Size in MB", min=0.001, soft_max=500, default=20, precision=1, description="Size of the pruned file, in megabytes")
     drop: FloatProperty(name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2, description="PSNR that may be lost, on a few of the photographs")
-    method: EnumProperty(name="Method", items=PRUNING, description="How it is found out what can go")
-    iterations: IntProperty(name="Iterations", min=0, soft_max=30_000, default=PRUNE_ITERATIONS, description="Steps in which it is learned what can go")
-    recovery: IntProperty(name="Recovery", min=0, soft_max=30_000, default=RECOVERY, description="Steps after it, to win the quality back")
-    seed: IntProperty(name="Seed", min=0, description="The same seed gives the same result")
-    holdout: IntProperty(name="Test Every", min=0, default=8, description="Every so many photographs one is kept for measuring. 0: none")
-    min_contribution: FloatProperty(
-        name="First Cut",
-        min=0,
-        max=0.99,
-        default=MIN_CONTRIBUTION,
-        precision=3,
-        description="First drop what never covers this much of a pixel in any photograph",
-    )
-    visible_mask: BoolProperty(name="Visible Part Only", description="Count along a ray only what is seen, instead of all Gaussians to its end")
-    views_by_loss: BoolProperty(name="Harder Views More Often", description="Look at the photographs that are matched best only every other time")
+    method: method_property()
+    iterations: option_property("iterations", soft_max=30_000)
+    recovery: option_property("recovery", soft_max=30_000)
+    seed: option_property("seed")
+    holdout: option_property("holdout", name="Test Every")
+    min_contribution: option_property("min_contribution", name="First Cut", default=MIN_CONTRIBUTION, precision=3)
+    visible_mask: option_property("visible_mask", name="Visible Part Only")
+    views_by_loss: option_property("views_by_loss", name="Harder Views More Often")
     folder: StringProperty(
-        name="Job Folder", subtype="DIR_PATH", description="Where jobs keep their files. Empty: svrgs_jobs beside the file, or the extension's folder"
+        name="Job Folder", subtype="DIR_PATH", description="Folder for the files of jobs. Empty: svrgs_jobs next to the .blend file, or the extension's folder"
     )
+    method_schema: IntProperty(options={"HIDDEN"})  # 0: the method was chosen before methods got their present names
 
 
 def register():

@@ -10,7 +10,7 @@ from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty,
 
 from ..svrgs_addon.finetune.methods import METHODS
 from . import bridge, edit_guard, estimate, job_pictures, job_result
-from .job import dataset_of, file_size, mismatch, uses_lambda
+from .job import dataset_of, file_size, mismatch
 from .job_watch import BUSY, WAITING, current
 from .native_check import native_problem
 
@@ -132,7 +132,7 @@ def _own_strength(_) -> str:
 
 
 def _uses_lambda(_) -> bool:
-    return uses_lambda(bpy.context.scene.svrgs_prune.method)
+    return METHODS[bpy.context.scene.svrgs_prune.method].lambda_f > 0
 
 
 def _subject(_) -> str:

@@ -38,7 +38,7 @@ def stages(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], 
         "render": command("render", scene, *data, *threads, "--views", 0, "--out", folder / "pictures"),
         "opacity": pruned("opacity", "--target-count", kept, "--recovery", 0, count=kept),
         "max-contribution": pruned("max-contribution", "--target-count", kept, "--recovery", 0, count=kept),
-        f"{2 * half} steps": pruned("svr-mask", "--min-contribution", 0, "--iterations", half, "--recovery", half, iterations=2 * half, nonfinite_gradients=0),
+        f"{2 * half} steps": pruned("svr", "--min-contribution", 0, "--iterations", half, "--recovery", half, iterations=2 * half, nonfinite_gradients=0),
     }
 
 

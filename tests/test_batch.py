@@ -21,6 +21,7 @@ from svrgs_addon.errors import SceneError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.files.registry import read_scene
 from svrgs_addon.jobs import worker
+from svrgs_addon.jobs.options import PruneOptions
 
 ROOT = Path(__file__).resolve().parents[1]
 BATCH = ROOT / "svrgs_addon" / "batch.py"
@@ -128,7 +129,7 @@ def test_a_job_that_dies_is_reported(tmp_path, monkeypatch):
     deadly.write_text("#!/bin/sh\nkill -9 $$\n")
     deadly.chmod(0o755)
     monkeypatch.setattr(worker.sys, "executable", str(deadly))
-    status, result = worker.run_in_child({"scene": Path("a.ply")})
+    status, result = worker.run_in_child(PruneOptions(scene=Path("a.ply")))
     assert status == -signal.SIGKILL and result == {"error": "the job ended without a result (exit status -9)"}
 
 

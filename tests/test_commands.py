@@ -193,7 +193,7 @@ def pruned(tiny, tmp_path_factory) -> dict:
 def test_prune_result(tiny, pruned):
     assert MEASURES | {"before", "after", "seconds", "method", "lambda_f", "out"} <= pruned.keys()
     assert pruned["before"].keys() == pruned["after"].keys() == MEASURES
-    assert (pruned["method"], pruned["lambda_f"]) == ("svr", None), "the target says how many stay"
+    assert (pruned["method"], pruned["lambda_f"]) == ("pressure", None), "the target says how many stay"
     assert tiny_dataset.FAINT <= pruned["first_cut"] < tiny_dataset.COUNT
     assert pruned["count"] == round(0.4 * tiny_dataset.COUNT) and pruned["before"]["count"] == tiny_dataset.COUNT
     assert pruned["psnr"] > pruned["before"]["psnr"] + 1, "fine-tuning does not fit the photographs"
@@ -225,7 +225,7 @@ def test_every_method_runs(tiny, svrgs, tmp_path, method):
     result = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *SHORT, "--out", tmp_path / "o.ply", "--json").json
     assert result["method"] == method and result["lambda_f"] == (METHODS[method].lambda_f or None)
     left = tiny_dataset.COUNT - result["first_cut"]
-    assert result["count"] < left if method in ("svr", "svr-worth") else result["count"] == left, "masks cannot have learned in so few steps"
+    assert result["count"] < left if method in ("pressure", "saliency") else result["count"] == left, "masks cannot have learned in so few steps"
     assert result["first_cut"] > tiny_dataset.FAINT if METHODS[method].learns_masks else result["first_cut"] == tiny_dataset.FAINT
     assert result["iterations"] == (4 if method == "3dgs" else 12)
 
@@ -252,7 +252,7 @@ def test_every_method_trains_to_a_share(tiny, svrgs, tmp_path, method):
 
 
 def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
-    words = ("--colmap", tiny.folder, "--paper", *SHORT, "--out", tmp_path / "o.ply", "--json")
+    words = ("--colmap", tiny.folder, "--paper", "--method", "svr", *SHORT, "--out", tmp_path / "o.ply", "--json")
     result = svrgs("prune", tiny.splat, *words).json
     assert (result["method"], result["lambda_f"], result["first_cut"]) == ("svr-paper", 1e-4, tiny_dataset.FAINT)
     refused(svrgs("prune", tiny.splat, *words, "--method", "maskgs"), "--paper", "'maskgs'")
@@ -317,7 +317,7 @@ def test_a_scene_that_would_lose_everything_is_refused(tiny, svrgs, tmp_path):
 # --- train
 
 
-@pytest.mark.parametrize("method", ["3dgs", "svr"])
+@pytest.mark.parametrize("method", ["3dgs", "pressure"])
 def test_train_from_sparse_points(tiny, svrgs, tmp_path, method):
     words = ("--method", method, "--iterations", 150, "--recovery", 20, "--sh-degree", 1, "--quiet", "--json")
     result = svrgs("train", "--colmap", tiny.folder, *words, "--out", tmp_path / "trained.ply").json

@@ -12,13 +12,13 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
+from plans import prune_settings
 from svrgs_addon import native
 from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.files.registry import load_scene
 from svrgs_addon.finetune import loop
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.model import Model
-from svrgs_addon.finetune.plan import prune_settings
 from svrgs_addon.native import GRADS, IMAGES, Rasterizer, RenderOptions
 from svrgs_addon.photographs.dataset import load_dataset
 
@@ -49,7 +49,7 @@ def one_view() -> tuple[str, str]:
 
 def hundred_steps(tiny, data) -> tuple[str, str]:
     """Hashes of all values and moments after 100 steps, and of the rows that every pruning event kept."""
-    settings = replace(prune_settings("svr-mask", 80, 20, prune_every=20, lambda_f=1e-3), mask_init=0.5, seed=5)
+    settings = replace(prune_settings("svr", 80, 20, prune_every=20, lambda_f=1e-3), mask_init=0.5, seed=5)
     run = loop.Run(Model.of(load_scene(tiny.splat).scene), data, settings, NativeEngine())
     kept = {}
     while not run.finished:

@@ -16,17 +16,17 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from faults import WRITERS, digest
+from plans import prune_settings
 from svrgs_addon.errors import SceneError, SplatError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import checkpoint
-from svrgs_addon.finetune.plan import prune_settings
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.photographs.dataset import load_dataset
 
 resource = pytest.importorskip("resource", reason="this system cannot limit the size of files")
 
 ROOT = Path(__file__).resolve().parents[1]
-SETTINGS = replace(prune_settings("svr-mask", 30, 10, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
+SETTINGS = replace(prune_settings("svr", 30, 10, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
 
 
 # --- killed
@@ -123,7 +123,7 @@ def at(iteration: int, action):
 @pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(b"gone"), lambda path: path.write_bytes(path.read_bytes()[:90])])
 def test_photographs_that_vanish_lose_no_work(tiny, data, tmp_path, damage):
     """A checkpoint of the last whole step is left, and with the photographs back the run ends as if nothing had been."""
-    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(tmp_path / "whole.ply"))
+    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(tmp_path / "whole.ply"))
     photos = sorted((tmp_path / "data/images").iterdir())
     kept = {photo: photo.read_bytes() for photo in photos}
 
@@ -133,13 +133,13 @@ def test_photographs_that_vanish_lose_no_work(tiny, data, tmp_path, damage):
 
     out = tmp_path / "o.ply"
     with pytest.raises(SplatError, match=r"images/\d+\.png") as caught:
-        train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out, observe=at(12, lose)))
+        train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, observe=at(12, lose)))
     assert "\n" not in str(caught.value) and not out.exists()
     (left,) = (tmp_path / "o.ply.job").iterdir()
     assert checkpoint.read_manifest(left)["iteration"] >= 12
     for photo, content in kept.items():
         photo.write_bytes(content)
-    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out, resume=True))
+    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, resume=True))
     assert out.read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
@@ -158,11 +158,11 @@ def test_a_full_disk_at_the_end_leaves_the_last_checkpoint(tiny, data, tmp_path,
     original = train_and_prune.write_scene
     monkeypatch.setattr(train_and_prune, "write_scene", write)
     with pytest.raises(SceneError, match="cannot be written"):
-        train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out))
+        train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(out))
     assert not out.exists()
     monkeypatch.setattr(train_and_prune, "write_scene", original)
     seen = []
-    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out, resume=True, observe=lambda p: seen.append(p.iteration)))
+    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, resume=True, observe=lambda p: seen.append(p.iteration)))
     assert len(seen) <= 1 and read_ply(out).count > 5
 
 
@@ -173,7 +173,7 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tiny, data, t
     try:
         with pytest.raises(SceneError, match="arrays.npz: cannot be written"):
             train_and_prune.prune(
-                tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out, observe=at(8, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))))
+                tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, observe=at(8, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))))
             )
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -186,10 +186,11 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tiny, data, t
 
 FULL_DISK = """
 import resource, sys
-from svrgs_addon import cli, jobs
-jobs.CHECKPOINT_SECONDS = 0
+from svrgs_addon.cli.main import main
+from svrgs_addon.jobs import train_and_prune
+train_and_prune.CHECKPOINT_SECONDS = 0
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
-sys.exit(cli.main(sys.argv[1:]))
+sys.exit(main(sys.argv[1:]))
 """
 
 

@@ -7,11 +7,12 @@ import pytest
 
 import scenes
 from pictures import EYES, HEIGHT, WIDTH, photographed
+from plans import plan_of
 from svrgs_addon.finetune import checkpoint, densify
 from svrgs_addon.finetune.engine import NativeEngine, Step
-from svrgs_addon.finetune.loop import Run
 from svrgs_addon.finetune.model import Model
-from svrgs_addon.finetune.settings import Phase, Rates, Settings
+from svrgs_addon.finetune.run import Run
+from svrgs_addon.finetune.settings import Phase, Rates
 from svrgs_addon.finetune.views import LEFT_OUT, Views, as_real, fitting_reduction
 from svrgs_addon.metrics import psnr
 from svrgs_addon.native import Rasterizer, RenderOptions
@@ -171,7 +172,7 @@ class Watcher(NativeEngine):
 
 def run_of(*phases: Phase, engine=None, **changes) -> Run:
     scene = scenes.random_scene(150, 2, 1, scale=0.2)
-    return Run(Model.of(scene), photographed(scene), Settings("3dgs", phases, **changes), engine or NativeEngine())
+    return Run(Model.of(scene), photographed(scene), plan_of("3dgs", phases, **changes), engine or NativeEngine())
 
 
 def advance(run: Run, until: int) -> Run:

@@ -23,6 +23,7 @@ from svrgs_addon.jobs import job_folder as folders
 from svrgs_addon.jobs import job_plot
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
+from svrgs_addon.jobs.options import RECOVERY
 
 ROOT = Path(__file__).resolve().parents[1]
 SHORT = {"iterations": 40, "recovery": 20, "lambda_f": 1e-2, "target": 0.5}
@@ -173,7 +174,7 @@ def test_a_killed_job_is_interrupted_and_goes_on_to_the_same_bytes(undisturbed, 
 def test_a_job_whose_parent_dies_saves_a_checkpoint_and_ends(tiny, tmp_path):
     folder = create(tmp_path / "job", tiny, **LONG)
     code = (
-        "import sys, time\nfrom svrgs_addon.jobs.job_process import Job\nfrom svrgs_addon.background.folder import JobFolder\n"
+        "import sys, time\nfrom svrgs_addon.jobs.job_process import Job\nfrom svrgs_addon.jobs.job_folder import JobFolder\n"
         "job = Job(JobFolder(sys.argv[1]))\njob.start()\n"
         "while job.facts.get('iteration', 0) < 20:\n    job.poll()\n    time.sleep(0.02)\n"
         "print('working', flush=True)\ntime.sleep(60)\n"
@@ -264,21 +265,36 @@ def test_a_hostile_request_is_refused(content, tmp_path):
 
 def test_words_of_a_request_stay_values(tmp_path):
     (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": {"colmap": "--out=x", "images": "--overwrite", "visible_mask": True}}))
-    from svrgs_addon.cli.arguments import parser
-
-    options = parser().parse_args(JobFolder(tmp_path).words())
+    options = JobFolder(tmp_path).options()
     assert (str(options.colmap), options.images, options.visible_mask) == ("--out=x", "--overwrite", True)
-    assert options.out == tmp_path / "recovered.ply" and not options.overwrite
+    assert options.out == tmp_path / "recovered.ply"
+
+
+@pytest.mark.parametrize(("former", "present"), [("svr", "pressure"), ("svr-mask", "svr"), ("svr-worth", "saliency"), ("gns", "gns"), (None, "pressure")])
+def test_a_job_of_the_first_schema_keeps_its_method_and_says_once_what_it_is_called_now(tmp_path, former, present):
+    options = {"colmap": "x"} if former is None else {"colmap": "x", "method": former}
+    (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": options}))
+    said = JobFolder(tmp_path).update_schema()
+    assert said == ("" if former == present else f"Method '{former or 'svr'}' is called '{present}' now")
+    assert JobFolder(tmp_path).options().method == present
+    assert JobFolder(tmp_path).update_schema() == "" and JobFolder(tmp_path).options().method == present
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"), [({"iterations": -1}, "whole number of 0 or more"), ({"target": 1.5}, "share above 0"), ({"lambda_f": -1e-4}, "weight of 0")]
+)
+def test_options_out_of_range_are_refused_when_the_job_is_made(tiny, tmp_path, bad, said):
+    with pytest.raises(SceneError, match=said):
+        create(tmp_path / "job", tiny, **bad)
+    assert not (tmp_path / "job").exists()
 
 
 def test_a_zero_is_not_left_to_the_default(tmp_path):
-    from svrgs_addon.cli.arguments import RECOVERY, parser
-
     asked = {"colmap": "x", "iterations": 0, "recovery": 0, "holdout": 0, "min_contribution": 0.0, "visible_mask": False, "images": ""}
     (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": asked}))
-    options = parser().parse_args(JobFolder(tmp_path).words())
+    options = JobFolder(tmp_path).options()
     assert RECOVERY and options.iterations == options.recovery == options.holdout == options.min_contribution == 0
-    assert options.visible_mask is False and options.images is None
+    assert options.visible_mask is False and options.images == ""
 
 
 def test_hostile_arrays_are_refused(tiny, tmp_path):

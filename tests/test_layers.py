@@ -85,4 +85,4 @@ def test_importing_the_package_loads_nothing_heavy():
 def test_info_loads_nothing_heavy(tiny):
     loaded = loaded_after("import sys\nfrom svrgs_addon.cli.main import main\nassert main(sys.argv[1:]) == 0", "info", str(tiny.splat))
     assert "numpy" in loaded and not loaded & HEAVY
-    assert not {f"svrgs_addon.{name}" for name in ("native", "finetune", "jobs", "photographs", "render")} & loaded
+    assert not {f"svrgs_addon.{name}" for name in ("native", "finetune", "photographs", "render", "jobs.run_job")} & loaded

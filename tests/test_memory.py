@@ -14,12 +14,13 @@ pytest.importorskip("OpenImageIO")
 
 import scenes
 import tiny_dataset
+from plans import plan_of
 from svrgs_addon import memory
 from svrgs_addon.bench.scenes import room
 from svrgs_addon.cli import commands
 from svrgs_addon.errors import Cancelled
 from svrgs_addon.files.ply import write_ply
-from svrgs_addon.finetune.settings import Densify, Phase, Rates, Settings
+from svrgs_addon.finetune.settings import Densify, Phase, Rates
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.photographs.dataset import load_dataset
 
@@ -92,11 +93,11 @@ def test_a_childs_peak_is_its_own():
 
 
 RULE = Densify(start=2, until=9, every=2, gradient=0.0)
-GROWING = Settings("3dgs", (Phase("train", 10, Rates(), RULE),))
+GROWING = plan_of("3dgs", (Phase("train", 10, Rates(), RULE),))
 
 
 def trained(tiny, out, **options) -> dict:
-    return train_and_prune.train(load_dataset(tiny.folder), GROWING, train_and_prune.JobOptions(out, **options))
+    return train_and_prune.train(load_dataset(tiny.folder), GROWING, train_and_prune.JobContext(out, **options))
 
 
 def short_from_the_start_on(monkeypatch):
@@ -139,7 +140,7 @@ from svrgs_addon.bench.scenes import orbit_camera
 from svrgs_addon.bench.trial import Trial
 from svrgs_addon.finetune import densify
 from svrgs_addon.finetune.settings import Densify
-from svrgs_addon.splat_files import load_scene
+from svrgs_addon.files.registry import load_scene
 camera, start = orbit_camera(640, 480), memory.peak()
 scene = load_scene(sys.argv[1]).scene
 read = memory.peak() - start

@@ -13,22 +13,22 @@ import torch
 import scenes
 from native_helpers import LEVELS, rasterizer, typed
 from pictures import photographed
+from plans import plan_of, prune_settings, train_settings
 from reference import rasterize as reference
 from svrgs_addon.errors import SceneError
-from svrgs_addon.finetune import checkpoint, methods, scores, sensitivity
+from svrgs_addon.finetune import checkpoint, scores, sensitivity
 from svrgs_addon.finetune.engine import NativeEngine, mask_logit_rows
-from svrgs_addon.finetune.loop import Run
-from svrgs_addon.finetune.methods import METHODS, compact3dgs, gns, lightgaussian, method_named
+from svrgs_addon.finetune.methods import FORMER_NAMES, METHODS, compact3dgs, lightgaussian, method_named, opacity_pressure, paper_method
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
 from svrgs_addon.finetune.penalties import MeanExistence, OpacityPressure
-from svrgs_addon.finetune.plan import prune_settings, train_settings
-from svrgs_addon.finetune.settings import Densify, Phase, Rates, Settings
+from svrgs_addon.finetune.run import Run
+from svrgs_addon.finetune.settings import Densify, Phase, Rates
 from svrgs_addon.finetune.torch_engine import TorchEngine
 from svrgs_addon.native import RenderOptions
 from svrgs_addon.scene import Scene
 
 LEARNED = [name for name, method in METHODS.items() if method.prunes and not method.ranks]
-FAMILIES = ("svr", "svr-mask", "svr-worth", "maskgs-alpha", "compact3dgs", "gns", "lightgaussian", "pup", "3dgs")  # one of each file, and pup
+FAMILIES = ("pressure", "svr", "saliency", "maskgs-alpha", "compact3dgs", "gns", "lightgaussian", "pup", "3dgs")  # one of each file, and pup
 RANKED = [name for name, method in METHODS.items() if method.ranks]
 BACKGROUND = (0.2, 0.5, 0.9)
 
@@ -63,7 +63,7 @@ def grown_run(method: str, engine=None, dtype=np.float32, **changes) -> Run:
 
 
 def test_an_unknown_method_is_one_sentence():
-    with pytest.raises(SceneError, match="method 'magic' is unknown; choose one of svr, .*3dgs$"):
+    with pytest.raises(SceneError, match="method 'magic' is unknown: choose one of pressure, svr, .*3dgs$"):
         method_named("magic")
 
 
@@ -73,16 +73,30 @@ def test_methods_of_two_runs_do_not_share_their_state():
     assert (second.factor, METHODS["gns"].factor) == (1.0, 1.0)
 
 
-def test_the_papers_form_of_svr_is_in_one_place():
-    paper = method_named(methods.PAPER)
+def test_paper_chooses_the_printed_settings_to_the_letter():
+    """L1 + (1 - SSIM) with weights of 1, lambda_F 1e-4, F along the whole ray, 10 draws at each densification and every 1000 steps, no first cut."""
+    paper = paper_method()
     assert (paper.mask_kind, paper.lambda_f, paper.first_cut) == ("svr", 1e-4, False)
-    settings = train_settings(methods.PAPER, 30_000, 5_000)
-    assert (settings.lambda_f, settings.full, settings.mask_init, settings.draws) == (1e-4, True, 9.0, 10)
+    plan = train_settings("svr-paper", 30_000, 5_000)
+    assert (plan.l1_weight, plan.ssim_weight) == (1.0, 1.0)
+    assert (plan.lambda_f, plan.full, plan.mask_init, plan.draws) == (1e-4, True, 9.0, 10)
+    assert plan.phases[0].prune_every == 1_000 and plan.phases[1].steps == 5_000
+    svr = train_settings("svr", 30_000, 5_000)
+    assert (svr.l1_weight, svr.ssim_weight, svr.method.first_cut) == (0.8, 0.2, True) and svr.phases == plan.phases
+
+
+def test_names_and_menu_numbers_are_each_one_method_s():
+    """Numbers are stored in .blend files; those of the first schema keep their methods."""
+    assert len({method.number for method in METHODS.values()}) == len(METHODS)
+    first = ("svr", "svr-mask", "svr-self", "svr-even", "svr-a", "svr-b", "svr-worth", "maskgs", "maskgs-alpha", "maskgs-beta", "maskgs-gamma")
+    first += ("compact3dgs", "gns", "lightgaussian", "opacity", "contribution", "max-contribution", "pup")
+    assert [METHODS[FORMER_NAMES.get(name, name)].number for name in first] == list(range(len(first)))
+    assert all(method.help and method.name == name for name, method in METHODS.items())
 
 
 def test_a_weight_the_method_does_not_have_is_refused():
     with pytest.raises(SceneError, match="no term that lambda-m weighs"):
-        prune_settings("svr-mask", 10, 10, lambda_m=1e-3)
+        prune_settings("svr", 10, 10, lambda_m=1e-3)
     assert prune_settings("compact3dgs", 10, 10, lambda_m=1e-3).lambda_m == 1e-3
 
 
@@ -91,18 +105,18 @@ def test_a_weight_the_method_does_not_have_is_refused():
 
 def test_a_shorter_schedule_keeps_the_spacing_of_what_needs_views():
     for share, (start, until, every, resets) in {1: (500, 15_000, 100, 3_000), 0.1: (500, 1_500, 100, 3_000), 0.02: (100, 300, 100, 3_000)}.items():
-        train, recover = train_settings("svr-mask", 30_000, 5_000, schedule=share).phases
+        train, recover = train_settings("svr", 30_000, 5_000, schedule=share).phases
         rule = train.densify
         assert (train.steps, recover.steps) == (30_000 * share, 5_000 * share)
         assert (rule.start, rule.until, rule.every, rule.reset_every) == (start, until, every, resets)
-        assert train.rates.mask == pytest.approx(train_settings("svr-mask", 30_000, 5_000).phases[0].rates.mask / share)
+        assert train.rates.mask == pytest.approx(train_settings("svr", 30_000, 5_000).phases[0].rates.mask / share)
 
 
 def test_maskgs_counts_in_its_window():
     """Alpha: 19 000 to 20 000 of 30 000, both included, and the same share of shorter runs; masks are drawn all the time."""
     for steps, inside, outside in ((30_000, (19_000, 19_500, 20_000), (1, 18_999, 20_001)), (300, (190, 200), (189, 201))):
         run = Run(Model.of(scenes.random_scene(5)), photographed(scenes.random_scene(5)), train_settings("maskgs-alpha", steps, 0), None)
-        run.method.enter(run.model, run.settings)
+        run.method.prepare(run, run.settings.phases[0], 1)
         weights = [run.method.terms(run, run.settings.phases[0], number)["lambda_m"] for number in (*inside, *outside)]
         assert weights == [0.1] * len(inside) + [0.0] * len(outside)
         assert "masks" in run.method.terms(run, run.settings.phases[0], 1)
@@ -111,7 +125,7 @@ def test_maskgs_counts_in_its_window():
 @pytest.mark.parametrize(("method", "weight"), [("maskgs", 5e-4), ("maskgs-beta", 5e-4), ("maskgs-gamma", 1e-3)])
 def test_the_other_maskgs_count_all_the_time(method, weight):
     run = Run(Model.of(scenes.random_scene(5)), photographed(scenes.random_scene(5)), train_settings(method, 300, 0), None)
-    run.method.enter(run.model, run.settings)
+    run.method.prepare(run, run.settings.phases[0], 1)
     assert {run.method.terms(run, run.settings.phases[0], number)["lambda_m"] for number in (1, 150, 300)} == {weight}
 
 
@@ -232,7 +246,7 @@ def test_the_gates_gradient_is_that_of_opacity_and_scale():
     model = Model.of(replace(scene, sh=scene.sh + np.float32(0.2)), np.float64)
     model.add_masks(1.0)
     phase = Phase("train", 10, Rates(), active=True)
-    run = Run(model, dataset, Settings("compact3dgs", (phase,), lambda_m=0.0, mask_init=1.0), NativeEngine("float64"))
+    run = Run(model, dataset, plan_of("compact3dgs", (phase,), lambda_m=0.0, mask_init=1.0), NativeEngine("float64"))
     view, target = dataset.cameras[0], dataset.pictures[0] / 255
     step = run._step(phase, 1, view, target)
     r = run.engine.rasterizer
@@ -257,7 +271,7 @@ def test_the_gates_gradient_is_that_of_opacity_and_scale():
 def test_a_closed_gate_neither_shows_nor_learns_from_the_image():
     scene = scenes.random_scene(25, 3, 1, scale=0.3)
     run = Run(Model.of(scene), photographed(scene), replace(train_settings("compact3dgs", 10, 0), lambda_m=0.0), NativeEngine())
-    run._enter(run.settings.phases[0], 1)
+    run._prepare(run.settings.phases[0], 1)
     run.model.values[MASK][:5] = compact3dgs.THRESHOLD - 1e-3
     before = {name: run.model.values[name][run.model.origin < 25].copy() for name in (*PARAMETERS, MASK)}
     closed = run.model.values[MASK] < compact3dgs.THRESHOLD
@@ -283,15 +297,15 @@ def test_gns_ends_at_its_budget_and_keeps_the_opaque():
 def test_gns_draws_in_proportion_to_opacity():
     model = Model.of(scenes.random_scene(30_000, sh_degree=0))
     model.opacity_logits[:] = np.where(np.arange(30_000) < 15_000, np.log(0.8 / 0.2), np.log(0.2 / 0.8))
-    kept = gns.drawn_by_opacity(model, 300, [0, 2, 5])
+    kept = opacity_pressure.drawn_by_opacity(model, 300, [0, 2, 5])
     assert kept.sum() == 300 and kept[:15_000].sum() == pytest.approx(240, abs=5 * math.sqrt(300 * 0.16))
-    assert (gns.drawn_by_opacity(model, 300, [0, 2, 6]) != kept).any()
+    assert (opacity_pressure.drawn_by_opacity(model, 300, [0, 2, 6]) != kept).any()
 
 
 def test_gns_finds_the_opacity_that_the_budget_reaches():
     logits = np.log(np.arange(1, 100) / np.arange(99, 0, -1)).astype(np.float32)  # opacities 0.01 ... 0.99
-    assert gns.opacity_at(np.random.default_rng(0).permutation(logits), 10) == pytest.approx(0.90, rel=1e-5)
-    assert gns.opacity_at(logits, 1_000) == pytest.approx(0.01, rel=1e-5)
+    assert opacity_pressure.opacity_at(np.random.default_rng(0).permutation(logits), 10) == pytest.approx(0.90, rel=1e-5)
+    assert opacity_pressure.opacity_at(logits, 1_000) == pytest.approx(0.01, rel=1e-5)
 
 
 # --- scores
@@ -434,7 +448,7 @@ def test_methods_that_rank_keep_the_highest(method):
     run.advance()
     run.close()
     after = Model.of(scene)
-    moved = Run(after, dataset, replace(settings, method="3dgs"), NativeEngine())
+    moved = Run(after, dataset, replace(settings, method=method_named("3dgs")), NativeEngine())
     moved.advance()
     moved.close()
     score = METHODS[method].score(moved.model, dataset.cameras, moved.engine.rasterizer, RenderOptions())

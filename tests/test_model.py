@@ -26,7 +26,7 @@ def numbered(n: int, with_masks: bool = True) -> Model:
 
 def scene_now(model: Model) -> Scene:
     """What the model would become, without ending it."""
-    return Model(dict(model.values), origin=model.origin, beside=model.beside).into_scene()
+    return Model(dict(model.values), origin=model.origin, metadata=model.metadata).into_scene()
 
 
 @pytest.mark.parametrize("kept", [[1, 2, 4, 5, 7, 8, 10, 11], [0, 5, 11], list(range(12))])

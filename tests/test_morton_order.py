@@ -7,11 +7,12 @@ import pytest
 
 import scenes
 from pictures import photographed
+from plans import plan_of
 from svrgs_addon.finetune import checkpoint
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.loop import Run
 from svrgs_addon.finetune.model import PARAMETERS, Model
-from svrgs_addon.finetune.settings import Densify, Phase, Rates, Settings, recovery_phase
+from svrgs_addon.finetune.run import Run
+from svrgs_addon.finetune.settings import Densify, Phase, Rates, recovery_phase
 from svrgs_addon.geometry.morton_order import BITS, morton_codes, morton_order, spread
 
 
@@ -106,7 +107,7 @@ def run_of(*phases: Phase, **changes) -> Run:
     """Of 150 Gaussians that do not fit their photographs."""
     truth = scenes.random_scene(150, 2, 1, scale=0.2)
     start = replace(truth, sh=truth.sh * np.float32(0.5))
-    return Noting(Model.of(start), photographed(truth), Settings("svr-mask", phases, mask_init=1.0, lambda_f=1e-3, **changes), NativeEngine())
+    return Noting(Model.of(start), photographed(truth), plan_of("svr", phases, mask_init=1.0, lambda_f=1e-3, **changes), NativeEngine())
 
 
 def advance(run: Run, until: int) -> Run:
@@ -127,7 +128,7 @@ def test_rows_are_ordered_at_the_start_and_where_the_scene_grew():
 
 
 def test_a_little_growth_can_wait(monkeypatch):
-    monkeypatch.setattr("svrgs_addon.finetune.loop.UNORDERED", 1e9)
+    monkeypatch.setattr("svrgs_addon.finetune.run.REORDER_SHARE", 1e9)
     run = advance(run_of(GROWING), 45)
     assert run.ordered == [0, 30] and run.unordered == 0
 
@@ -135,7 +136,7 @@ def test_a_little_growth_can_wait(monkeypatch):
 @pytest.mark.parametrize("stop", [1, 9, 10, 15, 29, 30, 44])
 @pytest.mark.parametrize("share", [0.0, 0.4])
 def test_a_run_goes_on_from_its_checkpoint_bit_for_bit_across_reorderings(tmp_path, monkeypatch, stop, share):
-    monkeypatch.setattr("svrgs_addon.finetune.loop.UNORDERED", share)
+    monkeypatch.setattr("svrgs_addon.finetune.run.REORDER_SHARE", share)
     whole = advance(run_of(GROWING), 45)
     checkpoint.save(advance(run_of(GROWING), stop), tmp_path, "a run")
     resumed = run_of(GROWING)

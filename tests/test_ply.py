@@ -359,7 +359,7 @@ def test_check_writable_leaves_nothing_behind(tmp_path):
 
 
 def test_what_a_killed_writer_left_is_removed(tmp_path):
-    code = f"import os\nfrom svrgs_addon.atomic import atomic_path\nwith atomic_path({str(tmp_path / 'a.bin')!r}):\n    os.kill(os.getpid(), 9)"
+    code = f"import os\nfrom svrgs_addon.files.atomic import atomic_path\nwith atomic_path({str(tmp_path / 'a.bin')!r}):\n    os.kill(os.getpid(), 9)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == -9
     (left,) = tmp_path.iterdir()
     with atomic_write(tmp_path / "b.bin") as file:

@@ -1,4 +1,4 @@
-"""`--method svr`: lambda_F says how many stay, pressure on opacities which, and in the recovery some are absent."""
+"""`--method pressure`: lambda_F gives the budget, pressure on opacities selects the Gaussians, the recovery uses dropout."""
 
 from dataclasses import replace
 
@@ -7,17 +7,17 @@ import pytest
 
 import scenes
 from pictures import photographed
+from plans import prune_settings, train_settings
 from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import masks
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.loop import Run
 from svrgs_addon.finetune.methods import METHODS, pressure
 from svrgs_addon.finetune.methods.pressure import LARGEST, SHARES, pressure_shares
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.penalties import OpacityPressure
-from svrgs_addon.finetune.plan import prune_settings, train_settings
-from svrgs_addon.finetune.saliency import worth
-from svrgs_addon.finetune.settings import MOST_ABSENT
+from svrgs_addon.finetune.run import Run
+from svrgs_addon.finetune.saliency import saliency
+from svrgs_addon.finetune.settings import MAX_DROPOUT
 
 COUNT = 60
 
@@ -34,15 +34,15 @@ def to_the_end(run: Run) -> Run:
     return run
 
 
-def test_as_many_stay_as_are_worth_more_than_lambda():
-    look = run_of(prune_settings("svr", 40, 0))
-    value = np.sort(worth(look.model, look.training_cameras, look.engine.rasterizer, look.score_options))
+def test_as_many_stay_as_have_a_saliency_above_lambda():
+    look = run_of(prune_settings("pressure", 40, 0))
+    value = np.sort(saliency(look.model, look.training_cameras, look.engine.rasterizer, look.score_options))
     limit = float(value[COUNT - 23 : COUNT - 21].mean())  # between the 22nd and the 23rd
-    assert to_the_end(run_of(prune_settings("svr", 40, 5, lambda_f=limit))).model.count == 22
+    assert to_the_end(run_of(prune_settings("pressure", 40, 5, lambda_f=limit))).model.count == 22
 
 
-def test_a_lambda_that_nothing_is_worth_is_refused_at_once():
-    run = run_of(prune_settings("svr", 40, 0, lambda_f=1e12))
+def test_a_lambda_above_every_saliency_is_refused_at_once():
+    run = run_of(prune_settings("pressure", 40, 0, lambda_f=1e12))
     with pytest.raises(SceneError, match="use a smaller lambda-f"):
         run.advance()
     run.close()
@@ -57,17 +57,22 @@ def test_what_would_be_missed_least_is_pressed_hardest():
 
 
 def test_from_few_photographs_all_are_pressed_alike(monkeypatch):
-    run, settings = run_of(replace(prune_settings("svr", 160, 0), target=20)), prune_settings("svr", 160, 0)
+    run = run_of(replace(prune_settings("pressure", 160, 0), target=20))
     views = len(run.training_cameras)
-    assert views < pressure.FEW and run.method.shares(run, settings.phases[0], 1) is None
+    assert views < pressure.FEW and shares_of(run) is None
     monkeypatch.setattr(pressure, "FEW", views)
-    assert len(np.unique(run.method.shares(run, settings.phases[0], 1))) > COUNT // 2
+    assert len(np.unique(shares_of(run))) > COUNT // 2
+
+
+def shares_of(run):
+    run._prepare(*run.phase())
+    return run.method.shares(run)
 
 
 def test_shares_follow_their_gaussians(monkeypatch):
     monkeypatch.setattr(pressure, "FEW", 0)
-    run = run_of(replace(prune_settings("svr", 160, 0), target=20))
-    for _ in range(21):  # a look at the costs every 16 pushes, a push a step
+    run = run_of(replace(prune_settings("pressure", 160, 0), target=20))
+    for _ in range(21):  # removal errors every 16 pressed steps, each step pressed
         run.advance()
     before = dict(zip(run.model.origin, run.model.values[SHARES], strict=True))
     run.model.keep(np.arange(run.model.count) % 2 == 0)
@@ -86,26 +91,26 @@ def test_gradient_of_an_uneven_pressure(by_faintness):
     np.testing.assert_allclose(pressure.grad(logits), slopes, rtol=1e-6)
 
 
-def test_some_are_absent_from_most_of_the_recovery_and_none_at_its_end():
-    for settings in (prune_settings("svr", 10, 50), train_settings("svr", 30, 50)):
+def test_most_of_the_recovery_uses_dropout_and_its_end_does_not():
+    for settings in (prune_settings("pressure", 10, 50), train_settings("pressure", 30, 50)):
         recovery = settings.phases[-1]
-        assert [recovery.left_out(number, 60) for number in (1, 40, 41, 50)] == [0.1, 0.1, 0, 0]
-        assert not any(phase.absent for phase in settings.phases[:-1])
-    absent = [1 - masks.some_absent(10_000, 0.1, 3, step).mean() for step in range(20)]
-    assert np.mean(absent) == pytest.approx(0.1, abs=0.002) and len(set(absent)) > 10
+        assert [recovery.dropout_rate(number, 60) for number in (1, 40, 41, 50)] == [0.1, 0.1, 0, 0]
+        assert not any(phase.dropout for phase in settings.phases[:-1])
+    left_out = [1 - masks.dropout_masks(10_000, 0.1, 3, step).mean() for step in range(20)]
+    assert np.mean(left_out) == pytest.approx(0.1, abs=0.002) and len(set(left_out)) > 10
 
 
-def test_the_fewer_views_the_more_are_absent():
-    recovery = prune_settings("svr", 10, 50).phases[-1]
-    shares = [recovery.left_out(1, views) for views in (1, 20, 30, 60, 600)]
-    assert shares == [MOST_ABSENT, MOST_ABSENT, 0.2, 0.1, 0.01]
-    assert prune_settings("maskgs", 10, 50).phases[-1].left_out(1, 20) == 0
+def test_the_fewer_views_the_more_dropout():
+    recovery = prune_settings("pressure", 10, 50).phases[-1]
+    rates = [recovery.dropout_rate(1, views) for views in (1, 20, 30, 60, 600)]
+    assert rates == [MAX_DROPOUT, MAX_DROPOUT, 0.2, 0.1, 0.01]
+    assert prune_settings("maskgs", 10, 50).phases[-1].dropout_rate(1, 20) == 0
 
 
-def test_who_is_absent_does_not_change_in_that_step():
+def test_a_gaussian_that_is_left_out_does_not_change_in_that_step():
     run = run_of(prune_settings("3dgs", 0, 5))
-    run.settings = replace(run.settings, phases=(replace(run.settings.phases[0], absent=1e9),))
-    here = masks.some_absent(COUNT, MOST_ABSENT, run.settings.seed, 0)
+    run.settings = replace(run.settings, phases=(replace(run.settings.phases[0], dropout=1e9),))
+    here = masks.dropout_masks(COUNT, MAX_DROPOUT, run.settings.seed, 0)
     run._into_order()
     before = {name: value.copy() for name, value in run.model.values.items()}
     run.advance()
@@ -115,14 +120,14 @@ def test_who_is_absent_does_not_change_in_that_step():
         assert not changed[here == 0].any() and (name != "opacity_logits" or changed[here == 1].any())
 
 
-def test_a_loss_in_db_is_held_by_worth():
-    assert prune_settings("svr", 10, 5, max_drop=0.5).method == "svr-worth"
-    assert prune_settings("maskgs", 10, 5, max_drop=0.5).method == "maskgs"
+def test_a_drop_is_held_by_method_saliency():
+    assert prune_settings("pressure", 10, 5, max_drop=0.5).method.name == "saliency"
+    assert prune_settings("maskgs", 10, 5, max_drop=0.5).method.name == "maskgs"
 
 
 def test_pushes_keep_their_distance_in_a_short_phase():
     def spacing(method: str, steps: int) -> int:
-        return METHODS[method].push_every(prune_settings(method, steps, 0).phases[0])
+        return METHODS[method].press_every(prune_settings(method, steps, 0).phases[0])
 
-    assert [spacing("svr", steps) for steps in (8000, 800, 80)] == [50, 5, 4]
+    assert [spacing("pressure", steps) for steps in (8000, 800, 80)] == [50, 5, 4]
     assert [spacing("gns", steps) for steps in (8000, 800, 80)] == [50, 8, 8]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,16 +12,16 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
+from plans import prune_settings
 from svrgs_addon.errors import SceneError
 from svrgs_addon.files.registry import load_scene
 from svrgs_addon.finetune import checkpoint, recovery_pruning, strength_controller
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.loop import Run
 from svrgs_addon.finetune.model import Model
-from svrgs_addon.finetune.plan import prune_settings
-from svrgs_addon.finetune.recovery_pruning import Closing
+from svrgs_addon.finetune.recovery_pruning import RecoveryPruning
+from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates, Settings
-from svrgs_addon.finetune.strength_controller import Control, control_for
+from svrgs_addon.finetune.strength_controller import StrengthController, controller_for
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.photographs.dataset import load_dataset
 
@@ -35,8 +34,9 @@ class Plant:
     def __init__(self, ease: float, dead: int, lag: int):
         self.ease, self.dead, self.lag = ease, dead, lag
         self.q = self.speed = 0.0
-        self.method = SimpleNamespace(existing=lambda model: np.ones(1, bool))
-        self.model = None
+
+    def current_mask(self):
+        return np.ones(1, bool)
 
     def step(self, number: int, strength: float):
         wanted = self.ease * strength**0.4 / STEPS if number > self.dead else 0.0
@@ -49,27 +49,27 @@ class Plant:
 @pytest.mark.parametrize("ease", [0.1, 0.3, 1.0, 3.0])
 def test_the_goal_is_reached_whatever_the_scene_is_like(monkeypatch, ease, dead, lag):
     """q moves from 10 times too slowly to 3 times too fast at strength 1; it never turns back. Worst seen: 0.054 beyond."""
-    plant, steered = Plant(ease, dead, lag), Control(start=1.0)
-    monkeypatch.setattr(Control, "progress", lambda self, run, settled: run.q)
+    plant, steered = Plant(ease, dead, lag), StrengthController(start=1.0)
+    monkeypatch.setattr(StrengthController, "progress", lambda self, run, settled: run.q)
     for number in range(1, STEPS + 1):
         plant.step(number, steered.strength)
-        steered.look(plant, Phase("prune", STEPS, Rates(), active=True), number)
+        steered.after_step(plant, Phase("prune", STEPS, Rates(), active=True), number)
     assert plant.q == pytest.approx(1.0, abs=0.08)
 
 
 def test_the_strength_stays_within_limits(monkeypatch):
-    steered, phase = Control(start=1.0), Phase("prune", STEPS, Rates(), active=True)
-    monkeypatch.setattr(Control, "progress", lambda self, run, settled: 0.0)
+    steered, phase = StrengthController(start=1.0), Phase("prune", STEPS, Rates(), active=True)
+    monkeypatch.setattr(StrengthController, "progress", lambda self, run, settled: 0.0)
     for number in range(1, STEPS + 1):
-        steered.look(Plant(1, 0, 1), phase, number)
+        steered.after_step(Plant(1, 0, 1), phase, number)
     assert steered.strength == pytest.approx(math.exp(strength_controller.LIMIT))
 
 
 @pytest.mark.parametrize(("changes", "steered"), [({}, False), ({"target": 5}, True), ({"share": 0.5}, True), ({"max_drop": 0.5}, True)])
 def test_only_what_is_asked_for_is_steered(changes, steered):
-    settings = Settings("svr-mask", (), **changes)
-    assert (control_for(settings, learns_masks=True) is not None) == steered
-    assert control_for(settings, learns_masks=False) is None
+    settings = Settings((), **changes)
+    assert (controller_for(settings, learns_masks=True) is not None) == steered
+    assert controller_for(settings, learns_masks=False) is None
 
 
 @pytest.fixture(scope="module")
@@ -91,12 +91,12 @@ def to_the_end(run: Run) -> Run:
 
 
 @pytest.mark.parametrize("target", [90, 140])
-@pytest.mark.parametrize("method", ["svr-mask", "maskgs", "compact3dgs"])
+@pytest.mark.parametrize("method", ["svr", "maskgs", "compact3dgs"])
 def test_masks_alone_come_near_the_target(tiny, data, method, target):
     """Of 240; the ranking then meets it exactly."""
     run = to_the_end(steered_run(tiny, data, method, target=target))
     assert run.model.count == target
-    assert run.control.reached == pytest.approx(target, rel=0.03, abs=3)
+    assert run.controller.reached == pytest.approx(target, rel=0.03, abs=3)
 
 
 def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
@@ -104,54 +104,54 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     Of 21 seeds two lost more than asked; the median was 0.66 dB."""
     drops = []
     for seed in range(1, 12):
-        run = to_the_end(steered_run(tiny, data, "svr-mask", max_drop=1.0, seed=seed))
+        run = to_the_end(steered_run(tiny, data, "svr", max_drop=1.0, seed=seed))
         assert run.model.count < 200
-        drops.append(run.control.start - strength_controller.psnr_of(run, None))
+        drops.append(run.controller.start - run.psnr(None))
     assert 0.1 < sorted(drops)[5] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 7, drops
 
 
-@pytest.mark.parametrize(("method", "allowed"), [("svr-worth", 0.5), ("svr-worth", 2.0), ("svr-mask", 0.5), ("svr-mask", 2.0), ("gns", 2.0)])
+@pytest.mark.parametrize(("method", "allowed"), [("saliency", 0.5), ("saliency", 2.0), ("svr", 0.5), ("svr", 2.0), ("gns", 2.0)])
 def test_what_the_recovery_wins_back_is_spent(tiny, data, tmp_path, method, allowed):
     """One Gaussian of this tiny scene can be worth tenths of a dB."""
     settings = replace(prune_settings(method, 300, 200), max_drop=allowed)
-    result = train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobOptions(tmp_path / "o.ply"))
+    result = train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply"))
     assert allowed - 0.7 < result["drop"] < allowed + 0.3
     left = result["curves"]["count"]
     assert left[-1] < left[list(result["curves"]["iteration"]).index(300)]
 
 
 def test_more_is_cut_where_more_is_won_back():
-    """Never to be more than WON_BACK of the cut's cost."""
-    first = Closing(start=30.0)
-    assert first.won_back(31.0) == recovery_pruning.WON_BACK
-    for now, share in ((29.5, recovery_pruning.LESS * 0.5), (28.5, 0.0), (31.0, recovery_pruning.WON_BACK)):
-        assert Closing(start=30.0, before_cut=30.0, after_cut=29.0).won_back(now) == pytest.approx(share)
+    """Never to be more than RECOVERED of the cut's cost."""
+    first = RecoveryPruning(start=30.0)
+    assert first.recovered_share(31.0) == recovery_pruning.RECOVERED
+    for now, share in ((29.5, recovery_pruning.DECAY * 0.5), (28.5, 0.0), (31.0, recovery_pruning.RECOVERED)):
+        assert RecoveryPruning(start=30.0, before_cut=30.0, after_cut=29.0).recovered_share(now) == pytest.approx(share)
 
 
 @pytest.mark.parametrize("stop", [501, 650, 651, 790])
 def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, tmp_path, stop):
-    settings = replace(prune_settings("svr-worth", 500, 300), max_drop=1.0)
+    settings = replace(prune_settings("saliency", 500, 300), max_drop=1.0)
     whole, first, second = (Run(Model.of(load_scene(tiny.splat).scene), data, settings, NativeEngine()) for _ in range(3))
     while first.iteration < stop:
         first.advance()
     first.close()
     checkpoint.save(first, tmp_path, "same")
-    assert checkpoint.restore(second, tmp_path, "same") and second.closing == first.closing
+    assert checkpoint.restore(second, tmp_path, "same") and second.recovery_pruning == first.recovery_pruning
     to_the_end(second), to_the_end(whole)
-    assert second.closing == whole.closing and second.closing.before_cut > second.closing.after_cut > 0
+    assert second.recovery_pruning == whole.recovery_pruning and second.recovery_pruning.before_cut > second.recovery_pruning.after_cut > 0
     assert all(value.tobytes() == whole.model.values[name].tobytes() for name, value in second.model.values.items())
 
 
 @pytest.mark.parametrize("goal", [{"target": 90}, {"max_drop": 1.0}], ids=["target", "max-drop"])
 def test_a_steered_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tiny, data, tmp_path, goal):
-    whole, first, second = (steered_run(tiny, data, "svr-mask", 600, **goal) for _ in range(3))
+    whole, first, second = (steered_run(tiny, data, "svr", 600, **goal) for _ in range(3))
     while first.iteration < 501:
         first.advance()
     first.close()
     checkpoint.save(first, tmp_path, "same")
-    assert checkpoint.restore(second, tmp_path, "same") and asdict(second.control) == asdict(first.control) != asdict(Control())
+    assert checkpoint.restore(second, tmp_path, "same") and asdict(second.controller) == asdict(first.controller) != asdict(StrengthController())
     to_the_end(second), to_the_end(whole)
-    assert asdict(second.control) == asdict(whole.control)
+    assert asdict(second.controller) == asdict(whole.controller)
     assert all(value.tobytes() == whole.model.values[name].tobytes() for name, value in second.model.values.items())
 
 

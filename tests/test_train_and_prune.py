@@ -20,11 +20,11 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
+from plans import prune_settings, train_settings
 from svrgs_addon.errors import Cancelled, FormatError, SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import invisible, load_scene
 from svrgs_addon.finetune import scores
-from svrgs_addon.finetune.plan import prune_settings, train_settings
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.jobs.stop_request import StopRequest
@@ -33,9 +33,9 @@ from svrgs_addon.photographs.dataset import load_dataset
 
 ROOT = Path(__file__).resolve().parents[1]
 # Masks that start undecided, so that pruning events bite within few steps.
-SETTINGS = replace(prune_settings("svr-mask", 60, 30, prune_every=20, lambda_f=1e-3), mask_init=0.5, seed=5)
+SETTINGS = replace(prune_settings("svr", 60, 30, prune_every=20, lambda_f=1e-3), mask_init=0.5, seed=5)
 DENSIFY = Densify(start=20, until=100, every=20, reset_every=50, gradient=1e-3)
-TRAINING = replace(train_settings("svr-mask", 120, 20, densify=DENSIFY, lambda_f=1e-3), mask_init=1.0)
+TRAINING = replace(train_settings("svr", 120, 20, densify=DENSIFY, lambda_f=1e-3), mask_init=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +49,12 @@ class StopAt:
     def __init__(self, iteration: int):
         self.iteration, self.seen = iteration, []
 
-    def options(self, out: Path, resume: bool = False) -> train_and_prune.JobOptions:
-        return train_and_prune.JobOptions(out, resume=resume, observe=lambda p: self.seen.append(p.iteration), stop=lambda: self.seen[-1] >= self.iteration)
+    def options(self, out: Path, resume: bool = False) -> train_and_prune.JobContext:
+        return train_and_prune.JobContext(out, resume=resume, observe=lambda p: self.seen.append(p.iteration), stop=lambda: self.seen[-1] >= self.iteration)
 
 
 def prune(tiny, data, out: Path, settings=SETTINGS, **options) -> bytes:
-    train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobOptions(out, **options))
+    train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(out, **options))
     return out.read_bytes()
 
 
@@ -92,22 +92,22 @@ def test_resume_after_stops(tiny, data, whole, tmp_path, iterations):
 @pytest.mark.parametrize("iteration", [19, 40, 70, 100, 119, 120, 130])
 def test_resume_of_training(data, tmp_path, iteration):
     """Densification statistics, clones and splits, opacity resets, masks."""
-    train_and_prune.train(data, TRAINING, train_and_prune.JobOptions(tmp_path / "whole.ply"), 1)
+    train_and_prune.train(data, TRAINING, train_and_prune.JobContext(tmp_path / "whole.ply"), 1)
     assert read_ply(tmp_path / "whole.ply").count != tiny_dataset.SEEN
     with pytest.raises(Cancelled):
         train_and_prune.train(data, TRAINING, StopAt(iteration).options(tmp_path / "o.ply"), 1)
-    train_and_prune.train(data, TRAINING, train_and_prune.JobOptions(tmp_path / "o.ply", resume=True), 1)
+    train_and_prune.train(data, TRAINING, train_and_prune.JobContext(tmp_path / "o.ply", resume=True), 1)
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
 @pytest.mark.parametrize("iteration", [5, 40, 75])
 def test_resume_with_reduced_photographs_and_views_by_loss(data, tmp_path, iteration):
     train, recover = TRAINING.phases
-    settings = replace(TRAINING, phases=(replace(train, coarse_until=60), recover), views_by_loss=True, drop_settled=True)
-    train_and_prune.train(data, settings, train_and_prune.JobOptions(tmp_path / "whole.ply"), 1)
+    settings = replace(TRAINING, phases=(replace(train, coarse_until=60), recover), views_by_loss=True)
+    train_and_prune.train(data, settings, train_and_prune.JobContext(tmp_path / "whole.ply"), 1)
     with pytest.raises(Cancelled):
         train_and_prune.train(data, settings, StopAt(iteration).options(tmp_path / "o.ply"), 1)
-    train_and_prune.train(data, settings, train_and_prune.JobOptions(tmp_path / "o.ply", resume=True), 1)
+    train_and_prune.train(data, settings, train_and_prune.JobContext(tmp_path / "o.ply", resume=True), 1)
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
@@ -122,7 +122,7 @@ def test_the_command_line_reaches_the_skips(tiny, svrgs, tmp_path):
 
 def test_a_job_leaves_its_dataset_as_it_was(data, tmp_path):
     points, colors = data.points.copy(), data.point_colors.copy()
-    train_and_prune.train(data, TRAINING, train_and_prune.JobOptions(tmp_path / "o.ply"), 1)
+    train_and_prune.train(data, TRAINING, train_and_prune.JobContext(tmp_path / "o.ply"), 1)
     assert (data.points == points).all() and (data.point_colors == colors).all()
 
 
@@ -140,7 +140,8 @@ def test_a_pruned_file_keeps_the_order_of_its_source(tiny, data, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("method", "min_contribution", "target"), [("svr", 0.0, 0), ("svr", 0.2, 0), ("svr", 0.9, 150), ("svr", 0.9, 230), ("contribution", 0.1, 40)]
+    ("method", "min_contribution", "target"),
+    [("pressure", 0.0, 0), ("pressure", 0.2, 0), ("pressure", 0.9, 150), ("pressure", 0.9, 230), ("contribution", 0.1, 40)],
 )
 def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, min_contribution, target):
     """Faint ones are no part of what is looked at, though all of a scene is drawn once: not even in place of those that no view shows."""
@@ -215,7 +216,7 @@ def test_a_torn_checkpoint_falls_back_to_the_one_before(tiny, data, whole, tmp_p
     stop = StopAt(10**9)
     with caplog.at_level(logging.WARNING):
         train_and_prune.prune(tiny.splat, data, SETTINGS, stop.options(out, resume=True))
-    assert stop.seen[0] == 45 and "0000045 is not a whole checkpoint" in caplog.text
+    assert stop.seen[0] == 45 and "0000045 is damaged or of another version" in caplog.text
     assert out.read_bytes() == whole and [path.name for path in tmp_path.iterdir()] == ["o.ply"]
 
 
@@ -305,7 +306,7 @@ def test_seeds(tiny, data, whole, tmp_path):
 
 
 ENDLESS = 3000
-FREQUENT = "import sys\nfrom svrgs_addon import cli, jobs\njobs.CHECKPOINT_SECONDS = 0\nsys.exit(cli.main(sys.argv[1:]))"
+FREQUENT = "import sys\nfrom svrgs_addon.cli.main import main\nfrom svrgs_addon.jobs import train_and_prune\ntrain_and_prune.CHECKPOINT_SECONDS = 0\nsys.exit(main(sys.argv[1:]))"
 
 
 def words_for(tiny, out: Path, iterations: int, recovery: int) -> list[str]:
@@ -397,7 +398,7 @@ def test_a_stop_request_hears_both_signals():
 
 def test_a_second_ctrl_c_ends_at_once(tiny, tmp_path):
     busy = "lambda *_: (print('ready', file=sys.stderr, flush=True), time.sleep(60))"
-    code = f"import sys, time\nfrom svrgs_addon import cli, jobs\njobs.fine_tune = {busy}\nsys.exit(cli.main(sys.argv[1:]))"
+    code = f"import sys, time\nfrom svrgs_addon.cli.main import main\nfrom svrgs_addon.jobs import train_and_prune\ntrain_and_prune.fine_tune = {busy}\nsys.exit(main(sys.argv[1:]))"
     process = start("-c", code, *words_for(tiny, tmp_path / "o.ply", 10, 0))
     assert process.stderr.readline() == "ready\n"
     process.send_signal(signal.SIGINT)
@@ -408,7 +409,7 @@ def test_a_second_ctrl_c_ends_at_once(tiny, tmp_path):
 
 
 def test_sigterm_while_nothing_can_be_kept_ends_without_a_stack_trace():
-    code = "import os, signal\nfrom svrgs_addon.colmap import import_pycolmap\nimport_pycolmap()\nos.kill(os.getpid(), signal.SIGTERM)"
+    code = "import os, signal\nfrom svrgs_addon.photographs.colmap import import_pycolmap\nimport_pycolmap()\nos.kill(os.getpid(), signal.SIGTERM)"
     done = run("-c", code)
     assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
 
@@ -419,31 +420,31 @@ def test_sigterm_while_nothing_can_be_kept_ends_without_a_stack_trace():
 def test_a_target_may_be_as_small_as_is_asked_for(tiny, data, tmp_path):
     scene = read_ply(tiny.splat)
     write_ply(tmp_path / "big.ply", scene.select(np.repeat(np.arange(scene.count), 10)))
-    for method in ("svr-mask", "svr", "opacity"):
+    for method in ("svr", "pressure", "opacity"):
         prune(replace(tiny, splat=tmp_path / "big.ply"), data, tmp_path / "o.ply", prune_settings(method, 30, 2, target=2))
         assert read_ply(tmp_path / "o.ply").count == 2
 
 
 def test_a_target_needs_iterations_to_prune_in(data, tmp_path):
-    for method in ("maskgs", "opacity", "svr-worth"):
+    for method in ("maskgs", "opacity", "saliency"):
         with pytest.raises(SceneError, match=f"method '{method}' without iterations in which it prunes cannot reach a target"):
-            train_and_prune.train(data, train_settings(method, 0, 5, target=20), train_and_prune.JobOptions(tmp_path / "o.ply"))
+            train_and_prune.train(data, train_settings(method, 0, 5, target=20), train_and_prune.JobContext(tmp_path / "o.ply"))
 
 
 def test_lambda_is_told_where_it_decided(tiny, data, tmp_path):
     def told(**settings):
-        options = train_and_prune.JobOptions(tmp_path / "o.ply")
+        options = train_and_prune.JobContext(tmp_path / "o.ply")
         return train_and_prune.prune(tiny.splat, data, prune_settings(settings.pop("method"), 20, 0, lambda_f=1e-5, **settings), options)["lambda_f"]
 
-    assert told(method="svr") == told(method="svr-mask", target=100) == told(method="svr-worth") == 1e-5
-    assert told(method="svr", target=100) is told(method="svr-worth", max_drop=3.0) is None
+    assert told(method="pressure") == told(method="svr", target=100) == told(method="saliency") == 1e-5
+    assert told(method="pressure", target=100) is told(method="saliency", max_drop=3.0) is None
 
 
 def test_seconds_of_a_resumed_job_are_those_of_all_its_parts(tiny, data, tmp_path):
     out, stop = tmp_path / "o.ply", StopAt(60)
     with pytest.raises(Cancelled):
         train_and_prune.prune(tiny.splat, data, SETTINGS, stop.options(out))
-    result = train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobOptions(out, resume=True))
+    result = train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, resume=True))
     assert result["seconds"] >= sum(result["seconds_by_phase"].values())
 
 

@@ -1,4 +1,4 @@
-"""What each command does: options in, files and a result out. A command imports what it alone needs, so that info starts at once."""
+"""What each command does: words in, files and a result out. A command imports what it alone needs, so that info starts at once."""
 
 from __future__ import annotations
 
@@ -9,70 +9,56 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import Cancelled, SceneError
+from ..errors import Cancelled
 from ..exit_status import STOPPED, plain
 from ..files import registry
-from .arguments import MIN_CONTRIBUTION, RECOVERY
+from ..jobs.options import DatasetOptions, PruneOptions, TrainOptions
+from .arguments import options_from
 
 if TYPE_CHECKING:
     from .batch_list import Item
 
-Options = argparse.Namespace
+Words = argparse.Namespace  # as parsed
 
 
-def info(options: Options) -> int:
-    facts = registry.describe(options.scene)
-    return _print(facts, options, "\n".join(f"{name:12} {value}" for name, value in facts.items()))
+def info(words: Words) -> int:
+    facts = registry.describe(words.scene)
+    return _print(facts, words, "\n".join(f"{name:12} {value}" for name, value in facts.items()))
 
 
-def render(options: Options) -> int:
+def render(words: Words) -> int:
     from .render_views import render_views
 
-    _set_threads(options)
-    saved = render_views(options)
-    return _print({"files": [str(path) for path in saved]}, options, "\n".join(f"Saved: '{path}'" for path in saved))
+    _set_threads(words)
+    saved = render_views(words)
+    return _print({"files": [str(path) for path in saved]}, words, "\n".join(f"Saved: '{path}'" for path in saved))
 
 
-def train(options: Options) -> int:
-    from ..finetune.methods import method_named
-    from ..finetune.plan import train_settings
-    from ..finetune.settings import Densify
-    from ..jobs import train_and_prune
-    from ..jobs.stop_request import StopRequest
+def train(words: Words) -> int:
+    from ..jobs.run_job import train_scene
 
-    _set_threads(options)
-    method = _method(options)
-    recovery = options.recovery if options.recovery is not None else RECOVERY * method_named(method).prunes
-    settings = train_settings(
-        method, options.iterations, recovery, lambda_f=options.lambda_f, lambda_m=options.lambda_m, seed=options.seed,
-        full=not options.visible_mask, background=options.background, densify=Densify.within(options.iterations, options.densify_until),
-        coarse_until=options.coarse_until, views_by_loss=options.views_by_loss, target=options.target_count or 0, share=options.target or 0.0,
-        schedule=options.schedule,
-    )  # fmt: skip
-    job = _job(options)
-    train_and_prune.check_outputs(job)
-    dataset = _load(options, need_points=True)
-    with StopRequest() as stop:
-        result = train_and_prune.train(dataset, settings, replace(job, stop=stop), options.sh_degree)
-    return _print(result, options, _figures(result))
+    result = train_scene(options_from(TrainOptions, words))
+    return _print(result, words, _figures(result))
 
 
-def prune(options: Options) -> int:
+def prune(words: Words) -> int:
+    from ..jobs.run_job import method_of, prune_scene
     from ..jobs.worker import run_in_child
     from . import batch_list
 
-    _method(options)  # one that does not exist is a matter of the command, not of each scene
-    items = batch_list.expand(options.scenes, options.colmap, options.out, options.report)
-    if len(items) == 1 and not options.batch:
-        result = prune_one(argparse.Namespace(**_item_options(options, items[0], options.report)))
-        return _print(result, options, _figures(result))
+    options = options_from(PruneOptions, words, out=None, report=None)
+    method_of(options)  # a method that does not exist is an error of the command, not of each scene
+    items = batch_list.expand(words.scenes, words.colmap, words.out, words.report)
+    if len(items) == 1 and not words.batch:
+        result = prune_scene(_of_item(options, items[0], words.report))
+        return _print(result, words, _figures(result))
     failed = stopped = False
     for item in items:
         line = {"scene": str(item.scene), "out": str(item.out)}
-        if item.out.exists() and not options.overwrite and item.out.resolve() != item.scene.resolve():
+        if item.out.exists() and not words.overwrite and item.out.resolve() != item.scene.resolve():
             line["skipped"] = "the output exists"
         else:
-            status, result = run_in_child(_item_options(options, item, options.report and options.report / item.name))
+            status, result = run_in_child(_of_item(options, item, words.report and words.report / item.name))
             line, failed, stopped = {**line, **result}, failed or status != 0, status == STOPPED
         print(json.dumps(plain(line)), flush=True)
         if stopped:
@@ -80,124 +66,54 @@ def prune(options: Options) -> int:
     return 1 if failed else 0
 
 
-def _item_options(options: Options, item: Item, report: Path | None) -> dict:
+def _of_item(options: PruneOptions, item: Item, report: Path | None) -> PruneOptions:
     """The options of one scene's job."""
-    rest = {name: value for name, value in vars(options).items() if name not in ("scenes", "command")}
-    return {**rest, "scene": item.scene, "colmap": item.colmap, "out": item.out, "report": report}
+    return replace(options, scene=item.scene, colmap=item.colmap, out=item.out, report=report)
 
 
-def prune_one(options: Options, adapt: Callable = lambda job: job) -> dict:
-    """One scene: options.scene, .colmap, .out, .report beside those of the command line; returns the JSON result.
-
-    adapt: from the jobs.JobOptions of the command line to those the job is run with.
-    """
-    from ..finetune.plan import prune_settings
-    from ..jobs import train_and_prune
-    from ..jobs.stop_request import StopRequest
-
-    _set_threads(options)
-    if options.colmap is None:
-        raise SceneError(f"{options.scene}: pruning needs the photographs it was trained on; give --colmap DIR")
-    settings = prune_settings(
-        _method(options), options.iterations, options.recovery, lambda_f=options.lambda_f, lambda_m=options.lambda_m, seed=options.seed,
-        full=not options.visible_mask, background=tuple(options.background), target=_target(options), max_drop=options.max_drop,
-        min_contribution=_min_contribution(options), views_by_loss=options.views_by_loss, schedule=options.schedule,
-    )  # fmt: skip
-    job = _job(options, options.report)
-    train_and_prune.check_outputs(job)
-    dataset = _load(options)
-    with StopRequest() as stop:
-        return train_and_prune.prune(options.scene, dataset, settings, adapt(replace(job, stop=stop)))
-
-
-def _method(options: Options) -> str:
-    """The method's name; SceneError where it does not exist, or --paper does not fit."""
-    from ..finetune.methods import PAPER, method_named
-
-    if options.method == PAPER:  # a name for results, not for requests
-        raise SceneError(f"method '{PAPER}' is unknown: it is chosen by --method svr --paper")
-    method_named(options.method)
-    if options.paper and options.method != "svr":
-        raise SceneError(f"--paper is the paper's form of method 'svr', not of '{options.method}'")
-    return PAPER if options.paper else options.method
-
-
-def _min_contribution(options: Options) -> float:
-    from ..finetune.methods import method_named
-
-    if options.min_contribution is not None:
-        return options.min_contribution
-    return MIN_CONTRIBUTION if method_named(_method(options)).first_cut else 0.0
-
-
-def _target(options: Options) -> int:
-    from ..finetune.methods import method_named
-
-    if options.target_count is not None:
-        return options.target_count
-    share = options.target or (0.0 if options.max_drop else method_named(_method(options)).share)
-    return max(1, round(share * registry.describe(options.scene)["count"])) if share else 0
-
-
-def evaluate(options: Options) -> int:
+def evaluate(words: Words) -> int:
+    from ..jobs.run_job import dataset_of
     from ..metrics import load_lpips
     from ..metrics.evaluate import evaluate as measure
     from ..metrics.evaluate import refuse_unseen, split_indices
     from ..native import Rasterizer
 
-    _set_threads(options)
-    scene = registry.load_scene(options.scene).scene
-    dataset = _load(options)
-    refuse_unseen(scene, dataset.cameras, str(options.scene))
-    lpips, reason = load_lpips(options.lpips_weights)
-    result = measure(scene, dataset, split_indices(dataset, options.split), Rasterizer(), lpips)
-    result["bytes"] = options.scene.stat().st_size
-    return _print(result, options, _figures(result, reason))
+    _set_threads(words)
+    scene = registry.load_scene(words.scene).scene
+    dataset = dataset_of(options_from(DatasetOptions, words))
+    refuse_unseen(scene, dataset.cameras, str(words.scene))
+    lpips, reason = load_lpips(words.lpips_weights)
+    result = measure(scene, dataset, split_indices(dataset, words.split), Rasterizer(), lpips)
+    result["bytes"] = words.scene.stat().st_size
+    return _print(result, words, _figures(result, reason))
 
 
-def compare(options: Options) -> int:
+def compare(words: Words) -> int:
+    from ..jobs.run_job import dataset_of
     from ..report.compare import compare as run
 
-    _set_threads(options)
-    result = run(options.a, options.b, _load(options), options.out, options.lpips_weights)
-    return _print(result, options, "\n".join(f"{name}: {_figures(result[name])}" for name in ("a", "b")) + f"\n{result['report']}")
+    _set_threads(words)
+    result = run(words.a, words.b, dataset_of(options_from(DatasetOptions, words)), words.out, words.lpips_weights)
+    return _print(result, words, "\n".join(f"{name}: {_figures(result[name])}" for name in ("a", "b")) + f"\n{result['report']}")
 
 
-def bench(options: Options) -> int:
+def bench(words: Words) -> int:
     from ..bench.run import bench as run
     from ..bench.text import as_text
 
-    result = run(options)
-    return _print(result, options, "" if options.json else as_text(result))
+    result = run(words)
+    return _print(result, words, "" if words.json else as_text(result))
 
 
-COMMANDS: dict[str, Callable[[Options], int]] = {
+COMMANDS: dict[str, Callable[[Words], int]] = {
     "info": info, "render": render, "train": train, "prune": prune, "eval": evaluate, "compare": compare, "bench": bench,
 }  # fmt: skip
 
 
-def _load(options: Options, need_points: bool = False):
-    from ..photographs.dataset import load_dataset
-
-    return load_dataset(
-        options.colmap, options.images, holdout=options.holdout, background=tuple(options.background), need_points=need_points,
-        memory_budget=int(options.image_memory * 1e9),
-    )  # fmt: skip
-
-
-def _job(options: Options, report: Path | None = None):
-    from ..jobs.options import JobOptions
-    from ..metrics import load_lpips
-    from .progress import Reporter
-
-    lpips, missing = load_lpips(options.lpips_weights)
-    return JobOptions(options.out, report, options.resume, options.engine, lpips, missing, Reporter(options.quiet))
-
-
-def _set_threads(options: Options):
+def _set_threads(words: Words):
     from .. import native
 
-    native.set_threads(options.threads)
+    native.set_threads(words.threads)
 
 
 def _figures(result: dict, lpips_missing: str = "") -> str:
@@ -217,6 +133,6 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
     return "\n".join(lines + ([f"LPIPS left out: {lpips_missing}"] if lpips_missing else []))
 
 
-def _print(result: dict, options: Options, text: str) -> int:
-    print(json.dumps(plain(result)) if options.json else text, flush=True)
+def _print(result: dict, words: Words, text: str) -> int:
+    print(json.dumps(plain(result)) if words.json else text, flush=True)
     return 0

@@ -16,11 +16,11 @@ from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write, check_writable
 from ..files.npz import write_arrays
 from .densify import Statistics
-from .loop import Curves, Run
-from .recovery_pruning import Closing
-from .strength_controller import Control
+from .recovery_pruning import RecoveryPruning
+from .run import Curves, Run
+from .strength_controller import StrengthController
 
-SCHEMA = 9
+SCHEMA = 10
 KEPT = 2  # newest checkpoints kept
 _PARTS = ("values", "moments")
 
@@ -59,8 +59,8 @@ def _write(run: Run, target: Path, identity: str):
         "unordered": run.unordered,
         "target": run.target,
         "method": run.method.state(),
-        "control": asdict(run.control) if run.control else None,
-        "closing": asdict(run.closing) if run.closing else None,
+        "controller": asdict(run.controller) if run.controller else None,
+        "recovery_pruning": asdict(run.recovery_pruning) if run.recovery_pruning else None,
         "loss": run.loss,
         "nonfinite": run.nonfinite,
         "held_back": run.held_back,
@@ -77,7 +77,7 @@ def restore(run: Run, folder: Path, identity: str) -> bool:
     for candidate in reversed(_folders(folder)):
         manifest = read_manifest(candidate)
         if manifest is None:
-            logging.warning("%s is not a whole checkpoint: trying the one before", candidate)
+            logging.warning("%s is damaged or of another version: trying the checkpoint before it", candidate)
             shutil.rmtree(candidate, ignore_errors=True)  # it must not outlive, as the newest, those written from here on
             continue
         if manifest["identity"] != identity:
@@ -112,8 +112,8 @@ def _apply(run: Run, folder: Path, manifest: dict):
     run.iteration, run.initial_count, run.unordered = manifest["iteration"], manifest["initial_count"], manifest["unordered"]
     run.target = manifest["target"]
     run.method.restore(manifest["method"])
-    run.control = Control(**manifest["control"]) if manifest["control"] else None
-    run.closing = Closing(**manifest["closing"]) if manifest["closing"] else None
+    run.controller = StrengthController(**manifest["controller"]) if manifest["controller"] else None
+    run.recovery_pruning = RecoveryPruning(**manifest["recovery_pruning"]) if manifest["recovery_pruning"] else None
     run.loss, run.seconds = manifest["loss"], manifest["seconds"]
     run.nonfinite, run.held_back = manifest["nonfinite"], manifest["held_back"]
     run.curves = Curves(**manifest["curves"])

@@ -10,7 +10,6 @@ from .model import MASK, Model
 from .scores import top
 
 _EVENT_STREAM = 1 << 62  # keeps an event's draws apart from those of the steps
-SETTLED = 0.01  # a probability of existence below this has settled
 MIN_SHARE = 1e-3  # a run that would leave less than this share of a scene is refused
 
 
@@ -20,8 +19,8 @@ def draw(model: Model, seed: int, step: int) -> tuple[np.ndarray, np.ndarray]:
     return masks, slope.astype(model.dtype, copy=False)
 
 
-def some_absent(count: int, share: float, seed: int, step: int) -> np.ndarray:
-    """This step's masks (N,) uint8, each 0 with probability `share`; nothing is learned about them."""
+def dropout_masks(count: int, share: float, seed: int, step: int) -> np.ndarray:
+    """This step's masks (N,) uint8, each 0 with probability `share`. Nothing is learned about them."""
     return (np.random.default_rng([seed, 3, step]).random(count, np.float32) >= share).astype(np.uint8)
 
 
@@ -34,12 +33,7 @@ def ever_drawn(model: Model, seed: int, step: int, draws: int) -> np.ndarray:
     return seen
 
 
-def settled(model: Model) -> np.ndarray:
-    """(N,) bool: p < 0.01. Fewer than one picture in 100 shows it, and the next event of 10 draws drops it with p > 0.9."""
-    return model.values[MASK] < np.log(SETTLED / (1 - SETTLED))
-
-
-def decided(model: Model, target: int = 0) -> np.ndarray:
+def most_probable(model: Model, target: int = 0) -> np.ndarray:
     """(N,) bool, the deterministic end of mask learning: p > 0.5, or the `target` most probable (all, where fewer are left)."""
     logits = model.values[MASK]
     return top(logits, target) if target else logits > 0

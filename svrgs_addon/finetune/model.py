@@ -23,21 +23,21 @@ class Model:
     """N Gaussians in training: `values`, and their Adam `moments` (moments.py) under the same names.
 
     Values are the arrays of Scene (raw, shapes as there) and, while masks are learned, mask_logits (N,); all of one
-    real dtype. origin (N,) int32: the row of the source scene each Gaussian came from, -1 for new ones. beside: the
+    real dtype. origin (N,) int32: the row of the source scene each Gaussian came from, -1 for new ones. metadata: the
     source scene's other fields.
     """
 
-    def __init__(self, values: dict[str, np.ndarray], moments: dict | None = None, origin: np.ndarray | None = None, beside: dict | None = None):
+    def __init__(self, values: dict[str, np.ndarray], moments: dict | None = None, origin: np.ndarray | None = None, metadata: dict | None = None):
         self.values = values
         self.moments = moments or {name: none_yet(array) for name, array in values.items()}
         self.origin = np.arange(len(values["means"]), dtype=np.int32) if origin is None else origin
-        self.beside = beside or {}
+        self.metadata = metadata or {}
 
     @classmethod
     def of(cls, scene: Scene, dtype=np.float32, copy: bool = True) -> Model:
         """copy=False: takes over the scene's own arrays, and changes them."""
         values = {name: getattr(scene, name).astype(dtype, copy=copy) for name in PARAMETERS}
-        return cls(values, beside={name: value for name, value in vars(scene).items() if name not in PARAMETERS})
+        return cls(values, metadata={name: value for name, value in vars(scene).items() if name not in PARAMETERS})
 
     def __getattr__(self, name: str) -> np.ndarray:  # the rasteriser reads a model as it reads a Scene
         try:
@@ -96,16 +96,16 @@ class Model:
         self.origin = np.concatenate([self.origin, np.full(added, -1, np.int32)])
 
     def into_scene(self) -> Scene:
-        """The end of a run: the model as a Scene, rows in the source's order and new ones after them, and what the source says beside its
-        arrays as far as it still fits. The model gives up its arrays, one after the other; where they are in that order, none is copied.
+        """The end of a run: the model as a Scene, rows in the source's order and new ones after them, and the source's other
+        fields as far as they still fit. The model gives up its arrays, one after the other; where they are in that order, none is copied.
         """
         self.moments = {}
         rows = self._source_order()
         arrays = {name: np.ascontiguousarray(self.values.pop(name)[rows], np.float32) for name in PARAMETERS}
         if (self.origin < 0).any():
-            return Scene(**arrays, **(self.beside | {"attributes": {}, "property_order": ()}))
-        attributes = {name: column[self.origin[rows]] for name, column in self.beside.get("attributes", {}).items()}
-        return Scene(**arrays, **(self.beside | {"attributes": attributes}))
+            return Scene(**arrays, **(self.metadata | {"attributes": {}, "property_order": ()}))
+        attributes = {name: column[self.origin[rows]] for name, column in self.metadata.get("attributes", {}).items()}
+        return Scene(**arrays, **(self.metadata | {"attributes": attributes}))
 
     def _source_order(self) -> np.ndarray | slice:
         """Index of the rows as the source had them, new ones last in their present order; a slice of all where they are so already."""

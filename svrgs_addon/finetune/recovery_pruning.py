@@ -1,59 +1,55 @@
-"""What the recovery wins back is spent where a loss of quality is allowed: a few times in it, what is worth least goes (worth.py).
+"""Pruning during recovery, where a drop in PSNR is allowed: recovery wins back quality, and more Gaussians can go for it.
 
-Each time as many go as bring the drop to the one allowed by the next time, if the steps until then win back that share of what the
-cut costs which they won back of the last cut.
+At CUTS of the recovery, the Gaussians with the lowest saliency are removed. Each cut removes as many as bring the drop to the
+allowed one by the next cut. It assumes that the steps in between recover the same share of this cut's loss as they did of the last.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from .saliency import worth
-from .strength_controller import fewest_within, psnr_of
-
-if TYPE_CHECKING:
-    from .loop import Run
-    from .methods.base import Keep
-    from .settings import Phase
+from .quality import fewest_within
+from .run_view import Keep, RunView
+from .saliency import saliency
+from .settings import Phase
 
 CUTS = (0.25, 0.5, 0.75, 0.9)  # of a recovery
-WON_BACK, LESS = 0.65, 0.93  # share won back of the first cut, and at most; less of each than of the one before
-DEEPEST = 1.5  # dB below what is allowed that are left to be won back
+RECOVERED, DECAY = 0.65, 0.93  # share recovered of the first cut's loss, and the largest; factor on it from cut to cut
+DEEPEST = 1.5  # dB below the allowed PSNR that a cut may leave for the recovery
 
 
 @dataclass
-class Closing:
-    """State: PSNR over a few training views (psnr_of) before the first step, before the last cut, and after it."""
+class RecoveryPruning:
+    """State: PSNR on a few training views (RunView.psnr) before the first step, before the last cut, and after it."""
 
     start: float = 0.0
     before_cut: float = 0.0
     after_cut: float = 0.0
 
-    def before(self, run: Run):
-        """Called before each step: notes where the run starts from."""
+    def before_step(self, run: RunView):
+        """Notes the PSNR that the run starts from."""
         if not self.start:
-            self.start = psnr_of(run, None)
+            self.start = run.psnr(None)
 
-    def cut(self, run: Run, phase: Phase, number: int) -> Keep:
-        """After step `number` of the recovery."""
+    def cut(self, run: RunView, phase: Phase, number: int) -> Keep:
+        """The Gaussians that stay after step `number` of the recovery."""
         if number not in [round(share * phase.steps) for share in CUTS]:
             return None
-        now = psnr_of(run, None)
+        now = run.psnr(None)
         spare = now - (self.start - run.settings.max_drop)
         if spare <= 0:
             return None
-        ranking = worth(run.model, run.training_cameras, run.engine.rasterizer, run.score_options)
-        share = self.won_back(now)
+        ranking = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        share = self.recovered_share(now)
         kept = fewest_within(run, ranking, now - spare - min(spare * share / (1 - share), DEEPEST))
-        self.before_cut, self.after_cut = now, psnr_of(run, kept)
+        self.before_cut, self.after_cut = now, run.psnr(kept)
         return kept
 
-    def won_back(self, now: float) -> float:
-        """The share of the next cut's cost that will be won back."""
+    def recovered_share(self, now: float) -> float:
+        """The share of the next cut's loss that the recovery is expected to win back."""
         cost = self.before_cut - self.after_cut
-        return min(max(LESS * (now - self.after_cut) / cost, 0.0), WON_BACK) if cost > 0 else WON_BACK
+        return min(max(DECAY * (now - self.after_cut) / cost, 0.0), RECOVERED) if cost > 0 else RECOVERED
 
-    def drop(self, run: Run) -> float:
-        """dB lost so far."""
-        return self.start - psnr_of(run, None)
+    def drop(self, run: RunView) -> float:
+        """dB lost since the first step."""
+        return self.start - run.psnr(None)

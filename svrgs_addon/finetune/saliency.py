@@ -1,12 +1,14 @@
-"""What a Gaussian's existence is worth to the objective of SVR-GS, by closed differences instead of sampled masks.
+"""Saliency: what the existence of one Gaussian is worth to the objective of SVR-GS, without sampling masks.
 
-A colour and the spatial mask F are linear in the existence M of one Gaussian, so its absence changes them by their derivatives:
+A colour and the spatial mask F are linear in the existence M of one Gaussian. Removing it changes them by their derivatives:
 
-    cost = sum over views of the mean over all pixels of |dC/dM|^2 / 3,  dC/dM = alpha T (c - b)     the squared error without it
-    push = SHARE * sum over views of the mean over its own pixels of 2 F dF/dM                       what it adds to F^2, to first order
+    removal error = sum over views of the mean over all pixels of |dC/dM|^2 / 3,   dC/dM = alpha T (c - b)
+    mask penalty  = SHARE * sum over views of the mean over its own pixels of 2 F dF/dM
+    saliency      = removal error / mask penalty                                    in units of lambda_F
 
-worth = cost / push. The objective gains from pruning what is worth less than lambda_F. Each Gaussian is charged for the same SHARE
-of a picture, however much of it it covers: it costs memory and time as one.
+The removal error is the Delta SE of GaussianPOP (arXiv 2602.06830): the growth of the squared error when the Gaussian alone is
+removed. The mask penalty is the Gaussian's part in F^2, to first order. The objective falls when a Gaussian with a saliency below
+lambda_F is removed. Each Gaussian is charged for the same SHARE of an image, however large it is: it costs memory and time as one.
 """
 
 from __future__ import annotations
@@ -21,39 +23,39 @@ from ..scene import Scene
 from .model import Model
 from .views import fitting_reduction
 
-SHARE = 4e-7
-REDUCTION = 2  # views are looked at at half their size: nearly the same ranking in a fraction of the time
+SHARE = 4e-7  # of an image
+REDUCTION = 2  # views at half their size: nearly the same ranking in a fraction of the time
 
 
-def costs(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """(N,) float64; 0 for what no view sees."""
-    cost = np.zeros(scene.count)
+def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+    """(N,) float64; 0 for Gaussians that no view sees."""
+    total = np.zeros(scene.count)
     for view in _reduced(cameras):
         rasterizer.forward(scene, view, options, outputs=())
-        cost += _cost_of(rasterizer, view, scene.count)
-    return cost
+        total += _removal_error(rasterizer, view, scene.count)
+    return total
 
 
-def worth(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """(N,) float64, in units of lambda_F; 0 for what no view sees."""
+def saliency(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+    """(N,) float64, in units of lambda_F; 0 for Gaussians that no view sees."""
     n, options = scene.count, replace(options, mask_kind="svr")
-    cost, push = np.zeros(n), np.zeros(n)
+    removal_error, mask_penalty = np.zeros(n), np.zeros(n)
     for view in _reduced(cameras):
         F = rasterizer.forward(scene, view, options, outputs=("mask",))["mask"]
-        cost += _cost_of(rasterizer, view, n)
+        removal_error += _removal_error(rasterizer, view, n)
         pixels = np.zeros(n, np.int64)
         rasterizer.add_scores(np.zeros(n), np.zeros(n, np.float32), pixels)
         ids = rasterizer.visible()
-        push[ids] += SHARE * rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"] / np.maximum(pixels[ids], 1)
-    return np.divide(cost, push, out=np.zeros(n), where=push > 0)
+        mask_penalty[ids] += SHARE * rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"] / np.maximum(pixels[ids], 1)
+    return np.divide(removal_error, mask_penalty, out=np.zeros(n), where=mask_penalty > 0)
 
 
 def _reduced(cameras: list[Camera]) -> list[Camera]:
     return [camera.reduced(fitting_reduction(REDUCTION, camera.width, camera.height)) for camera in cameras]
 
 
-def _cost_of(rasterizer: Rasterizer, view: Camera, count: int) -> np.ndarray:
-    """The share (N,) of the view that was just drawn in the cost."""
+def _removal_error(rasterizer: Rasterizer, view: Camera, count: int) -> np.ndarray:
+    """(N,): the part of the view that was rendered last."""
     sums = np.zeros(count)
     rasterizer.add_removal(sums, np.zeros((view.height, view.width, 3), rasterizer.dtype))
     return sums / (3 * view.height * view.width)

@@ -58,7 +58,7 @@ class Densify:
         return cls(until=min(cls.until, iterations // 2) if until is None else until)
 
 
-MOST_ABSENT = 0.3  # of the Gaussians, however few the views
+MAX_DROPOUT = 0.3  # share of the Gaussians
 
 
 @dataclass(frozen=True)
@@ -69,17 +69,18 @@ class Phase:
     steps: int
     rates: Rates
     densify: Densify | None = None
-    active: bool = False  # the method is at work: masks are learned, opacities pressed, and at the end it decides what stays
+    active: bool = False  # the method takes part: it learns masks or presses opacities, and decides in the end what stays
     prune_every: int = 1_000  # its pruning events, outside densification; 0: none
     sh_every: int = 0  # raise the SH degree every so many steps; 0: all bands from the start
-    absent: float = 0.0  # over the number of training views: share of the Gaussians left out of each of the first 4/5 of the steps
+    dropout: float = 0.0  # times 1 / training views: share of the Gaussians that a step leaves out, in the first 4/5 of the steps
     coarse_until: int = 0  # steps up to this one look at reduced photographs
     coarse_factor: int = 2  # pixels a side that become one at first, a power of 2; halved in equal stretches
+    label: str = ""  # what happens in it, for people
 
-    def left_out(self, number: int, views: int) -> float:
-        """The probability with which step `number` (from 1) does without a Gaussian, of `views` training views: dropout, so that a
-        scene that few photographs show does not fit those alone."""
-        return min(MOST_ABSENT, self.absent / views) if 5 * number <= 4 * self.steps else 0.0
+    def dropout_rate(self, number: int, views: int) -> float:
+        """The probability with which step `number` (from 1) leaves a Gaussian out. With few training `views` it keeps the scene from fitting
+        those alone."""
+        return min(MAX_DROPOUT, self.dropout / views) if 5 * number <= 4 * self.steps else 0.0
 
     def reduction(self, number: int) -> int:
         """Pixels a side that step `number` (from 1) sees as one."""
@@ -90,9 +91,8 @@ class Phase:
 
 @dataclass(frozen=True)
 class Settings:
-    """One whole run."""
+    """One whole run, but for its method (plan.Plan)."""
 
-    method: str
     phases: tuple[Phase, ...]
     lambda_f: float = 0.0  # weight of mean F^2
     lambda_m: float = 0.0  # of the method's term of all masks
@@ -100,7 +100,6 @@ class Settings:
     seed: int = 0
     mask_init: float = 9.0
     draws: int = 10
-    drop_settled: bool = False  # do not wait for an event to prune what has all but ceased to exist (benchmarks/jobs.py: not worth it)
     views_by_loss: bool = False  # show the views with the lower loss every other epoch only
     spatial_order: bool = True  # Gaussians that lie together in space lie together in memory: the same work, done faster
     l1_weight: float = 0.8
@@ -113,7 +112,7 @@ class Settings:
 
     @property
     def prunes(self) -> bool:
-        """Whether the method is at work in some steps."""
+        """Whether the method takes part in some steps."""
         return any(phase.active and phase.steps for phase in self.phases)
 
     @property
@@ -132,4 +131,5 @@ class Settings:
 
 def recovery_phase(steps: int, position_first: float = 5e-6) -> Phase:
     """LightGaussian's recovery: the plain 3DGS loss, nothing added, nothing pruned, rates fading."""
-    return Phase("recover", steps, Rates(position_first=position_first, position_steps=max(steps, 1), decay=0.95))
+    rates = Rates(position_first=position_first, position_steps=max(steps, 1), decay=0.95)
+    return Phase("recover", steps, rates, label="Recovering the quality")

@@ -27,9 +27,12 @@ from .. import __version__
 from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write
 from ..files.registry import write_scene
+from ..finetune.methods import FORMER_NAMES
+from ..option_kinds import check_mapping
 from ..scene import Scene
+from .options import PruneOptions
 
-SCHEMA = 1
+SCHEMA = 2
 ROW = "svrgs_row"  # column of scene.ply
 HEARTBEAT = 2.0  # seconds
 STALE = 15.0  # seconds without a sign of life: whoever wrote the state is gone
@@ -40,10 +43,6 @@ METRICS = ("iteration", "count", "loss", "psnr")
 FACTS = {  # of a job's state, and their types
     "state": str, "text": str, "pid": int, "iteration": int, "total": int, "phase": str, "count": int, "loss": float, "psnr": float,
     "seconds_left": float,
-}  # fmt: skip
-OPTIONS = {  # those of `svrgs prune` that a job may have, and their types
-    "colmap": str, "images": str, "method": str, "lambda_f": float, "target": float, "target_count": int, "max_drop": float, "iterations": int,
-    "recovery": int, "seed": int, "threads": int, "holdout": int, "min_contribution": float, "visible_mask": bool, "views_by_loss": bool,
 }  # fmt: skip
 _FILES = (
     "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy",
@@ -76,7 +75,7 @@ class JobFolder:
     def request(self) -> dict:
         """job.json, checked: name, count, options. Raises FormatError."""
         request = self._json("job.json")
-        if request is None or request.get("schema") != SCHEMA:
+        if request is None or request.get("schema") not in (1, SCHEMA):
             raise FormatError(f"{self / 'job.json'}: is no job of this version")
         if not isinstance(request.get("name"), str) or not _is(int, request.get("count")) or request["count"] < 1:
             raise FormatError(f"{self / 'job.json'}: does not say which splat it is about")
@@ -86,12 +85,20 @@ class JobFolder:
             raise FormatError(f"{self / 'job.json'}: {error}") from None
         return request
 
-    def words(self) -> list[str]:
-        """The job as words of the command line."""
-        options = self.request()["options"]
-        given = {name.replace("_", "-"): value for name, value in options.items() if value is not False and value != ""}
-        words = [f"--{name}" if value is True else f"--{name}={value}" for name, value in given.items()]
-        return ["prune", str(self / "scene.ply"), f"--out={self / 'recovered.ply'}", "--resume", "--quiet", *words]
+    def options(self) -> PruneOptions:
+        """The options of the job, complete. Raises FormatError."""
+        given = check_mapping(PruneOptions, self.request()["options"])
+        return PruneOptions(**given, scene=self / "scene.ply", out=self / "recovered.ply", resume=True, quiet=True)
+
+    def update_schema(self) -> str:
+        """Brings a job of schema 1 up to date; says so in a sentence where its method is called otherwise now. Raises FormatError."""
+        request = self.request()
+        if request["schema"] == SCHEMA:
+            return ""
+        former = request["options"].get("method", "svr")
+        present = FORMER_NAMES.get(former, former)
+        self.write_json("job.json", {**request, "schema": SCHEMA, "options": {**request["options"], "method": present}})
+        return f"Method '{former}' is called '{present}' now" if present != former else ""
 
     def state(self) -> dict:
         """state.json. Of a job that says it runs but shows no sign of life, "state" is "interrupted"; of no job, "missing"."""
@@ -198,16 +205,9 @@ def facts_of(message: dict) -> dict:
     return {name: value for name, value in message.items() if name in FACTS and _is(FACTS[name], value)}
 
 
-def _check_options(options):
-    """Raises SceneError for what is no set of options; their ranges are the command line's matter."""
-    if not isinstance(options, dict):
-        raise SceneError("the job has no options")
-    for name, value in options.items():
-        if name not in OPTIONS or not _is(OPTIONS[name], value):
-            raise SceneError(f"'{str(name)[:40]}' is no option of a job, or its value is of the wrong kind")
-        if isinstance(value, str) and ("\0" in value or "\n" in value):
-            raise SceneError(f"'{name}' holds characters that no path has")
-    if not options.get("colmap"):
+def _check_options(options: object):
+    """Raises SceneError where these are no options of a job."""
+    if not check_mapping(PruneOptions, options).get("colmap"):
         raise SceneError("the job does not say where its photographs are")
 
 

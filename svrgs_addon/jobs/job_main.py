@@ -21,10 +21,9 @@ from .job_folder import CANCEL, HEARTBEAT, PAUSE, JobFolder
 
 LOOK_EVERY = 0.05  # seconds between two looks for flags
 TELL_EVERY = 0.25  # seconds between two reports of progress
-PHASES = {"prune": "Learning which Gaussians are needed", "recover": "Recovering the quality"}
 
 
-class Worker:
+class JobMain:
     """The job's state, told to the folder and to stdout; the main thread prunes, another one looks for flags and for orphanhood."""
 
     def __init__(self, folder: JobFolder):
@@ -56,28 +55,28 @@ class Worker:
             _say(kind, facts)
 
     def _prune(self) -> int:
-        from ..cli.arguments import parser
-        from ..cli.commands import prune_one
-        from .job_recorder import Watch
+        from .job_recorder import JobRecorder
+        from .run_job import prune_scene
 
-        options = parser().parse_args(self.folder.words())
-        options.scene = options.scenes[0]
-        watch = Watch(self.folder, self)
+        recorder = JobRecorder(self.folder, self)
         try:
-            result = prune_one(options, lambda job: replace(job, begin=watch.begin, observe=watch.observe, stop=lambda: job.stop() or bool(self.ending)))
+            options = self.folder.options()
+            result = prune_scene(
+                options, lambda job: replace(job, begin=recorder.begin, observe=recorder.observe, stop=lambda: job.stop() or bool(self.ending))
+            )
         except Cancelled:
             self.tell("STATUS", state=self.ending or "interrupted", text="")
             return 0
-        self.tell("DONE", state="done", text="", result=watch.finish(result))
+        self.tell("DONE", state="done", text="", result=recorder.finish(result))
         return 0
 
-    def progress(self, stage: str, **facts):
+    def progress(self, stage: str, label: str, **facts):
         """The loop's progress, told now and then; stage: "looping", or "finishing" when nothing can be taken up again."""
         self._stage = stage
         now = time.monotonic()
         if now > self._told + TELL_EVERY or stage == "finishing":
             self._told = now
-            self.tell("PROGRESS", **facts, text="Measuring the result" if stage == "finishing" else PHASES.get(facts["phase"], facts["phase"]))
+            self.tell("PROGRESS", **facts, text="Measuring the result" if stage == "finishing" else label)
 
     def _watch(self):
         while True:
@@ -121,7 +120,7 @@ def _say(kind: str, facts: dict):
 
 
 def main(arguments: list[str]) -> int:
-    return Worker(JobFolder(Path(arguments[0]))).run()
+    return JobMain(JobFolder(Path(arguments[0]))).run()
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ class Job:
         self.folder = folder
         self.facts: dict = folder.state()
         self.result: dict | None = None
+        self.renamed = ""  # a sentence where start() found a method that is called otherwise now
         self._process: subprocess.Popen | None = None
         self._read = 0  # bytes of messages.jsonl
         self._cancelled: float | None = None  # when
@@ -58,7 +59,7 @@ class Job:
 
     def start(self):
         """Starts the job, or goes on from its last checkpoint. Raises FormatError where its folder holds none."""
-        self.folder.request()
+        self.renamed = self.folder.update_schema()
         self.folder.lower_flags()
         (self.folder / "messages.jsonl").write_bytes(b"")
         self.folder.write_json("state.json", {"state": "starting"})

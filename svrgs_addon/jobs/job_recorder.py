@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -12,30 +12,36 @@ from ..files.atomic import atomic_write
 from ..files.images import write_image
 from ..files.registry import load_scene, read_scene, write_scene
 from ..finetune import loop, masks
+from ..finetune.run import Run
 from ..metrics.evaluate import render_options, shown
 from ..native import Rasterizer, RenderOptions
 from ..scene import Scene
 from .job_folder import METRICS, ROW, JobFolder
 from .ranking import Ranking, importance
 
-if TYPE_CHECKING:
-    from .job_main import Worker
-
 PREVIEW_SIDE = 512  # pixels, at most
 METRIC_ROWS = 200  # of a whole run
 
 
-class Watch:
+class Listener(Protocol):
+    """Who is told of the job: job_main.JobMain."""
+
+    def tell(self, kind: str, **facts): ...
+
+    def progress(self, stage: str, label: str, **facts): ...
+
+
+class JobRecorder:
     """Follows one run: begin() before its first step, observe() after each, finish() with the job's result."""
 
-    def __init__(self, folder: JobFolder, worker: Worker):
-        self.folder, self.worker = folder, worker
+    def __init__(self, folder: JobFolder, listener: Listener):
+        self.folder, self.listener = folder, listener
         self.count = folder.request()["count"]
         self.ranking = Ranking(self.count, folder / "ranking.npz")
 
-    def begin(self, run: loop.Run):
+    def begin(self, run: Run):
         self.run = run
-        self.ranking.begin(run, run.model.beside["attributes"][ROW])
+        self.ranking.begin(run, run.model.metadata["attributes"][ROW])
         self._points = len(run.curves.iteration)
         old = self.folder.metrics()
         rows = [row for row in zip(*(old[name] for name in METRICS), strict=True) if row[0] <= run.iteration]
@@ -47,15 +53,15 @@ class Watch:
         self.ranking.observe(run)
         new_point = len(curves.iteration) > self._points
         psnr = curves.psnr[-1] if curves.psnr else None
-        count = int(masks.decided(run.model).sum()) if run.model.learns_masks else run.model.count
+        count = int(masks.most_probable(run.model).sum()) if run.model.learns_masks else run.model.count
         if new_point or progress.iteration % max(1, progress.total // METRIC_ROWS) == 0:
             self._metrics.append(_line((progress.iteration, count, progress.loss, psnr if new_point else None)))
             self._write_metrics()
         if new_point:
             self._points = len(curves.iteration)
             self._preview(progress.iteration)
-        self.worker.progress(
-            "finishing" if run.finished else "looping", iteration=progress.iteration, total=progress.total, phase=progress.phase,
+        self.listener.progress(
+            "finishing" if run.finished else "looping", progress.label, iteration=progress.iteration, total=progress.total, phase=progress.phase,
             count=count, loss=round(progress.loss, 6), psnr=psnr, seconds_left=round(progress.seconds_left, 1),
         )  # fmt: skip
 
@@ -83,15 +89,15 @@ class Watch:
         return result
 
     def _preview(self, iteration: int):
-        run: loop.Run = self.run
+        run: Run = self.run
         views = run.dataset.test_indices or run.dataset.train_indices
         camera = run.dataset.cameras[views[0]]
         camera = camera.reduced(max(1, -(-max(camera.width, camera.height) // PREVIEW_SIDE)))
-        kept = masks.decided(run.model).astype(np.uint8) if run.model.learns_masks else None
+        kept = masks.most_probable(run.model).astype(np.uint8) if run.model.learns_masks else None
         options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
         name = f"previews/{iteration:07d}.png"
         write_image(self.folder / name, shown(run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]))
-        self.worker.tell("PREVIEW", path=name)
+        self.listener.tell("PREVIEW", path=name)
 
     def _write_metrics(self):
         with atomic_write(self.folder / "metrics.csv") as file:

@@ -10,8 +10,9 @@ import numpy as np
 from ..blender.activation import opacities as sigmoid
 from ..errors import FormatError
 from ..files.npz import write_arrays
-from ..finetune import loop, scores
+from ..finetune import scores
 from ..finetune.model import MASK
+from ..finetune.run import Run
 from ..scene import Scene
 
 ALIVE = np.iinfo(np.int32).max
@@ -30,7 +31,7 @@ class Ranking:
         self.dropped = np.zeros(count, np.int32)
         self.probability = np.full(count, np.nan, np.float32)
 
-    def begin(self, run: loop.Run, rows: np.ndarray):
+    def begin(self, run: Run, rows: np.ndarray):
         """rows: the source's row of each Gaussian that the run began with."""
         self._rows = rows.astype(np.int64)
         if run.iteration and self.file.exists():  # else none has gone yet
@@ -38,7 +39,7 @@ class Ranking:
         self.dropped[self._rows[run.model.origin]] = ALIVE
         self._remember(run)
 
-    def observe(self, run: loop.Run):
+    def observe(self, run: Run):
         """To be called after each step."""
         judged = self._logits is not None and not run.model.learns_masks
         if judged or run.model.count != len(self._origin):
@@ -56,14 +57,14 @@ class Ranking:
             raise FormatError(f"{self.file}: is of another splat; discard the job and start anew")
         self.dropped, self.probability = dropped.astype(np.int32), probability.astype(np.float32)
 
-    def _write_down(self, run: loop.Run):
+    def _write_down(self, run: Run):
         before = self._rows[self._origin]
         if self._logits is not None:
             self.probability[before] = sigmoid(self._logits)
         self.dropped[before] = run.iteration
         self.dropped[self._rows[run.model.origin]] = ALIVE
 
-    def _remember(self, run: loop.Run):
+    def _remember(self, run: Run):
         self._origin = run.model.origin
         self._logits = run.model.values[MASK].astype(np.float32) if run.model.learns_masks else None  # a copy: keep() moves rows in place
 

@@ -15,62 +15,62 @@ from ..files.atomic import check_writable
 from ..files.registry import invisible, load_scene, write_scene
 from ..finetune import checkpoint, loop, masks, scores
 from ..finetune.engine import NativeEngine
-from ..finetune.methods import method_named
 from ..finetune.model import Model, scene_from_points
-from ..finetune.settings import Settings
+from ..finetune.plan import Plan
+from ..finetune.run import Run
 from ..metrics.evaluate import evaluate, mean_psnr, refuse_unseen, render_options
 from ..native import Rasterizer, RenderOptions
 from ..photographs.dataset import Dataset
 from ..report.prune_report import report_pictures, write_prune_report
 from ..scene import Scene
-from .options import JobOptions
+from .context import JobContext
 
 CURVE_VIEWS = 4  # test views behind the PSNR curve
 CHECKPOINT_SECONDS = 120.0
 CANNOT_REACH = "method '{}' without iterations in which it prunes cannot reach a target"
 
 
-def train(dataset: Dataset, settings: Settings, options: JobOptions, sh_degree: int = 3) -> dict:
+def train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int = 3) -> dict:
     """3DGS (with masks, where the method learns them) from the dataset's sparse points; returns the JSON result."""
-    check_outputs(options)
-    check_request(dataset, settings)
-    if (settings.target or settings.share) and not settings.prunes:
-        raise SceneError(CANNOT_REACH.format(settings.method))
+    check_outputs(job)
+    check_request(dataset, plan)
+    if (plan.target or plan.share) and not plan.prunes:
+        raise SceneError(CANNOT_REACH.format(plan.method.name))
     clock = Clock()
     refuse_excess("training", len(dataset.points), (sh_degree + 1) ** 2, dataset)
     with clock.phase("initialise"):
         model = Model.of(scene_from_points(dataset.points, dataset.point_colors, sh_degree), copy=False)
-    run, scene = fine_tune(model, dataset, settings, options, clock)
+    run, scene = fine_tune(model, dataset, plan, job, clock)
     with clock.phase("evaluate"):
-        after = measured(scene, dataset, options)
-    return {**after, **run_facts(run, options, clock)}
+        after = measured(scene, dataset, job)
+    return {**after, **run_facts(run, job, clock)}
 
 
-def prune(scene_path: Path, dataset: Dataset, settings: Settings, options: JobOptions) -> dict:
+def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> dict:
     """Prunes and recovers a trained scene; writes it, and the report if asked; returns the JSON result."""
-    check_outputs(options)
-    if options.out.resolve() == scene_path.resolve():
-        raise SceneError(f"{options.out}: is the input itself; choose another output, the original is never overwritten")
-    check_request(dataset, settings)
+    check_outputs(job)
+    if job.out.resolve() == scene_path.resolve():
+        raise SceneError(f"{job.out}: is the input itself; choose another output, the original is never overwritten")
+    check_request(dataset, plan)
     clock = Clock()
     with clock.phase("read"):
         source = load_scene(scene_path).scene
         refuse_unseen(source, dataset.cameras, str(scene_path))
         refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset)
     with clock.phase("evaluate before"):
-        before = measured(source, dataset, options, scene_path)
-        pictures = report_pictures(source, dataset) if options.report else []
+        before = measured(source, dataset, job, scene_path)
+        pictures = report_pictures(source, dataset) if job.report else []
     with clock.phase("first cut"):
-        model = Model.of(first_cut(source, dataset, settings), copy=False)
+        model = Model.of(first_cut(source, dataset, plan), copy=False)
         cut = source.count - model.count
     del source  # its memory is the optimiser's from here on
-    run, scene = fine_tune(model, dataset, settings, options, clock)
+    run, scene = fine_tune(model, dataset, plan, job, clock)
     with clock.phase("evaluate after"):
-        after = measured(scene, dataset, options)
+        after = measured(scene, dataset, job)
     result = {**after, "scene": str(scene_path), "before": before, "after": after, "first_cut": cut}
-    result |= run_facts(run, options, clock)
-    if options.report:
-        write_prune_report(options.report, scene_path.stem, pictures, scene, dataset, run, result, options.lpips_missing)
+    result |= run_facts(run, job, clock)
+    if job.report:
+        write_prune_report(job.report, scene_path.stem, pictures, scene, dataset, run, result, job.lpips_missing)
     return result
 
 
@@ -93,27 +93,27 @@ class Clock:
         return self.earlier + time.perf_counter() - self.started
 
 
-def check_outputs(options: JobOptions):
+def check_outputs(job: JobContext):
     """Finds out before the work whether its results can be written. Raises SceneError."""
-    if options.out.suffix.lower() != ".ply":
-        raise SceneError(f"{options.out}: scenes are written as .ply")
-    check_writable(options.out)
-    check_writable(options.folder / "manifest.json")
-    if options.report:
-        check_writable(options.report / "index.html")
+    if job.out.suffix.lower() != ".ply":
+        raise SceneError(f"{job.out}: scenes are written as .ply")
+    check_writable(job.out)
+    check_writable(job.folder / "manifest.json")
+    if job.report:
+        check_writable(job.report / "index.html")
 
 
-def check_request(dataset: Dataset, settings: Settings):
+def check_request(dataset: Dataset, plan: Plan):
     """Finds out before the work whether dataset and settings allow it. Raises SceneError."""
     if not dataset.train_indices:
         raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
-    ranks, asked = method_named(settings.method).ranks, settings.target or settings.share
-    if settings.max_drop and not (method_named(settings.method).holds_drop and settings.prunes):
-        raise SceneError(f"method '{settings.method}' cannot take --max-drop: that needs a method that learns what to prune, and iterations in which it does")
-    if ranks and not asked:
-        raise SceneError(f"method '{settings.method}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
-    if asked and not ranks and not settings.prunes:
-        raise SceneError(CANNOT_REACH.format(settings.method))
+    method, asked = plan.method, plan.target or plan.share
+    if plan.max_drop and not (method.supports_max_drop and plan.prunes):
+        raise SceneError(f"method '{method.name}' cannot take --max-drop: that needs a method that learns what to prune, and iterations in which it does")
+    if method.ranks and not asked:
+        raise SceneError(f"method '{method.name}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
+    if asked and not method.ranks and not plan.prunes:
+        raise SceneError(CANNOT_REACH.format(plan.method.name))
 
 
 def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
@@ -121,24 +121,24 @@ def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
     memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget))
 
 
-def first_cut(scene: Scene, dataset: Dataset, settings: Settings) -> Scene:
-    """Drops what no view misses: opacity < 1/255, which is exact, and alpha T below settings.min_contribution in every
+def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
+    """Drops what no view misses: opacity < 1/255, which is exact, and alpha T below plan.min_contribution in every
     training view, as far as a target count allows. Methods that rank drop all but the target count.
 
     Both are selected at once, when nothing else is held: copies would be the job's peak of memory.
     """
-    method, faint = method_named(settings.method), invisible(scene)
+    method, faint = plan.method, invisible(scene)
     views = [dataset.cameras[i] for i in dataset.train_indices]
     keep = ~faint
-    if settings.min_contribution:
-        _, peaks, _ = scores.contribution(scene, views, Rasterizer(), render_options(scene, settings.background))
-        keep &= (peaks >= settings.min_contribution) | scores.top(np.where(faint, -1, peaks), settings.target)
-        masks.refuse_emptying(keep, scene.count - int(faint.sum()), settings.target)
+    if plan.min_contribution:
+        _, peaks, _ = scores.contribution(scene, views, Rasterizer(), render_options(scene, plan.background))
+        keep &= (peaks >= plan.min_contribution) | scores.top(np.where(faint, -1, peaks), plan.target)
+        masks.refuse_emptying(keep, scene.count - int(faint.sum()), plan.target)
     scene = scene if keep.all() else scene.select(keep)
     if not method.ranks:
         return scene
-    keep = scores.top(method.score(scene, views, Rasterizer(), render_options(scene, settings.background)), settings.target)
-    masks.refuse_emptying(keep, scene.count, settings.target)
+    keep = scores.top(method.score(scene, views, Rasterizer(), render_options(scene, plan.background)), plan.target)
+    masks.refuse_emptying(keep, scene.count, plan.target)
     return scene.select(keep)
 
 
@@ -150,40 +150,40 @@ def make_engine(name: str):
     return TorchEngine()
 
 
-def fine_tune(model: Model, dataset: Dataset, settings: Settings, options: JobOptions, clock: Clock) -> tuple[loop.Run, Scene]:
-    """Runs all phases with checkpoints, writes options.out, and forgets the checkpoints; each phase's seconds go to the clock. The model
+def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock: Clock) -> tuple[Run, Scene]:
+    """Runs all phases with checkpoints, writes job.out, and forgets the checkpoints; each phase's seconds go to the clock. The model
     ends as the scene that is returned."""
-    run = loop.Run(model, dataset, settings, make_engine(options.engine), model.beside["antialiased"])
-    identity = run_identity(model, dataset, settings, options.engine)
-    if options.resume:
-        checkpoint.restore(run, options.folder, identity)
+    run = Run(model, dataset, plan, make_engine(job.engine), model.metadata["antialiased"])
+    identity = run_identity(model, dataset, plan, job.engine)
+    if job.resume:
+        checkpoint.restore(run, job.folder, identity)
         clock.earlier = sum(run.seconds.values())
     else:
-        checkpoint.forget(options.folder)
-    options.begin(run)
+        checkpoint.forget(job.folder)
+    job.begin(run)
     saved = time.monotonic()
 
     def observe(progress: loop.Progress):
         nonlocal saved
-        options.observe(progress)
+        job.observe(progress)
         if time.monotonic() - saved > CHECKPOINT_SECONDS:
-            checkpoint.save(run, options.folder, identity)
+            checkpoint.save(run, job.folder, identity)
             saved = time.monotonic()
 
-    loop.run_to_end(run, observe, options.stop, lambda: checkpoint.save(run, options.folder, identity), lambda: curve_psnr(run))
+    loop.run_to_end(run, observe, job.stop, lambda: checkpoint.save(run, job.folder, identity), lambda: curve_psnr(run))
     clock.phases |= run.seconds
-    run.drop = run.closing.drop(run) if run.closing else None
-    run.engine = make_engine(options.engine)  # one without the buffers of the steps, before others need memory
+    run.drop = run.recovery_pruning.drop(run) if run.recovery_pruning else None
+    run.engine = make_engine(job.engine)  # one without the buffers of the steps, before others need memory
     scene = model.into_scene()
     with clock.phase("write"):
-        write_scene(options.out, scene)
-    checkpoint.forget(options.folder)
+        write_scene(job.out, scene)
+    checkpoint.forget(job.folder)
     return run, scene
 
 
-def run_identity(start: Model, dataset: Dataset, settings: Settings, engine: str) -> str:
+def run_identity(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
     """Digest of everything a resumed run must share with the one it continues."""
-    digest = hashlib.sha256(repr((settings, engine, dataset.train_indices, start.beside["antialiased"])).encode())
+    digest = hashlib.sha256(repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode())
     for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
         digest.update(array)
     for camera in dataset.cameras:
@@ -193,33 +193,33 @@ def run_identity(start: Model, dataset: Dataset, settings: Settings, engine: str
     return digest.hexdigest()
 
 
-def curve_psnr(run: loop.Run) -> float | None:
+def curve_psnr(run: Run) -> float | None:
     """PSNR over a few test views of what would be left if pruning ended now."""
     dataset, model = run.dataset, run.model
     views = dataset.test_indices[:: max(1, len(dataset.test_indices) // CURVE_VIEWS)][:CURVE_VIEWS]
     if not views:
         return None
-    kept = run.method.existing(model) if model.learns_masks else None
+    kept = run.method.current_mask(model) if model.learns_masks else None
     options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
     return mean_psnr(model, dataset, views, run.engine.rasterizer, options, None if kept is None else kept.astype(np.uint8))
 
 
-def measured(scene: Scene, dataset: Dataset, options: JobOptions, path: Path | None = None) -> dict:
+def measured(scene: Scene, dataset: Dataset, job: JobContext, path: Path | None = None) -> dict:
     """The keys of `svrgs eval` for a scene that lies in `path` (default: the output)."""
     views = dataset.test_indices or dataset.train_indices
-    return {**evaluate(scene, dataset, views, Rasterizer(), options.lpips), "bytes": (path or options.out).stat().st_size}
+    return {**evaluate(scene, dataset, views, Rasterizer(), job.lpips), "bytes": (path or job.out).stat().st_size}
 
 
-def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
+def run_facts(run: Run, job: JobContext, clock: Clock) -> dict:
     """What the JSON result says of a run beside the scene's quality."""
-    settings, tuned = run.settings, sum(run.seconds.values())
+    plan, tuned = run.settings, sum(run.seconds.values())
     return {
-        "out": str(options.out),
-        "method": settings.method,
-        "lambda_f": settings.lambda_f if run.method.weighs(settings) else None,
-        "lambda_m": settings.lambda_m or None,
+        "out": str(job.out),
+        "method": plan.method.name,
+        "lambda_f": plan.lambda_f if run.method.uses_lambda_f(plan) else None,
+        "lambda_m": plan.lambda_m or None,
         "target": run.target or None,
-        "reached": run.control.reached if run.control else None,
+        "reached": run.controller.reached if run.controller else None,
         "drop": run.drop,
         "strength": run.strength,
         "seconds": clock.total,
@@ -229,6 +229,6 @@ def run_facts(run: loop.Run, options: JobOptions, clock: Clock) -> dict:
         "peak_memory_bytes": memory.peak(),
         "nonfinite_gradients": run.nonfinite,
         "densifications_held_back": run.held_back,
-        "seed": settings.seed,
+        "seed": plan.seed,
         "curves": vars(run.curves),
     }

@@ -1,34 +1,34 @@
 """One pruning job in a process of its own: a crash or an exhausted memory ends that job, not the batch.
 
-Parent: run_in_child(). Child: `python -m svrgs_addon.jobs.worker`, the command's options as one JSON object on stdin, the
-result, or {"error": sentence}, as one on stdout; progress and warnings on stderr.
+Parent: run_in_child(). Child: `python -m svrgs_addon.jobs.worker`, the options as one JSON object on stdin; the result, or
+{"error": sentence}, as one on stdout; progress and warnings on stderr.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
-from ..exit_status import STOPPED, guarded
+from ..blender.subprocess_python import environment
+from ..exit_status import STOPPED, guarded, plain
+from .options import PruneOptions
 from .stop_request import StopRequest
 
 PATHS = ("scene", "colmap", "out", "report", "lpips_weights")
 
 
-def run_in_child(options: dict) -> tuple[int, dict]:
-    """Runs one job; options: those of `svrgs prune` plus scene, colmap, out, report. Returns (exit status, result).
+def run_in_child(options: PruneOptions) -> tuple[int, dict]:
+    """Runs one job; returns (exit status, result).
 
     The status is STOPPED where a stop was asked for, even if the job was so near its end that its result is whole.
     """
-    above = str(Path(__file__).parents[2])
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (above, os.environ.get("PYTHONPATH"))))}
-    request = json.dumps({name: str(value) if isinstance(value, Path) else value for name, value in options.items()})
+    request = json.dumps({name: str(value) if isinstance(value, Path) else value for name, value in asdict(options).items()})
     command = [sys.executable, "-m", "svrgs_addon.jobs.worker"]
-    with subprocess.Popen(command, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as child:
+    with subprocess.Popen(command, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment()) as child:
         with StopRequest(lambda: _stop(child)) as stop:
             try:
                 output, _ = child.communicate(request)
@@ -49,15 +49,14 @@ def _stop(child: subprocess.Popen):
 
 
 def main() -> int:
-    from ..cli.commands import prune_one
-    from ..exit_status import plain
+    from .run_job import prune_scene
 
     request = json.load(sys.stdin)
-    options = argparse.Namespace(**{name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()})
+    options = PruneOptions(**{name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()})
     result: dict = {}
 
     def job() -> int:
-        result.update(prune_one(options))
+        result.update(prune_scene(options))
         return 0
 
     status = guarded(job, lambda sentence: result.update(error=sentence))

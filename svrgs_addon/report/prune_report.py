@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import __version__
 from ..files.images import to_float
-from ..finetune.loop import Run
+from ..finetune.run import Run
 from ..metrics import psnr
 from ..metrics.evaluate import render_options, shown
 from ..native import Rasterizer

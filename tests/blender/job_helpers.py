@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 from extension import part
 
-SHORT = {"method": "svr-mask", "iterations": 40, "recovery": 20, "goal": "SHARE", "share": 50}
+SHORT = {"method": "svr", "iterations": 40, "recovery": 20, "goal": "SHARE", "share": 50}
 LONG = {"iterations": 20_000, "recovery": 0, "goal": "LAMBDA", "lambda_f": 1e-5, "min_contribution": 0.0}
 COUNT = 250  # Gaussians of the tiny splat
 

@@ -15,7 +15,7 @@ def test_an_estimate_is_shown_only_beside_what_it_was_made_for(bridge):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     splat, settings = bpy.context.object, bpy.context.scene.svrgs_prune
     settings.colmap = str(DATA / "tiny")
-    settings.goal, settings.method = "LAMBDA", "svr"
+    settings.goal, settings.method = "LAMBDA", "pressure"
     bpy.ops.svrgs.estimate()
     for name, other in (("method", "maskgs"), ("goal", "SHARE"), ("lambda_f", 1e-5), ("recovery", 7)):
         before = getattr(settings, name)

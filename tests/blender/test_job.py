@@ -265,11 +265,11 @@ def test_a_goal_that_the_method_cannot_reach_is_said(splat, options, sentence):
 
 
 @pytest.mark.parametrize(
-    "method, said", [("svr", "svrgs.set_lambda"), ("lightgaussian", "Keeps 34%"), ("gns", "Keeps 25%"), ("maskgs", "The method's own weight decides")]
+    "method, said", [("pressure", "svrgs.set_lambda"), ("lightgaussian", "Keeps 34%"), ("gns", "Keeps 25%"), ("maskgs", "The method's own weight decides")]
 )
 def test_without_a_target_the_panel_says_what_decides(splat, method, said):
     set_up({"goal": "LAMBDA", "method": method})
-    assert said in drawn("prune") and (method == "svr" or "svrgs.set_lambda" not in drawn("prune"))
+    assert said in drawn("prune") and (method == "pressure" or "svrgs.set_lambda" not in drawn("prune"))
     assert bpy.ops.svrgs.job_start.poll()
 
 

@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from plans import prune_settings
 from svrgs_addon.files.images import write_image
 from svrgs_addon.files.npz import write_arrays
 from svrgs_addon.files.ply import write_ply
-from svrgs_addon.finetune.plan import prune_settings
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.photographs.dataset import Dataset
@@ -134,12 +134,12 @@ def kill_writer(name: str, folder: Path, kills: int, seed: int = 0) -> Survived:
 def kill_run(splat: Path, dataset: Dataset, folder: Path, kills: int, longest: float = 0.7, seed: int = 0) -> Survived:
     """A pruning job that saves a checkpoint each step, killed again and again, taken up each time: the same bytes in the end."""
     train_and_prune.CHECKPOINT_SECONDS = 0
-    settings = replace(prune_settings("svr-mask", 40, 20, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
+    settings = replace(prune_settings("svr", 40, 20, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
     chance, survived, out = random.Random(seed), Survived(), folder / "o.ply"
     job = folder / "o.ply.job"
 
     def prune():
-        train_and_prune.prune(splat, dataset, settings, train_and_prune.JobOptions(out, resume=True))
+        train_and_prune.prune(splat, dataset, settings, train_and_prune.JobContext(out, resume=True))
 
     done(prune)
     expected = digest(out)

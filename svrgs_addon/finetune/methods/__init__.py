@@ -1,30 +1,40 @@
-"""Every method by name, each in its own file; base.py says what a method may do."""
+"""Every method by name. Each file in this folder with a METHODS tuple adds its methods; base.py says what a method may do."""
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from copy import copy
 
 from ...errors import SceneError
-from . import compact3dgs, gns, lightgaussian, maskgs, pressure, saliency, scores, svr, three_dgs
 from .base import Method
 
-PAPER = "svr-paper"  # what `--method svr --paper` stands for; not a name of its own on the command line
+DEFAULT, PAPER_METHOD = "pressure", "svr"
+FORMER_NAMES = {"svr": "pressure", "svr-mask": "svr", "svr-worth": "saliency"}  # in job folders and .blend files of the first schema
 
-METHODS: dict[str, Method] = {
-    "svr": pressure.Selection(),
-    **svr.VARIANTS,
-    "svr-worth": saliency.Differences(),
-    **maskgs.VARIANTS,
-    "compact3dgs": compact3dgs.Compact3DGS(),
-    "gns": gns.GNS(),
-    "lightgaussian": lightgaussian.LightGaussian(),
-    **scores.VARIANTS,
-    "3dgs": three_dgs.ThreeDGS(),
-}
+
+def _discovered() -> dict[str, Method]:
+    """The default and the paper's first, then those that learn, those that rank, those that do not prune; by name."""
+    modules = (importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__))
+    found = [method for module in modules for method in getattr(module, "METHODS", ())]
+    first = {DEFAULT: 0, PAPER_METHOD: 1}
+    found.sort(key=lambda method: (first.get(method.name, 2), not method.prunes, method.ranks, method.name))
+    return {method.name: method for method in found}
+
+
+METHODS = _discovered()
 
 
 def method_named(name: str) -> Method:
     """A method for one run. Raises SceneError for a name that is not among METHODS."""
-    if name != PAPER and name not in METHODS:
-        raise SceneError(f"method '{name}' is unknown; choose one of {', '.join(METHODS)}")
-    return copy(svr.PAPER if name == PAPER else METHODS[name])
+    if name not in METHODS:
+        hint = f"'{name}' is called '{FORMER_NAMES[name]}' now" if name in FORMER_NAMES else f"choose one of {', '.join(METHODS)}"
+        raise SceneError(f"method '{name}' is unknown: {hint}")
+    return copy(METHODS[name])
+
+
+def paper_method() -> Method:
+    """The paper's printed settings to the letter, for one run: `--method svr --paper`."""
+    from .svr import PAPER
+
+    return copy(PAPER)

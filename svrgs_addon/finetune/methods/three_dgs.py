@@ -1,14 +1,5 @@
-"""3DGS (Kerbl et al. 2023): the scene every other method starts from or grows beside."""
-
-from __future__ import annotations
-
-from dataclasses import dataclass
+"""3DGS (Kerbl et al. 2023): nothing is pruned."""
 
 from .base import Method
 
-
-@dataclass
-class ThreeDGS(Method):
-    """The defaults of Method; nothing is pruned."""
-
-    prunes: bool = False
+METHODS = (Method("3dgs", "plain 3DGS: nothing is pruned", 18, prunes=False),)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from ..finetune.loop import Progress
+from ..finetune.loop import Progress
 
 BAR_WIDTH = 24
 TERMINAL_PAUSE, LOG_PAUSE = 0.2, 10.0  # seconds between updates

@@ -1,0 +1,11 @@
+"""Ranks by opacity."""
+
+from .ranked import Ranked
+
+
+class Opacity(Ranked):
+    def score(self, scene, cameras, rasterizer, options):
+        return scene.opacity_logits
+
+
+METHODS = (Opacity("opacity", "ranks the Gaussians once, by opacity", 14),)

@@ -1,0 +1,101 @@
+"""From options to a finished job. Here options become a plan (method, phases, budget); nothing after this module reads them again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from .. import native
+from ..errors import SceneError
+from ..files import registry
+from ..finetune.methods import method_named, paper_method
+from ..finetune.methods.base import Method
+from ..finetune.plan import Plan, prune_plan, train_plan
+from ..finetune.settings import Densify
+from ..metrics import load_lpips
+from ..photographs.dataset import Dataset, load_dataset
+from . import train_and_prune
+from .context import JobContext
+from .options import MIN_CONTRIBUTION, RECOVERY, DatasetOptions, PruneOptions, TrainOptions, TuningOptions
+from .progress import Reporter
+from .stop_request import StopRequest
+
+
+def train_scene(options: TrainOptions) -> dict:
+    """`svrgs train`; returns the JSON result. Raises SplatError, Cancelled."""
+    native.set_threads(options.threads)
+    plan, job = plan_of_training(options), _context(options, options.out)
+    train_and_prune.check_outputs(job)
+    dataset = dataset_of(options, need_points=True)
+    with StopRequest() as stop:
+        return train_and_prune.train(dataset, plan, replace(job, stop=stop), options.sh_degree)
+
+
+def prune_scene(options: PruneOptions, adapt: Callable[[JobContext], JobContext] = lambda job: job) -> dict:
+    """`svrgs prune` of options.scene; returns the JSON result. Raises SplatError, Cancelled.
+
+    adapt: from the context of the command line to the one the job runs with.
+    """
+    native.set_threads(options.threads)
+    if options.colmap is None:
+        raise SceneError(f"{options.scene}: pruning needs the photographs it was trained on; give --colmap DIR")
+    plan, job = plan_of_pruning(options), _context(options, options.out, options.report)
+    train_and_prune.check_outputs(job)
+    dataset = dataset_of(options)
+    with StopRequest() as stop:
+        return train_and_prune.prune(options.scene, dataset, plan, adapt(replace(job, stop=stop)))
+
+
+def plan_of_training(options: TrainOptions) -> Plan:
+    """Raises SceneError where the options do not fit together."""
+    method = method_of(options)
+    recovery = options.recovery if options.recovery is not None else RECOVERY * method.prunes
+    densify = Densify.within(options.iterations, options.densify_until)
+    more = {"densify": densify, "coarse_until": options.coarse_until, "target": options.target_count or 0, "share": options.target or 0.0}
+    return train_plan(method, options.iterations, recovery, **_settings(options), **more)
+
+
+def plan_of_pruning(options: PruneOptions) -> Plan:
+    """Raises SceneError where the options do not fit together, FormatError where a share of a file is asked for that cannot be read."""
+    method = method_of(options)
+    first_cut = options.min_contribution if options.min_contribution is not None else MIN_CONTRIBUTION * method.first_cut
+    more = {"target": _target(options, method), "max_drop": options.max_drop, "min_contribution": first_cut}
+    return prune_plan(method, options.iterations, options.recovery, **_settings(options), **more)
+
+
+def method_of(options: TuningOptions) -> Method:
+    """The method of options.method and options.paper. Raises SceneError where it does not exist."""
+    method = method_named(options.method)
+    if options.paper and options.method != "svr":
+        raise SceneError(f"--paper chooses the paper's settings of method 'svr', not of '{options.method}': add --method svr")
+    return paper_method() if options.paper else method
+
+
+def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:
+    """Raises SceneError, FormatError."""
+    return load_dataset(
+        options.colmap, options.images or None, holdout=options.holdout, background=tuple(options.background), need_points=need_points,
+        memory_budget=int(options.image_memory * 1e9),
+    )  # fmt: skip
+
+
+def _settings(options: TuningOptions) -> dict:
+    """The settings that training and pruning share."""
+    return {
+        "lambda_f": options.lambda_f, "lambda_m": options.lambda_m, "seed": options.seed, "full": not options.visible_mask,
+        "background": tuple(options.background), "views_by_loss": options.views_by_loss, "schedule": options.schedule,
+    }  # fmt: skip
+
+
+def _target(options: PruneOptions, method: Method) -> int:
+    """Gaussians to keep; 0: the method decides."""
+    if options.target_count is not None:
+        return options.target_count
+    share = options.target or (0.0 if options.max_drop else method.share)
+    return max(1, round(share * registry.describe(options.scene)["count"])) if share else 0
+
+
+def _context(options: TuningOptions, out: Path, report: Path | None = None) -> JobContext:
+    lpips, missing = load_lpips(options.lpips_weights)
+    return JobContext(out, report, options.resume, options.engine, lpips, missing, Reporter(options.quiet))
