@@ -306,7 +306,8 @@ def test_seeds(tiny, data, whole, tmp_path):
 
 
 ENDLESS = 3000
-FREQUENT = "import sys\nfrom svrgs_addon.cli.main import main\nfrom svrgs_addon.jobs import train_and_prune\ntrain_and_prune.CHECKPOINT_SECONDS = 0\nsys.exit(main(sys.argv[1:]))"
+RUN = "import sys, time\nfrom svrgs_addon.cli.main import main\nfrom svrgs_addon.jobs import train_and_prune\n{change}\nsys.exit(main(sys.argv[1:]))"
+FREQUENT = RUN.format(change="train_and_prune.CHECKPOINT_SECONDS = 0")
 
 
 def words_for(tiny, out: Path, iterations: int, recovery: int) -> list[str]:
@@ -398,7 +399,7 @@ def test_a_stop_request_hears_both_signals():
 
 def test_a_second_ctrl_c_ends_at_once(tiny, tmp_path):
     busy = "lambda *_: (print('ready', file=sys.stderr, flush=True), time.sleep(60))"
-    code = f"import sys, time\nfrom svrgs_addon.cli.main import main\nfrom svrgs_addon.jobs import train_and_prune\ntrain_and_prune.fine_tune = {busy}\nsys.exit(main(sys.argv[1:]))"
+    code = RUN.format(change=f"train_and_prune.fine_tune = {busy}")
     process = start("-c", code, *words_for(tiny, tmp_path / "o.ply", 10, 0))
     assert process.stderr.readline() == "ready\n"
     process.send_signal(signal.SIGINT)
