@@ -15,14 +15,14 @@ FIGURES = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per
 HEAD = "| {} | PSNR | SSIM | LPIPS | FLIP | Gaussians | 3DGS over it | MB | seconds | ms a frame |"
 INTRO = """# Every method in the same trainer
 
-Made by `benchmarks/methods.py --show docs` from the rows in [results/rows.jsonl](results/rows.jsonl), which the same program makes:
+`benchmarks/methods.py --show docs` makes this page from the rows in [results/rows.jsonl](results/rows.jsonl). The same program makes the rows:
 
 {commands}
 
 Each row is one run of `svrgs train` or `svrgs prune` from the command line, on the processor alone. Test views are every 8th photograph.
-What is scaled with `--schedule`: every milestone and step count, but not the spacing of densifications (100) and opacity resets (3 000), which
-are about how many views have been seen; masks learn faster by as much as they have fewer steps, weights of the loss stay. Photographs were made
-smaller by `--shrink`. What each method is, and where it departs from its source: [methods.md](methods.md).
+`--schedule` scales every milestone and step count, but not the spacing of densifications (100 steps) and of opacity resets (3 000 steps): they depend
+on the number of views that were seen. With fewer steps, masks learn faster by the same factor. Weights of the loss stay the same. `--shrink` makes
+the photographs smaller. What each method is, and how it differs from its source: [methods.md](methods.md).
 """
 
 
@@ -126,7 +126,7 @@ def ratios(rows: list[dict]) -> str:
         fewer = mean(by_run[other,], "count") / mean(by_run[PAPER,], "count")
         drop = mean(by_run[PAPER,], "psnr") - mean(by_run[other,], "psnr")
         sentences.append(f"{fewer:.2f} times fewer Gaussians than {other} at {drop:+.2f} dB")
-    return f"SVR-GS as in the paper: {'; '.join(sentences)}. The paper: 1.79 times fewer than MaskGS at -0.50 dB, 5.63 times fewer than 3DGS at -0.40 dB."
+    return f"SVR-GS here: {'; '.join(sentences)}. The paper: 1.79 times fewer than MaskGS at -0.50 dB, 5.63 times fewer than 3DGS at -0.40 dB."
 
 
 def scenario_part(rows: list[dict]) -> str:
@@ -167,7 +167,7 @@ def place(run: str, runs: dict[str, dict], schedule: float, figure: str, sign: i
 
 def lambda_part(rows: list[dict], charts: Path) -> str:
     """The sweep of lambda_F: counts and PSNR over iterations."""
-    lines = ["## Sweep of λ_F", ""]
+    lines = ["## Sweep of λ_F with SVR-GS", ""]
     for (scene, schedule), those in groups((r for r in rows if r["study"] == "lambda"), "scene", "schedule").items():
         name = f"lambda-{scene}-{schedule:g}"
         curve_chart([(row["run"].replace("lambda_F", "λ_F"), row["curves"]) for row in those], f"{scene}, schedule {schedule:g}", charts / f"{name}.svg")
@@ -177,7 +177,7 @@ def lambda_part(rows: list[dict], charts: Path) -> str:
 
 def pareto_part(rows: list[dict], charts: Path) -> str:
     """Count against PSNR, one line a method."""
-    lines = ["## Pruning a trained scene: PSNR of every method at several counts", ""]
+    lines = ["## Pruning a trained scene: PSNR of every method at equal counts", ""]
     for (scene, schedule, shrink), those in groups((r for r in rows if r["study"] == "pareto"), "scene", "schedule", "shrink").items():
         name = f"pareto-{scene}-{schedule:g}"
         before = those[0]["before"]
@@ -191,8 +191,8 @@ def pareto_part(rows: list[dict], charts: Path) -> str:
 
 
 def ablation_part(rows: list[dict]) -> str:
-    """What each part of `svr` is good for: PSNR at equal count."""
-    lines = ["## What `svr` is made of", ""]
+    """What each part of `pressure` gives: PSNR at equal count."""
+    lines = ["## Parts of `pressure`: PSNR without them, at equal count", ""]
     for (scene, schedule), those in groups((r for r in rows if r["study"] == "ablation"), "scene", "schedule").items():
         counts = sorted(groups(those, "count"), reverse=True)
         lines += [f"| {scene}, schedule {schedule:g} | " + " | ".join(f"{count:,} Gaussians" for (count,) in counts) + " |", "|---" * (1 + len(counts)) + "|"]
