@@ -17,7 +17,7 @@ import numpy as np
 from .camera import Camera
 from .errors import Cancelled, NativeError
 
-INTERFACE_VERSION = 9
+INTERFACE_VERSION = 10
 LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
 MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
 IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
@@ -42,7 +42,6 @@ _Scene = _struct(
     "_Scene",
     count=c.c_int64,
     sh_coefficients=c.c_int32,
-    sh_half=c.c_int32,
     means=_real,
     log_scales=_real,
     quats=_real,
@@ -68,7 +67,6 @@ _Options = _struct(
     antialiased=c.c_int32,
     full=c.c_int32,
     mask_kind=c.c_int32,
-    mask_to_shape=c.c_int32,
     eps_a=c.c_double,
     without=c.c_int32,
     max_pairs=c.c_int64,
@@ -159,7 +157,6 @@ class RenderOptions:
     antialiased: bool = False
     full: bool = True  # F walks each ray to its end
     mask_kind: str = "none"  # one of MASK_KINDS
-    mask_to_shape: bool = False
     eps_a: float = 1e-3
     without: tuple[str, ...] = ()  # names from SKIPS, turned off: the same picture, more slowly; for measurements
     max_pairs: int = 0
@@ -194,7 +191,7 @@ class Rasterizer:
     def forward(self, scene, camera: Camera, options: RenderOptions = RenderOptions(), masks=None, outputs=("rgb",), depth_limit=None) -> dict:
         """Renders one view (paper Eq. 1-2 and 5).
 
-        scene: anything with the arrays of Scene, in self.dtype (sh may be float16: half the memory, no gradients);
+        scene: anything with the arrays of Scene, in self.dtype;
         masks: (N,) uint8 of 0 and 1, or None for all 1; outputs: names from IMAGES and COUNTS; depth_limit: (H, W) in self.dtype, or None:
         a pixel takes a Gaussian only where its z is less, and the view has no gradients, scores, moments or counts of pixels.
         Returns {name: (H, W) or (H, W, 3) array}; rgb is not clamped.
@@ -208,7 +205,6 @@ class Rasterizer:
             options.antialiased,
             options.full,
             MASK_KINDS[options.mask_kind],
-            options.mask_to_shape,
             options.eps_a,
             sum(SKIPS[name] for name in options.without),
             options.max_pairs,
@@ -360,13 +356,11 @@ class Rasterizer:
         arrays = {name: getattr(scene, name) for name in GRADS[:5]}
         n, k = len(arrays["means"]), np.shape(arrays["sh"])[1] if np.ndim(arrays["sh"]) == 3 else 1
         self._shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3)}
-        half = getattr(arrays["sh"], "dtype", None) == np.float16 and self.dtype != np.float64
-        types = dict.fromkeys(arrays, self.dtype) | ({"sh": np.float16} if half else {})
-        pointers = {name: _check(arrays[name], name, shape, types[name]) for name, shape in self._shapes.items()}
+        pointers = {name: _check(arrays[name], name, shape, self.dtype) for name, shape in self._shapes.items()}
         if masks is not None:
             pointers["masks"] = _check(masks, "masks", (n,), np.uint8)
         self._view = (*arrays.values(), masks)
-        return _Scene(count=n, sh_coefficients=k, sh_half=half, **pointers)
+        return _Scene(count=n, sh_coefficients=k, **pointers)
 
     def _images(self, camera: Camera, outputs):
         images = {}

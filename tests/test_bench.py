@@ -155,7 +155,7 @@ def test_knobs_chosen_at_run_time_and_their_charts(small, monkeypatch):
     assert [entry["value"] for entry in entries if entry["knob"] == "simd"] == native.supported_levels()[:-1]
     assert all(entry["forward_ms"] > 0 and entry["image_mean"] < 1e-2 for entry in entries)
     charts = drawings({"knobs": entries})
-    assert charts.keys() == {"knob-simd", "knob-sh_storage"}
+    assert charts.keys() == {"knob-simd"}
     labels = ET.fromstring(charts["knob-simd"]).findall(".//*[@class='label']")
     assert f"{native.best_level()} (default)" in [label.text for label in labels]
 

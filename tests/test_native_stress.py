@@ -40,7 +40,7 @@ FLOAT_MAX = float(np.finfo(np.float32).max)
 
 def view_and_gradients(level, scene, camera, masks=None, seed=0, **options):
     """Images and gradients of one view, everything asked for."""
-    images = render(level, scene, camera, masks, **{"mask_to_shape": True} | options)
+    images = render(level, scene, camera, masks, **options)
     grads = backward(level, image_weights(camera, seed), len(scene.means))
     return images, grads
 

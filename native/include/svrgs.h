@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 9
+#define SVRGS_INTERFACE_VERSION 10
 
 typedef void real; /* float or double, by the context's level */
 
@@ -33,7 +33,7 @@ enum svrgs_status { SVRGS_OK = 0, SVRGS_INVALID = 1, SVRGS_NO_MEMORY = 2, SVRGS_
 /* SIMD levels, each a separate compilation of the same kernels. SCALAR is the definition of truth for the others. */
 enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4 };
 
-/* How the spatial mask F and its gradient are formed (paper Eq. 5 and 9, scenarios A and B; SELF: F as in SVR, gradient
+/* How the spatial mask F and its gradient with respect to M are formed (paper Eq. 5 and 9, scenarios A and B; SELF: F as in SVR, gradient
    from the self term alone, 1 - alpha_i T_i; EVEN: F and dF/dM as in SVR, but a Gaussian's sum over its pixels is scaled
    to SVRGS_EVEN_AREA pixels of footprint, so that large and small ones are pushed alike). NONE skips F and all of its
    counting. */
@@ -61,7 +61,6 @@ typedef struct svrgs_context svrgs_context; /* buffers of one renderer; use from
 typedef struct {
   int64_t count;            /* N */
   int32_t sh_coefficients;  /* 1, 4, 9 or 16 stored per channel */
-  int32_t sh_half;          /* sh holds 16-bit floats (not at level SVRGS_DOUBLE); such a view has no gradients */
   const real *means;        /* (N, 3) */
   const real *log_scales;   /* (N, 3) */
   const real *quats;        /* (N, 4) */
@@ -83,7 +82,6 @@ typedef struct {
   int32_t antialiased;   /* multiply opacity by sqrt(det before blur / det after blur) */
   int32_t full;          /* F walks the list to its end (1) or stops with the colours (0) */
   int32_t mask_kind;     /* enum svrgs_mask_kind */
-  int32_t mask_to_shape; /* the gradient of F also reaches alpha, and so shape and opacity */
   double eps_a;          /* epsilon of scenario A */
   int32_t without;       /* enum svrgs_skip bits: skips turned off */
   int64_t max_pairs;     /* refuse more (Gaussian, tile) pairs than this: SVRGS_TOO_LARGE; 0: 2^31 - 1 */

@@ -6,10 +6,6 @@
 #include <memory>
 #include <new>
 
-#if defined(__x86_64__)
-#include <cpuid.h>
-#endif
-
 #include "context.h"
 #include "depth_sort.h"
 #include "machine_speed.h"
@@ -49,20 +45,13 @@ int32_t guarded(F&& f) {
   }
 }
 
-#if defined(__x86_64__)
-bool has_f16c() {  // clang knows no such name before 19
-  unsigned a, b, c = 0, d;
-  return __get_cpuid(1, &a, &b, &c, &d) && (c & bit_F16C);
-}
-#endif
-
 bool supported(int32_t level) {
   switch (level) {
     case SVRGS_SCALAR:
     case SVRGS_BASELINE:
     case SVRGS_DOUBLE: return true;
 #if defined(__x86_64__)
-    case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && has_f16c();
+    case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
     case SVRGS_AVX512: return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && supported(SVRGS_AVX2);
 #endif
     default: return false;
@@ -113,7 +102,6 @@ void check_whole(const svrgs::Context& context) {
 void check_view(const svrgs::Context& context, const svrgs_image_grads& in) {
   require(context.holds_view(), "there is no rendered view to differentiate: call svrgs_forward first");
   check_whole(context);
-  require(context.holds_gradients(), "a view of 16-bit sh has no gradients");
   require(!in.depth || context.holds_depth(), "a gradient of the depth image needs a forward pass that made one");
 }
 
@@ -151,7 +139,6 @@ int32_t svrgs_forward(svrgs_context* c, const svrgs_scene* scene, const svrgs_ca
     check(*scene);
     check(*camera);
     check(*options, *scene);
-    require(!scene->sh_half || !c->context.is_double(), "16-bit sh is for the float levels");
     c->context.forward(*scene, *camera, *options, *images);
   });
 }

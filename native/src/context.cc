@@ -25,7 +25,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.sh_coefficients = s.sh_coefficients;
   f.sh_degree = o.sh_degree;
   f.means = s.means, f.log_scales = s.log_scales, f.quats = s.quats, f.opacity_logits = s.opacity_logits, f.sh = s.sh;
-  f.masks = s.masks, f.sh_half = s.sh_half;
+  f.masks = s.masks;
   std::memcpy(f.viewmat, c.viewmat, sizeof f.viewmat);
   for (int k = 0; k < 3; ++k) {  // -R^T t
     f.position[k] = -(c.viewmat[k] * c.viewmat[3] + c.viewmat[4 + k] * c.viewmat[7] + c.viewmat[8 + k] * c.viewmat[11]);
@@ -35,7 +35,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.orthographic = c.orthographic;
   f.width = c.width, f.height = c.height;
   f.tiles_x = (c.width + kTile - 1) / kTile, f.tiles_y = (c.height + kTile - 1) / kTile;
-  f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.mask_to_shape = o.mask_to_shape, f.eps_a = o.eps_a, f.without = o.without;
+  f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.eps_a = o.eps_a, f.without = o.without;
   f.depth_limit = o.depth_limit;
   f.full = o.full && o.mask_kind != kMaskNone;
   f.want_depth = images.depth != nullptr;

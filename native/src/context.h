@@ -57,8 +57,6 @@ class Context {
   svrgs_work work(bool count_pixels) const;
   const double* stage_seconds() const { return seconds_; }
   bool holds_view() const { return holds_view_; }
-  bool holds_gradients() const { return holds_view_ && !frame_.sh_half; }
-  bool is_double() const { return kernels_.real_size == sizeof(double); }
   bool holds_depth() const { return frame_.want_depth; }
   bool holds_limit() const { return frame_.depth_limit; }
 

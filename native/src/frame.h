@@ -56,7 +56,6 @@ struct Frame {
   int sh_coefficients, sh_degree;
   const void *means, *log_scales, *quats, *opacity_logits, *sh;
   const uint8_t* masks;
-  bool sh_half;
   // camera
   double viewmat[16], position[3];
   double fx, fy, cx, cy;
@@ -64,7 +63,7 @@ struct Frame {
   int width, height, tiles_x, tiles_y;
   double background[3];
   // options
-  bool antialiased, full, mask_to_shape, want_depth;
+  bool antialiased, full, want_depth;
   int mask_kind, without;
   double eps_a;
   const void* depth_limit;  // R[height][width], optional

@@ -74,8 +74,8 @@ constexpr int kSide = W / 4;  // SH coefficients that lie side by side in a vect
 
 // Adds basis_k sh_k of one Gaussian, from the block-th vector of coefficients on, to lanes 3 apart. basis[k], k = 0, 4, 8 ...: in the
 // quad-th four lanes its values of four coefficients.
-template <int used, int quad, int block = 0, class T>
-inline V sh_sum(const V* basis, const T* row, V sum) {
+template <int used, int quad, int block = 0>
+inline V sh_sum(const V* basis, const R* row, V sum) {
   constexpr int first = block * kSide, left = 3 * (used - first);
   if constexpr (left <= 0) {
     return sum;
@@ -95,7 +95,7 @@ template <int used, int quad = 0, class Row>
 [[gnu::always_inline]] inline void sh_sums(const V* basis, Row row, V* sums) {
   if constexpr (quad < W / 4) {
     for (int i = 0; i < 4; ++i) {
-      fetch<3 * used * sizeof(*row(0))>(row(4 * quad + i + kFetched));
+      fetch<3 * used * sizeof(R)>(row(4 * quad + i + kFetched));
       sums[4 * quad + i] = sh_sum<used, quad>(basis + i, row(4 * quad + i), splat(0));
     }
     sh_sums<used, quad + 1>(basis, row, sums);
@@ -129,8 +129,8 @@ inline V fourth(const V* rows) {
 }
 
 // Colours of W Gaussians, before they are clamped; what lies behind them in `ids` is fetched.
-template <int degree, class T>
-[[gnu::always_inline]] inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, const T* sh, V rgb[3]) {
+template <int degree>
+[[gnu::always_inline]] inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, const R* sh, V rgb[3]) {
   constexpr int used = (degree + 1) * (degree + 1);
   const auto row = [&](int i) { return sh + static_cast<int64_t>(ids[i]) * f.sh_coefficients * 3; };
   V basis[kRow];
@@ -145,14 +145,13 @@ template <int degree, class T>
   } else {
     for (int c = 0; c < 3; ++c) rgb[c] = splat(0);
     for (int c = 0; c < 3; ++c)
-      for (int k = 0; k < used; ++k) rgb[c][0] += basis[k][0] * static_cast<R>(row(0)[3 * k + c]);
+      for (int k = 0; k < used; ++k) rgb[c][0] += basis[k][0] * row(0)[3 * k + c];
   }
   for (int c = 0; c < 3; ++c) rgb[c] += R(0.5);  // last: what is summed is smaller, and rounds less
 }
 
-template <class T>
 inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, V rgb[3]) {
-  const T* sh = static_cast<const T*>(f.sh);
+  const R* sh = static_cast<const R*>(f.sh);
   switch (f.sh_degree) {
     case 0: return colours<0>(f, direction, ids, sh, rgb);
     case 1: return colours<1>(f, direction, ids, sh, rgb);
@@ -236,7 +235,7 @@ inline void splat_columns(const Screen& s, const V rgb[3], V mask, V* columns) {
   const Screen s = to_screen(f, e, b);
   const uint32_t* ids = out.ids + first;
   uint32_t visible = bits(s.visible) & ((1u << n) - 1);
-  f.sh_half ? colours<_Float16>(f, direction(e, b.mean).d, ids, rgb) : colours<R>(f, direction(e, b.mean).d, ids, rgb);
+  colours(f, direction(e, b.mean).d, ids, rgb);
   visible &= bits(both(sane(rgb[0]), both(sane(rgb[1]), sane(rgb[2]))));
   for (V& channel : rgb) channel = max(channel, splat(0));
   splat_columns(s, rgb, f.masks ? load(out.masks + first) : splat(1), columns);

@@ -66,26 +66,22 @@ struct Wanted {
   bool shape, colour, mask, depth, alpha, spatial;  // spatial: a gradient of F came in
 };
 
-// dF/dM_i and dF/dalpha_i of one hit, times dL/dF: design.md closed form, the self term alone, and paper scenarios A, B.
-struct SpatialGrads {
-  V mask, alpha;
-};
-
+// dF/dM_i of one hit, times dL/dF: the closed form (docs/methods.md), the self term alone, and paper scenarios A, B.
 template <bool scenario>
-inline SpatialGrads spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha, V T, V inv, R mask, M counted) {
+inline V spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha, V T, V inv, R mask, M counted) {
   const V d = load(t.mask + h), one = splat(1);
   if constexpr (!scenario) {
     const V share = f.mask_kind == kMaskSelf ? d * T : load(t.mask_T + h) * inv;
-    return {fnma(alpha, share, d), splat(-mask) * share};
+    return fnma(alpha, share, d);
   } else if (f.mask_kind == kMaskA) {
     const V weight = alpha * T, w = one / (weight + splat(static_cast<R>(f.eps_a))), F = load(t.value + h);
     const V to_come = add_if(counted, load(t.to_come + h), (F - splat(mask)) * weight * w * w), behind = to_come * inv;
     store(t.to_come + h, to_come);
-    return {d * fma(alpha, behind, w), d * (splat(mask) * behind - (splat(mask) - F) * T * w * w)};
+    return d * fma(alpha, behind, w);
   } else {
     const V to_come = add_if(counted, load(t.to_come + h), -splat(mask) * T), behind = to_come * inv;
     store(t.to_come + h, to_come);
-    return {d * fma(alpha, behind, one - T), splat(mask) * d * behind};
+    return d * fma(alpha, behind, one - T);
   }
 }
 
@@ -93,7 +89,7 @@ inline SpatialGrads spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha
 struct Part {
   V weight;   // of its colour
   V through;  // alpha dL/dalpha, by way of the colours
-  V shape;    // the same where the clamp lets it through, with what comes by way of F
+  V shape;    // the same where the clamp lets it through
   V spatial;  // dL/dM by way of F, where counted
   M counted;
 };
@@ -122,13 +118,10 @@ template <bool spatial, bool scenario, bool depth_alpha>
     live = both(e.hit, at_least(T, stop));
     p.through = keep(live, alpha * (T * through - load(t.behind + h)));
   }
-  const M free = less(e.alpha, splat(R(kAlphaMax)));  // the clamp blocks the gradient
-  if (drawn) p.shape = keep(free, p.through);
+  if (drawn) p.shape = keep(less(e.alpha, splat(R(kAlphaMax))), p.through);  // the clamp blocks the gradient
   if constexpr (spatial) {
     p.counted = f.full ? e.hit : live;
-    const SpatialGrads d = spatial_vjp<scenario>(f, t, h, alpha, T, inv, l.mask, p.counted);
-    p.spatial = d.mask;
-    if (f.mask_to_shape) p.shape = add_if(both(p.counted, free), p.shape, alpha * d.alpha);
+    p.spatial = spatial_vjp<scenario>(f, t, h, alpha, T, inv, l.mask, p.counted);
   }
   return p;
 }
@@ -170,7 +163,7 @@ inline Wanted wanted(const Frame& f, const svrgs_image_grads& in, const svrgs_gr
   w.colour = (update || out.sh || out.means) && in.rgb;
   w.mask = out.masks;
   w.depth = in.depth, w.alpha = in.alpha;
-  w.spatial = in.mask && (w.mask || w.shape) && f.mask_kind != kMaskNone;
+  w.spatial = in.mask && w.mask && f.mask_kind != kMaskNone;
   return w;
 }
 

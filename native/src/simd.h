@@ -28,17 +28,6 @@ inline V load(const R* p) {
   return v;
 }
 inline void store(R* p, V v) { __builtin_memcpy(p, &v, sizeof v); }
-inline V load(const _Float16* p) {
-#if SVRGS_LANES == 16
-  return _mm512_cvtph_ps(_mm256_loadu_si256(reinterpret_cast<const __m256i*>(p)));
-#elif SVRGS_LANES == 8
-  return _mm256_cvtph_ps(_mm_loadu_si128(reinterpret_cast<const __m128i*>(p)));
-#else
-  _Float16 __attribute__((vector_size(2 * W))) v;
-  __builtin_memcpy(&v, p, sizeof v);
-  return __builtin_convertvector(v, V);
-#endif
-}
 using Halves = uint16_t __attribute__((vector_size(2 * W)));  // the upper ones of floats
 inline V load(const uint16_t* p) {
   Halves halves;

@@ -36,7 +36,6 @@ class Trial:
         self.model = Model.of(case.scene, self.rasterizer.dtype)
         self.model.add_masks(MASK_LOGIT)
         self.masks, self.slope = drawn_masks(case.scene.count)
-        self.drawn = self.model  # what forward renders
         self.steps = 0
         self.images = self.forward()
         self.target = target_of(self.images["rgb"])
@@ -50,7 +49,7 @@ class Trial:
         """Colours, and F unless mask_kind is 'none'."""
         outputs = ("rgb",) if mask_kind == "none" else ("rgb", "mask")
         options = self.options(mask_kind, full and mask_kind != "none", without, sh_degree)
-        return self.rasterizer.forward(self.drawn, self.case.camera, options, self.masks, outputs)
+        return self.rasterizer.forward(self.model, self.case.camera, options, self.masks, outputs)
 
     def loss(self) -> np.ndarray:
         return self.rasterizer.loss(self.images["rgb"], self.target)[2]
