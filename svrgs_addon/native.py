@@ -68,7 +68,7 @@ _Options = _struct(
     full=c.c_int32,
     mask_kind=c.c_int32,
     eps_a=c.c_double,
-    without=c.c_int32,
+    disabled_skips=c.c_int32,
     max_pairs=c.c_int64,
     cancel=c.c_void_p,
     depth_limit=_real,
@@ -158,7 +158,7 @@ class RenderOptions:
     full: bool = True  # F walks each ray to its end
     mask_kind: str = "none"  # one of MASK_KINDS
     eps_a: float = 1e-3
-    without: tuple[str, ...] = ()  # names from SKIPS, turned off: the same picture, more slowly; for measurements
+    disabled_skips: tuple[str, ...] = ()  # names from SKIPS, turned off: the same picture, more slowly; for measurements
     max_pairs: int = 0
     background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
 
@@ -206,7 +206,7 @@ class Rasterizer:
             options.full,
             MASK_KINDS[options.mask_kind],
             options.eps_a,
-            sum(SKIPS[name] for name in options.without),
+            sum(SKIPS[name] for name in options.disabled_skips),
             options.max_pairs,
             self.cancel.ctypes.data,
             limit,
@@ -265,7 +265,7 @@ class Rasterizer:
         _call("svrgs_backward_update", self._context, c.byref(grads_in), c.byref(update), c.byref(grads_out), c.byref(bad))
         return grads, bad.value
 
-    def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray, through: np.ndarray | None = None):
+    def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray, transmittance: np.ndarray | None = None):
         """Adds the last view to per-Gaussian statistics (N,): sum of alpha T float64, max alpha T float32, pixels int64, sum of T float64."""
         if self._view is None:
             raise NativeError("there is no rendered view to score: call forward first")
@@ -276,7 +276,7 @@ class Rasterizer:
             c.c_void_p(_check_out(sum_, "sum", n, np.float64)),
             c.c_void_p(_check_out(max_, "max", n, np.float32)),
             c.c_void_p(_check_out(hits, "hits", n, np.int64)),
-            c.c_void_p(None if through is None else _check_out(through, "through", n, np.float64)),
+            c.c_void_p(None if transmittance is None else _check_out(transmittance, "transmittance", n, np.float64)),
         )
 
     def moments(self) -> np.ndarray:

@@ -342,7 +342,7 @@ def test_depth_limits_keep_their_bits_for_any_threads_and_skips(level, full):
     for threads in (1, 3, 16):
         native.set_threads(threads)
         assert_same_bits(limited_view(level, full=full), expected)
-    assert_same_bits(limited_view(level, full=full, without=tuple(native.SKIPS)), expected)
+    assert_same_bits(limited_view(level, full=full, disabled_skips=tuple(native.SKIPS)), expected)
 
 
 @pytest.mark.parametrize("level", LEVELS)

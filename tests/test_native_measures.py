@@ -28,8 +28,8 @@ def masks(scene):
 @pytest.mark.parametrize("level", LEVELS)
 def test_a_skip_changes_no_image_and_no_gradient(scene, level, skip, full):
     results = []
-    for without in ((), (skip,)):
-        images = render(level, scene, CAMERA, masks(scene), full=full, without=without)
+    for disabled in ((), (skip,)):
+        images = render(level, scene, CAMERA, masks(scene), full=full, disabled_skips=disabled)
         results.append(images | {f"d{name}": g for name, g in backward(level, image_weights(CAMERA), scene.count).items()})
     assert_same_bits(*({name: image for name, image in result.items() if name in IMAGES} for result in results))
     for name, values in results[0].items():  # another grouping of the same sums
@@ -48,8 +48,8 @@ def test_work_is_counted_alike_on_every_level_and_agrees_with_the_images(scene, 
 
 
 def test_skips_save_work(scene):
-    def work(*without, full=False):
-        render("scalar", scene, CAMERA, full=full, without=without)
+    def work(*disabled, full=False):
+        render("scalar", scene, CAMERA, full=full, disabled_skips=disabled)
         return rasterizer("scalar").work(count_pixels=True)
 
     plain = work()

@@ -42,8 +42,8 @@ enum svrgs_mask_kind {
 };
 #define SVRGS_EVEN_AREA 256
 
-/* Skips, as bits of svrgs_options.without. Turning one off changes how much is computed, never the result; for
-   measurements and tests. */
+/* Skips: work that is left out because it cannot change the result. As bits of svrgs_options.disabled_skips they are turned off,
+   for measurements and tests. */
 enum svrgs_skip {
   SVRGS_EXACT_TILES = 1,    /* tiles the 1/255 ellipse reaches instead of those of its bounding box */
   SVRGS_BLOCK_TESTS = 2,    /* 4x4 blocks it reaches instead of all of a tile */
@@ -83,7 +83,7 @@ typedef struct {
   int32_t full;          /* F walks the list to its end (1) or stops with the colours (0) */
   int32_t mask_kind;     /* enum svrgs_mask_kind */
   double eps_a;          /* epsilon of scenario A */
-  int32_t without;       /* enum svrgs_skip bits: skips turned off */
+  int32_t disabled_skips; /* enum svrgs_skip bits: skips turned off */
   int64_t max_pairs;     /* refuse more (Gaussian, tile) pairs than this: SVRGS_TOO_LARGE; 0: 2^31 - 1 */
   const int32_t *cancel; /* optional; polled once per tile, non-zero stops with SVRGS_CANCELLED */
   const real *depth_limit; /* (H, W), optional: a pixel takes a Gaussian only where its z < limit; no gradients and no statistics then */
@@ -158,7 +158,7 @@ SVRGS_API int32_t svrgs_backward(svrgs_context *, const svrgs_image_grads *, con
 
 /* Adds the last view to per-Gaussian statistics, each (N,) and optional: sum of alpha_i T_i over pixels, its maximum,
    the number of pixels blended, and the sum of T_i over them. */
-SVRGS_API int32_t svrgs_scores(svrgs_context *, double *sum, float *max, int64_t *hits, double *through);
+SVRGS_API int32_t svrgs_scores(svrgs_context *, double *sum, float *max, int64_t *hits, double *transmittance);
 
 /* How much the last view's colours would change if a Gaussian's shape on the screen did: sums over pixels of w u^a v^b, with
    w = sum over the channels of (alpha_i dC/dalpha_i)^2, and (u, v) = L (pixel - centre), L upper triangular with a positive

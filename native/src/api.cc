@@ -21,7 +21,6 @@ using svrgs::Failure;
 
 thread_local std::string last_error;
 
-constexpr int kMaxSide = 32768;           // pixels; tile coordinates are 16 bits
 constexpr int64_t kMaxCount = 1LL << 31;  // Gaussians; ids are 32 bits
 
 void require(bool ok, const char* sentence) {
@@ -79,7 +78,7 @@ void check(const svrgs_scene& s) {
 }
 
 void check(const svrgs_camera& c) {
-  require(c.width > 0 && c.height > 0 && c.width <= kMaxSide && c.height <= kMaxSide, "image sides must be 1 to 32768 pixels");
+  require(c.width > 0 && c.height > 0 && c.width <= svrgs::kMaxSide && c.height <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
   bool finite = std::isfinite(c.cx) && std::isfinite(c.cy);
   for (const double v : c.viewmat) finite = finite && std::isfinite(v);
   for (const double v : c.background) finite = finite && std::isfinite(v);
@@ -200,12 +199,12 @@ int32_t svrgs_backward_update(svrgs_context* c, const svrgs_image_grads* in, con
   });
 }
 
-int32_t svrgs_scores(svrgs_context* c, double* sum, float* max, int64_t* hits, double* through) {
+int32_t svrgs_scores(svrgs_context* c, double* sum, float* max, int64_t* hits, double* transmittance) {
   return guarded([&] {
     require(c, "an argument is missing");
     require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
     check_whole(c->context);
-    c->context.scores({sum, max, hits, through});
+    c->context.scores({sum, max, hits, transmittance});
   });
 }
 
@@ -230,7 +229,7 @@ int32_t svrgs_removal(svrgs_context* c, const real* residuals, double* cost) {
 int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int32_t height, int32_t width, double l1_weight, double ssim_weight, real* grad, double values[2]) {
   return guarded([&] {
     require(c && image && target && values, "an argument is missing");
-    require(height > 0 && width > 0 && height <= kMaxSide && width <= kMaxSide, "image sides must be 1 to 32768 pixels");
+    require(height > 0 && width > 0 && height <= svrgs::kMaxSide && width <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
     c->context.loss(image, target, height, width, l1_weight, ssim_weight, grad, values);
   });
 }
