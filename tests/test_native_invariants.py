@@ -129,7 +129,7 @@ def test_culled_gaussians_change_no_bit(level):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("kind", native.MASK_KINDS)
+@pytest.mark.parametrize("kind", native.mask_kinds())
 def test_nothing_to_draw_is_the_background(level, kind):
     behind, faint = scenes.random_scene(30, 1, 1), scenes.random_scene(30, 2, 1)
     behind.means[:, 2] = -10
@@ -342,7 +342,7 @@ def test_depth_limits_keep_their_bits_for_any_threads_and_skips(level, full):
     for threads in (1, 3, 16):
         native.set_threads(threads)
         assert_same_bits(limited_view(level, full=full), expected)
-    assert_same_bits(limited_view(level, full=full, disabled_skips=tuple(native.SKIPS)), expected)
+    assert_same_bits(limited_view(level, full=full, disabled_skips=tuple(native.skips())), expected)
 
 
 @pytest.mark.parametrize("level", LEVELS)

@@ -463,8 +463,9 @@ for _ in range(20):
     native.set_threads(1)
     gc.collect()
     handle = native._library()._handle
-    sys.modules["svrgs_addon"].__dict__.pop("native")
-    del native, sys.modules["svrgs_addon.native"]
+    del native
+    for name in ("native", "native_library"):
+        del sys.modules["svrgs_addon"].__dict__[name], sys.modules[f"svrgs_addon.{name}"]
     _ctypes.dlclose(handle)
 assert not before or len(os.listdir("/proc/self/task")) == before, "threads are left"
 print(len(found))

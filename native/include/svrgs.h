@@ -31,14 +31,14 @@ typedef void real; /* float or double, by the context's level */
 enum svrgs_status { SVRGS_OK = 0, SVRGS_INVALID = 1, SVRGS_NO_MEMORY = 2, SVRGS_CANCELLED = 3, SVRGS_TOO_LARGE = 4 };
 
 /* SIMD levels, each a separate compilation of the same kernels. SCALAR is the definition of truth for the others. */
-enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4 };
+enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4, SVRGS_LEVELS };
 
 /* How the spatial mask F and its gradient with respect to M are formed (paper Eq. 5 and 9, scenarios A and B; SELF: F as in SVR, gradient
    from the self term alone, 1 - alpha_i T_i; EVEN: F and dF/dM as in SVR, but a Gaussian's sum over its pixels is scaled
    to SVRGS_EVEN_AREA pixels of footprint, so that large and small ones are pushed alike). NONE skips F and all of its
    counting. */
 enum svrgs_mask_kind {
-  SVRGS_MASK_NONE = 0, SVRGS_MASK_SVR = 1, SVRGS_MASK_SELF = 2, SVRGS_MASK_A = 3, SVRGS_MASK_B = 4, SVRGS_MASK_EVEN = 5
+  SVRGS_MASK_NONE = 0, SVRGS_MASK_SVR = 1, SVRGS_MASK_SELF = 2, SVRGS_MASK_A = 3, SVRGS_MASK_B = 4, SVRGS_MASK_EVEN = 5, SVRGS_MASK_KINDS
 };
 #define SVRGS_EVEN_AREA 256
 
@@ -48,7 +48,8 @@ enum svrgs_skip {
   SVRGS_EXACT_TILES = 1,    /* tiles the 1/255 ellipse reaches instead of those of its bounding box */
   SVRGS_BLOCK_TESTS = 2,    /* 4x4 blocks it reaches instead of all of a tile */
   SVRGS_OPACITY_BOUNDS = 4, /* the ellipse of alpha = 1/255 instead of that of a fully opaque Gaussian */
-  SVRGS_TERMINATION = 8     /* a tile ends where all its pixels have stopped */
+  SVRGS_TERMINATION = 8,    /* a tile ends where all its pixels have stopped */
+  SVRGS_ALL_SKIPS = 15
 };
 
 /* Parts of svrgs_forward (the first four), svrgs_backward (two), svrgs_loss and svrgs_adam. */
@@ -118,6 +119,23 @@ typedef struct { /* all optional: one row per visible Gaussian, in the order of 
 
 SVRGS_API int32_t svrgs_interface_version(void);
 SVRGS_API const char *svrgs_last_error(void);
+
+/* The index-th name of an enum's values (of svrgs_skip: of its index-th bit), for users to choose by; NULL behind the last. */
+enum svrgs_names { SVRGS_LEVEL_NAMES, SVRGS_MASK_KIND_NAMES, SVRGS_SKIP_NAMES, SVRGS_STAGE_NAMES };
+SVRGS_API const char *svrgs_name(int32_t names, int32_t index);
+
+/* The constants of the model that this build has (native/src/constants.h). */
+typedef struct {
+  double near_depth, far_depth; /* a Gaussian is drawn where near < z < far, z the depth of its centre */
+  double blur;                  /* pixels^2, added to both variances of a projected Gaussian */
+  double frustum_margin;        /* share of half the image: x/z, y/z of the Jacobian are clamped this far outside it */
+  double alpha_cut;             /* a Gaussian hits a pixel where alpha >= alpha_cut */
+  double alpha_max;             /* alpha is clamped to this */
+  double stop;                  /* colours stop where the transmittance would fall below this */
+  double compensation_floor;    /* of det(before blur) / det(after blur), in antialiased scenes */
+  int32_t tile, block_width, block_height; /* pixels */
+} svrgs_thresholds;
+SVRGS_API void svrgs_get_thresholds(svrgs_thresholds *);
 
 SVRGS_API int32_t svrgs_best_level(void);           /* the fastest float level this processor runs */
 SVRGS_API int32_t svrgs_level_supported(int32_t level);

@@ -3,6 +3,7 @@
 #include <atomic>
 #include <bit>
 #include <cmath>
+#include <iterator>
 #include <memory>
 #include <new>
 
@@ -89,7 +90,7 @@ void check(const svrgs_camera& c) {
 
 void check(const svrgs_options& o, const svrgs_scene& s) {
   require(o.sh_degree >= 0 && o.sh_degree <= 3 && (o.sh_degree + 1) * (o.sh_degree + 1) <= s.sh_coefficients, "sh_degree is not stored in the scene");
-  require(o.mask_kind >= SVRGS_MASK_NONE && o.mask_kind <= SVRGS_MASK_EVEN, "mask_kind is unknown");
+  require(o.mask_kind >= 0 && o.mask_kind < SVRGS_MASK_KINDS, "mask_kind is unknown");
   require(o.mask_kind != SVRGS_MASK_A || o.eps_a > 0, "eps_a must be positive");
 }
 
@@ -104,6 +105,19 @@ void check_view(const svrgs::Context& context, const svrgs_image_grads& in) {
   require(!in.depth || context.holds_depth(), "a gradient of the depth image needs a forward pass that made one");
 }
 
+// In the order of the enums' values.
+constexpr const char* kLevelNames[] = {"scalar", "baseline", "avx2", "avx512", "float64"};
+constexpr const char* kMaskKindNames[] = {"none", "svr", "self", "a", "b", "even"};
+constexpr const char* kSkipNames[] = {"exact_tiles", "block_tests", "opacity_bounds", "termination"};
+constexpr const char* kStageNames[] = {"project", "tiles", "sort", "blend", "raster_grads", "parameter_grads", "loss", "adam"};
+static_assert(std::size(kLevelNames) == SVRGS_LEVELS && std::size(kMaskKindNames) == SVRGS_MASK_KINDS);
+static_assert((1 << std::size(kSkipNames)) - 1 == SVRGS_ALL_SKIPS && std::size(kStageNames) == SVRGS_STAGES);
+
+template <size_t count>
+const char* name_of(const char* const (&names)[count], int32_t index) {
+  return index >= 0 && static_cast<size_t>(index) < count ? names[index] : nullptr;
+}
+
 uint64_t mix(uint64_t x) {  // the splitmix64 finaliser
   x ^= x >> 30, x *= 0xbf58476d1ce4e5b9ULL;
   x ^= x >> 27, x *= 0x94d049bb133111ebULL;
@@ -116,6 +130,22 @@ extern "C" {
 
 int32_t svrgs_interface_version(void) { return SVRGS_INTERFACE_VERSION; }
 const char* svrgs_last_error(void) { return last_error.c_str(); }
+
+const char* svrgs_name(int32_t names, int32_t index) {
+  switch (names) {
+    case SVRGS_LEVEL_NAMES: return name_of(kLevelNames, index);
+    case SVRGS_MASK_KIND_NAMES: return name_of(kMaskKindNames, index);
+    case SVRGS_SKIP_NAMES: return name_of(kSkipNames, index);
+    case SVRGS_STAGE_NAMES: return name_of(kStageNames, index);
+    default: return nullptr;
+  }
+}
+
+void svrgs_get_thresholds(svrgs_thresholds* out) {
+  using namespace svrgs;
+  if (out) *out = {kNear, kFar, kBlur, kFrustumMargin, kAlphaCut, kAlphaMax, kStop, kCompensationFloor, kTile, kBlockWidth, kBlockHeight};
+}
+
 int32_t svrgs_level_supported(int32_t level) { return supported(level); }
 void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::clamp(threads, 0, 1024)); }
 int32_t svrgs_threads(void) { return svrgs::threads(); }

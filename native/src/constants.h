@@ -6,7 +6,7 @@
 #include <type_traits>
 
 #ifndef SVRGS_ALPHA_CUT
-#define SVRGS_ALPHA_CUT 1.0 / 255.0
+#define SVRGS_ALPHA_CUT (1.0 / 255.0)
 #endif
 #ifndef SVRGS_STOP
 #define SVRGS_STOP 1e-4

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..native import SKIPS
+from ..native import skips
 from ..scene import SH_COEFFICIENTS
 from .cases import Case
 from .measure import work_counts
@@ -19,7 +19,7 @@ def measure_skips(case: Case, repeat: int, tell: Callable[[str], None]) -> list[
     """The result's `skips`."""
     trial = Trial(case)
     entries = []
-    for skip in SKIPS:
+    for skip in skips():
         tell(f"skip {skip}")
         entries.append(_native(trial, skip, repeat))
     for measured in (_mask, _behind_the_stop, _unused_gradients, _sparse_adam, _sh_bands):
