@@ -42,7 +42,7 @@ def stages(profile: cProfile.Profile) -> dict[str, float]:
     """Seconds of each function of the package outside native calls: its own, with its share of the libraries' below it."""
     found = pstats.Stats(profile).stats  # (file, line, name): calls, primitive calls, own, with callees, {caller: the same four}
     ours = {key for key in found if key[0].startswith(PACKAGE)}
-    native = {key for key in found if key[2] in ("timed_native_call", "_call")}
+    native = {key for key in found if key[2] in ("timed_native_call", "call_library")}
     below: dict[tuple, dict[tuple, float]] = {key: {} for key in found}  # caller: library functions, and its share of their time
     for key in found.keys() - ours - native:
         callers = found[key][4]

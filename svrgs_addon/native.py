@@ -1,154 +1,81 @@
-"""The only importer of the native library: checks dtype, shape, contiguity and size of every argument, then calls it.
+"""Renderers of the native library: forward and backward passes, statistics, loss and Adam; masks drawn, Gaussians in order of depth.
 
-`native/include/svrgs.h` is the manual; names, shapes and units here are the same.
+`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Every argument's dtype, shape and contiguity is checked.
 """
 
 from __future__ import annotations
 
 import ctypes as c
-import functools
-import os
-import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from .camera import Camera
-from .errors import Cancelled, NativeError
+from .errors import NativeError
+from .native_library import (
+    GRADS,
+    INTERFACE_VERSION,
+    LIBRARY_VARIABLE,
+    LOSS_IMAGES,
+    PARAMETERS,
+    AdamStruct,
+    CameraStruct,
+    GradsStruct,
+    ImageGradsStruct,
+    ImagesStruct,
+    OptionsStruct,
+    SceneStruct,
+    Thresholds,
+    TrainedStruct,
+    UpdateStruct,
+    WorkStruct,
+    best_level,
+    check,
+    check_out,
+    levels,
+    mask_kinds,
+    peaks,
+    set_threads,
+    skips,
+    stages,
+    supported_levels,
+    threads,
+    thresholds,
+)
+from .native_library import call_library as _call
+from .native_library import library as _library
+from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 9
-LEVELS = {"scalar": 0, "baseline": 1, "avx2": 2, "avx512": 3, "float64": 4}
-MASK_KINDS = {"none": 0, "svr": 1, "self": 2, "a": 3, "b": 4, "even": 5}
-IMAGES = {"rgb": 3, "depth": 0, "alpha": 0, "mask": 0, "transmittance": 0}  # trailing channels, 0: none
-COUNTS = ("hits", "kept")
-LOSS_IMAGES = ("rgb", "depth", "alpha", "mask")  # those a gradient may come from
+__all__ = [
+    "COUNTS",
+    "GRADS",
+    "IMAGES",
+    "INTERFACE_VERSION",
+    "LIBRARY_VARIABLE",
+    "LOSS_IMAGES",
+    "MOMENTS",
+    "PARAMETERS",
+    "Rasterizer",
+    "RenderOptions",
+    "Thresholds",
+    "best_level",
+    "depth_order",
+    "levels",
+    "mask_kinds",
+    "moments_like",
+    "peaks",
+    "sample_masks",
+    "set_threads",
+    "skips",
+    "stages",
+    "supported_levels",
+    "threads",
+    "thresholds",
+]
+
+IMAGES = {output.name: output.channels for output in OUTPUTS.values() if not output.integer}  # trailing channels, 0: none
+COUNTS = tuple(output.name for output in OUTPUTS.values() if output.integer)
 MOMENTS = ("uu", "uv", "vv", "uuu", "uuv", "uvv", "vvv", "uuuu", "uuuv", "uuvv", "uvvv", "vvvv")
-GRADS = ("means", "log_scales", "quats", "opacity_logits", "sh", "masks", "means2d")
-SKIPS = {"exact_tiles": 1, "block_tests": 2, "opacity_bounds": 4, "termination": 8}
-STAGES = ("project", "tiles", "sort", "blend", "raster_grads", "parameter_grads", "loss", "adam")
-LIBRARY_VARIABLE = "SVRGS_LIBRARY"  # environment: another build of the library, to measure it
-_LIBRARY = {"win32": "svrgs.dll", "darwin": "libsvrgs.dylib"}.get(sys.platform, "libsvrgs.so")
-_CANCELLED, _TOO_LARGE = 3, 4
-
-_real = c.c_void_p
-
-
-def _struct(name: str, **fields):
-    return type(name, (c.Structure,), {"_fields_": list(fields.items())})
-
-
-_Scene = _struct(
-    "_Scene",
-    count=c.c_int64,
-    sh_coefficients=c.c_int32,
-    sh_half=c.c_int32,
-    means=_real,
-    log_scales=_real,
-    quats=_real,
-    opacity_logits=_real,
-    sh=_real,
-    masks=c.c_void_p,
-)
-_Camera = _struct(
-    "_Camera",
-    viewmat=c.c_double * 16,
-    fx=c.c_double,
-    fy=c.c_double,
-    cx=c.c_double,
-    cy=c.c_double,
-    width=c.c_int32,
-    height=c.c_int32,
-    orthographic=c.c_int32,
-    background=c.c_double * 3,
-)
-_Options = _struct(
-    "_Options",
-    sh_degree=c.c_int32,
-    antialiased=c.c_int32,
-    full=c.c_int32,
-    mask_kind=c.c_int32,
-    mask_to_shape=c.c_int32,
-    eps_a=c.c_double,
-    without=c.c_int32,
-    max_pairs=c.c_int64,
-    cancel=c.c_void_p,
-    depth_limit=_real,
-)
-_Images = _struct("_Images", rgb=_real, depth=_real, alpha=_real, mask=_real, hits=_real, kept=_real, transmittance=_real)
-_ImageGrads = _struct("_ImageGrads", rgb=_real, depth=_real, alpha=_real, mask=_real)
-_Grads = _struct("_Grads", **{name: _real for name in GRADS})
-_Adam = _struct("_Adam", lr=c.c_void_p, beta1=c.c_double, beta2=c.c_double, eps=c.c_double, step=c.c_int64, shared=c.c_int32)
-_Trained = _struct("_Trained", param=_real, moments=c.c_void_p, lr=c.c_void_p)
-_Update = _struct("_Update", adam=_Adam, **{name: _Trained for name in GRADS[:5]})
-_Work = _struct("_Work", **{name: c.c_int64 for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")})
-_Machine = _struct("_Machine", fma=c.c_double, read=c.c_double, update=c.c_double)
-
-
-@functools.cache
-def _library() -> c.CDLL:
-    path = Path(os.environ.get(LIBRARY_VARIABLE) or Path(__file__).with_name(_LIBRARY))
-    if not path.exists():
-        raise NativeError(f"the native library {path} is missing: build it with 'make setup', or install the extension's wheel")
-    try:
-        library = c.CDLL(str(path))
-        library.svrgs_last_error.restype = c.c_char_p
-    except (OSError, AttributeError) as error:
-        raise NativeError(f"the native library {path} does not load ({error}): build it for this computer with 'make setup'") from None
-    if library.svrgs_interface_version() != INTERFACE_VERSION:
-        found = library.svrgs_interface_version()
-        raise NativeError(f"{path} has interface version {found}, this code needs {INTERFACE_VERSION}: rebuild it with 'make setup'")
-    return library
-
-
-def _call(name: str, *arguments):
-    library = _library()
-    status = getattr(library, name)(*arguments)
-    if status == _CANCELLED:
-        raise Cancelled
-    if status:
-        raise NativeError(library.svrgs_last_error().decode())
-
-
-def _check(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
-    """Address of `array`, or TypeError if it is not exactly what the library will read or write."""
-    if not isinstance(array, np.ndarray) or array.dtype != dtype or array.shape != shape or not array.flags.c_contiguous:
-        found = f"{array.dtype}{array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
-        raise TypeError(f"{name} is {found}; expected C-contiguous {np.dtype(dtype).name}{shape}")
-    return array.ctypes.data
-
-
-def _check_out(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
-    address = _check(array, name, shape, dtype)
-    if not array.flags.writeable:
-        raise TypeError(f"{name} is read-only")
-    return address
-
-
-def best_level() -> str:
-    """Name of the fastest SIMD level this processor runs."""
-    return list(LEVELS)[_library().svrgs_best_level()]
-
-
-def supported_levels() -> list[str]:
-    """Names of every level this processor runs, 'float64' among them."""
-    return [name for name, code in LEVELS.items() if _library().svrgs_level_supported(code)]
-
-
-def peaks(level: str) -> dict[str, float]:
-    """What all threads reach together, measured: 'fma' (operations/s, 2 a lane), 'read' and 'update' (bytes/s from and to memory)."""
-    machine = _Machine()
-    _call("svrgs_measure_machine", c.c_int32(LEVELS[level]), c.byref(machine))
-    return {name: getattr(machine, name) for name, _ in _Machine._fields_}
-
-
-def set_threads(count: int):
-    """Size of the thread pool; 0: one per core that this process may use. Results do not depend on it."""
-    _library().svrgs_set_threads(c.c_int32(count))
-
-
-def threads() -> int:
-    return _library().svrgs_threads()
 
 
 @dataclass(frozen=True)
@@ -158,10 +85,9 @@ class RenderOptions:
     sh_degree: int = 3  # lowered to what the scene stores
     antialiased: bool = False
     full: bool = True  # F walks each ray to its end
-    mask_kind: str = "none"  # one of MASK_KINDS
-    mask_to_shape: bool = False
+    mask_kind: str = "none"  # one of mask_kinds()
     eps_a: float = 1e-3
-    without: tuple[str, ...] = ()  # names from SKIPS, turned off: the same picture, more slowly; for measurements
+    disabled_skips: tuple[str, ...] = ()  # names from skips(), turned off: the same picture, more slowly; for measurements
     max_pairs: int = 0
     background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
 
@@ -169,14 +95,14 @@ class RenderOptions:
 class Rasterizer:
     """One renderer with its buffers; use from one thread at a time.
 
-    level: a name from LEVELS (default: the best). `dtype` is float64 for 'float64', else float32; every `real` array in
+    level: a name from levels() (default: the best). `dtype` is float64 for 'float64', else float32; every `real` array in
     and out has it. `cancel[0] = 1` from any thread stops the running call, which then raises Cancelled.
     """
 
     def __init__(self, level: str | None = None):
         self.level = level or best_level()
-        if self.level not in LEVELS:
-            raise ValueError(f"level {level!r} is unknown; one of {', '.join(LEVELS)}")
+        if self.level not in levels():
+            raise ValueError(f"level {level!r} is unknown; one of {', '.join(levels())}")
         self.dtype = np.dtype(np.float64 if self.level == "float64" else np.float32)
         self.cancel = np.zeros(1, np.int32)
         self._context = c.c_void_p()
@@ -184,7 +110,7 @@ class Rasterizer:
         self._shape = (0, 0, 0)  # H, W, K of the last view
         self._shapes: dict[str, tuple] = {}  # of its scene's arrays
         self._buffers: dict[str, np.ndarray] = {}
-        _call("svrgs_context_create", c.c_int32(LEVELS[self.level]), c.byref(self._context))
+        _call("svrgs_context_create", c.c_int32(levels()[self.level]), c.byref(self._context))
 
     def __del__(self):
         if getattr(self, "_context", None):
@@ -194,23 +120,22 @@ class Rasterizer:
     def forward(self, scene, camera: Camera, options: RenderOptions = RenderOptions(), masks=None, outputs=("rgb",), depth_limit=None) -> dict:
         """Renders one view (paper Eq. 1-2 and 5).
 
-        scene: anything with the arrays of Scene, in self.dtype (sh may be float16: half the memory, no gradients);
+        scene: anything with the arrays of Scene, in self.dtype;
         masks: (N,) uint8 of 0 and 1, or None for all 1; outputs: names from IMAGES and COUNTS; depth_limit: (H, W) in self.dtype, or None:
         a pixel takes a Gaussian only where its z is less, and the view has no gradients, scores, moments or counts of pixels.
         Returns {name: (H, W) or (H, W, 3) array}; rgb is not clamped.
         """
         arrays = self._scene(scene, masks)
         images, pointers = self._images(camera, outputs)
-        limit = None if depth_limit is None else _check(depth_limit, "depth_limit", (camera.height, camera.width), self.dtype)
+        limit = None if depth_limit is None else check(depth_limit, "depth_limit", (camera.height, camera.width), self.dtype)
         degree = min(options.sh_degree, int(arrays.sh_coefficients**0.5) - 1)
-        native = _Options(
+        native = OptionsStruct(
             degree,
             options.antialiased,
             options.full,
-            MASK_KINDS[options.mask_kind],
-            options.mask_to_shape,
+            mask_kinds()[options.mask_kind],
             options.eps_a,
-            sum(SKIPS[name] for name in options.without),
+            sum(skips()[name] for name in options.disabled_skips),
             options.max_pairs,
             self.cancel.ctypes.data,
             limit,
@@ -228,17 +153,17 @@ class Rasterizer:
     def work(self, count_pixels: bool = False) -> dict[str, int]:
         """What the last view took: visible Gaussians and (Gaussian, tile) pairs; with count_pixels also used_pairs, blocks and
         hit_blocks (4x4 pixels), evaluated, hits and contributing (Gaussian, pixel) pairs; see svrgs.h."""
-        work = _Work()
+        work = WorkStruct()
         _call("svrgs_count_work", self._context, c.c_int32(count_pixels), c.byref(work))
         if not count_pixels:
             return {"visible": work.visible, "pairs": work.pairs}
-        return {name: getattr(work, name) for name, _ in _Work._fields_} | {"evaluated": 16 * work.blocks}
+        return {name: getattr(work, name) for name, _ in WorkStruct._fields_} | {"evaluated": 16 * work.blocks}
 
     def stage_seconds(self) -> dict[str, float]:
-        """Durations inside the last forward (project, tiles, sort, blend), backward (two) and loss, by name from STAGES."""
-        seconds = (c.c_double * len(STAGES))()
+        """Durations inside the last forward (project, tiles, sort, blend), backward (two) and loss, by name from stages()."""
+        seconds = (c.c_double * len(stages()))()
         _call("svrgs_stage_seconds", self._context, seconds)
-        return dict(zip(STAGES, seconds, strict=True))
+        return dict(zip(stages(), seconds, strict=True))
 
     def backward(self, image_grads: dict, wanted=GRADS) -> dict:
         """Gradients of the last view, one row per visible Gaussian (see visible()).
@@ -260,16 +185,16 @@ class Rasterizer:
         if both := {*wanted} & {*tensors}:
             raise ValueError(f"gradients of what is updated are not kept: {', '.join(sorted(both))}")
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
-        columns, update = {}, _Update(adam=_adam_settings(None, betas, eps, step))
+        columns, update = {}, UpdateStruct(adam=_adam_settings(None, betas, eps, step))
         for name, (param, moments) in tensors.items():
             columns[name] = _rates(rates[name], self._shapes[name])
             addresses = self._trained(param, moments, self._shapes[name], f" of {name}")
-            setattr(update, name, _Trained(*addresses, columns[name].ctypes.data))
+            setattr(update, name, TrainedStruct(*addresses, columns[name].ctypes.data))
         bad = c.c_int64()
         _call("svrgs_backward_update", self._context, c.byref(grads_in), c.byref(update), c.byref(grads_out), c.byref(bad))
         return grads, bad.value
 
-    def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray, through: np.ndarray | None = None):
+    def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray, transmittance: np.ndarray | None = None):
         """Adds the last view to per-Gaussian statistics (N,): sum of alpha T float64, max alpha T float32, pixels int64, sum of T float64."""
         if self._view is None:
             raise NativeError("there is no rendered view to score: call forward first")
@@ -277,10 +202,10 @@ class Rasterizer:
         _call(
             "svrgs_scores",
             self._context,
-            c.c_void_p(_check_out(sum_, "sum", n, np.float64)),
-            c.c_void_p(_check_out(max_, "max", n, np.float32)),
-            c.c_void_p(_check_out(hits, "hits", n, np.int64)),
-            c.c_void_p(None if through is None else _check_out(through, "through", n, np.float64)),
+            c.c_void_p(check_out(sum_, "sum", n, np.float64)),
+            c.c_void_p(check_out(max_, "max", n, np.float32)),
+            c.c_void_p(check_out(hits, "hits", n, np.int64)),
+            c.c_void_p(None if transmittance is None else check_out(transmittance, "transmittance", n, np.float64)),
         )
 
     def moments(self) -> np.ndarray:
@@ -300,8 +225,8 @@ class Rasterizer:
         _call(
             "svrgs_removal",
             self._context,
-            c.c_void_p(_check(residuals, "residuals", (*self._shape[:2], 3), self.dtype)),
-            c.c_void_p(_check_out(cost, "cost", (len(self._view[0]),), np.float64)),
+            c.c_void_p(check(residuals, "residuals", (*self._shape[:2], 3), self.dtype)),
+            c.c_void_p(check_out(cost, "cost", (len(self._view[0]),), np.float64)),
         )
 
     def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
@@ -312,8 +237,8 @@ class Rasterizer:
         _call(
             "svrgs_loss",
             self._context,
-            c.c_void_p(_check(image, "image", (*shape[:2], 3), self.dtype)),
-            c.c_void_p(_check(target, "target", shape, self.dtype)),
+            c.c_void_p(check(image, "image", (*shape[:2], 3), self.dtype)),
+            c.c_void_p(check(target, "target", shape, self.dtype)),
             c.c_int32(shape[0]),
             c.c_int32(shape[1]),
             c.c_double(l1_weight),
@@ -335,45 +260,43 @@ class Rasterizer:
         settings = _adam_settings(rates.ctypes.data, betas, eps, step, shared=len(shape) == 3)
         bad = c.c_int64()
         addresses = [*self._trained(param, moments, shape)]
-        addresses.append(_check(grad, "grad", (rows, *shape[1:]), self.dtype))
-        addresses.append(_check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
+        addresses.append(check(grad, "grad", (rows, *shape[1:]), self.dtype))
+        addresses.append(check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
         if ids is not None and rows and (ids[-1] >= len(param) or (ids[1:] <= ids[:-1]).any()):
             raise ValueError(f"ids must ascend, below {len(param)}")
         _call("svrgs_adam", self._context, c.byref(settings), *map(c.c_void_p, addresses), c.c_int64(rows), c.c_int32(len(rates)), c.byref(bad))
         return bad.value
 
     def _trained(self, param, moments, shape: tuple, of: str = "") -> tuple[int, int]:
-        return _check_out(param, f"param{of}", shape, self.dtype), _check_out(moments, f"moments{of}", *moments_like(shape, self.dtype))
+        return check_out(param, f"param{of}", shape, self.dtype), check_out(moments, f"moments{of}", *moments_like(shape, self.dtype))
 
     def _gradients(self, image_grads: dict, wanted):
         """What the library reads, what it writes, and pointers to the latter."""
         if unknown := {*image_grads} - {*LOSS_IMAGES} | {*wanted} - {*GRADS}:
             raise ValueError(f"no gradient of {', '.join(sorted(unknown))}: from {', '.join(LOSS_IMAGES)}, to {', '.join(GRADS)}")
         height, width, coefficients = self._shape
-        grads_in = _ImageGrads(**{name: _check(g, f"d{name}", _image_shape(name, height, width), self.dtype) for name, g in image_grads.items()})
+        grads_in = ImageGradsStruct(**{name: check(g, f"d{name}", _image_shape(name, height, width), self.dtype) for name, g in image_grads.items()})
         count = self.work()["visible"]
         widths = {"means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3), "means2d": (2,)}
         grads = {name: self._buffer(name, (count, *widths.get(name, ()))) for name in wanted}
-        return grads_in, grads, _Grads(**{name: g.ctypes.data for name, g in grads.items()})
+        return grads_in, grads, GradsStruct(**{name: g.ctypes.data for name, g in grads.items()})
 
     def _scene(self, scene, masks):
-        arrays = {name: getattr(scene, name) for name in GRADS[:5]}
+        arrays = {name: getattr(scene, name) for name in PARAMETERS}
         n, k = len(arrays["means"]), np.shape(arrays["sh"])[1] if np.ndim(arrays["sh"]) == 3 else 1
         self._shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3)}
-        half = getattr(arrays["sh"], "dtype", None) == np.float16 and self.dtype != np.float64
-        types = dict.fromkeys(arrays, self.dtype) | ({"sh": np.float16} if half else {})
-        pointers = {name: _check(arrays[name], name, shape, types[name]) for name, shape in self._shapes.items()}
+        pointers = {name: check(arrays[name], name, shape, self.dtype) for name, shape in self._shapes.items()}
         if masks is not None:
-            pointers["masks"] = _check(masks, "masks", (n,), np.uint8)
+            pointers["masks"] = check(masks, "masks", (n,), np.uint8)
         self._view = (*arrays.values(), masks)
-        return _Scene(count=n, sh_coefficients=k, sh_half=half, **pointers)
+        return SceneStruct(count=n, sh_coefficients=k, **pointers)
 
     def _images(self, camera: Camera, outputs):
         images = {}
         for name in outputs:
             dtype = np.int32 if name in COUNTS else self.dtype
             images[name] = np.empty(_image_shape(name, camera.height, camera.width), dtype)
-        return images, _Images(**{name: image.ctypes.data for name, image in images.items()})
+        return images, ImagesStruct(**{name: image.ctypes.data for name, image in images.items()})
 
     def _buffer(self, name: str, shape: tuple) -> np.ndarray:
         """A view of a grow-only buffer: large gradients are not allocated anew at every step."""
@@ -399,8 +322,8 @@ def _rates(lr, shape: tuple) -> np.ndarray:
     return np.ascontiguousarray(np.broadcast_to(np.asarray(lr, np.float64), (width,)))
 
 
-def _adam_settings(rates: int | None, betas, eps: float, step: int, shared: bool = False) -> _Adam:
-    return _Adam(rates, *betas, eps, step, shared)
+def _adam_settings(rates: int | None, betas, eps: float, step: int, shared: bool = False) -> AdamStruct:
+    return AdamStruct(rates, *betas, eps, step, shared)
 
 
 def _image_shape(name: str, height: int, width: int) -> tuple:
@@ -409,9 +332,9 @@ def _image_shape(name: str, height: int, width: int) -> tuple:
     return (height, width, 3) if IMAGES.get(name) else (height, width)
 
 
-def _camera(camera: Camera, background) -> _Camera:
+def _camera(camera: Camera, background) -> CameraStruct:
     K = camera.K
-    return _Camera(
+    return CameraStruct(
         (c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()),
         K[0, 0],
         K[1, 1],
@@ -433,7 +356,7 @@ def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, 
     masks, slope = np.empty(n, np.uint8), np.empty(n, np.float32)
     _call(
         "svrgs_sample_masks",
-        c.c_void_p(_check(logits, "logits", (*n,), np.float32)),
+        c.c_void_p(check(logits, "logits", (*n,), np.float32)),
         c.c_int64(len(logits)),
         c.c_uint64(seed),
         c.c_uint64(step),
@@ -448,7 +371,7 @@ def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
     order = np.empty(len(means), np.uint32)
     _call(
         "svrgs_depth_order",
-        c.c_void_p(_check(means, "means", (len(means), 3), np.float32)),
+        c.c_void_p(check(means, "means", (len(means), 3), np.float32)),
         c.c_int64(len(means)),
         (c.c_double * 3)(*map(float, axis)),
         c.c_void_p(order.ctypes.data),

@@ -120,14 +120,14 @@ def test_floors_follow_the_peaks(small):
     level = native.best_level()
     floors, faster = (stage_floors(work, small.facts, level, {name: k * rate for name, rate in peak.items()}) for k in (1, 2))
     assert faster == pytest.approx({name: floor / 2 for name, floor in floors.items()})
-    assert LANES.keys() == native.LEVELS.keys()
+    assert LANES.keys() == native.levels().keys()
 
 
 def test_skips_change_no_picture(small):
     entries = {entry["skip"]: entry for entry in measure_skips(small, 1, ignore)}
-    assert entries.keys() == {*native.SKIPS, "mask", "behind_the_stop", "unused_gradients", "sparse_adam", "sh_bands"}
+    assert entries.keys() == {*native.skips(), "mask", "behind_the_stop", "unused_gradients", "sparse_adam", "sh_bands"}
     assert all(entry["gain"] > 0 and (entry["image_max"] or 0) <= 1e-6 for entry in entries.values())
-    for skip in native.SKIPS:
+    for skip in native.skips():
         on, off = entries[skip]["work_on"], entries[skip]["work_off"]
         assert off["pairs"] + off["blocks"] > on["pairs"] + on["blocks"] and off["contributing"] == on["contributing"]
 
@@ -155,7 +155,7 @@ def test_knobs_chosen_at_run_time_and_their_charts(small, monkeypatch):
     assert [entry["value"] for entry in entries if entry["knob"] == "simd"] == native.supported_levels()[:-1]
     assert all(entry["forward_ms"] > 0 and entry["image_mean"] < 1e-2 for entry in entries)
     charts = drawings({"knobs": entries})
-    assert charts.keys() == {"knob-simd", "knob-sh_storage"}
+    assert charts.keys() == {"knob-simd"}
     labels = ET.fromstring(charts["knob-simd"]).findall(".//*[@class='label']")
     assert f"{native.best_level()} (default)" in [label.text for label in labels]
 

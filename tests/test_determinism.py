@@ -42,7 +42,7 @@ def one_view() -> tuple[str, str]:
     """Hashes of every image, and of every gradient of them, of a view with several chunks in every stage."""
     scene, camera, r = room(20_000, 1), orbit_camera(200, 150), Rasterizer()
     masks = (np.arange(scene.count) % 5 > 0).astype(np.uint8)
-    images = r.forward(scene, camera, RenderOptions(mask_kind="svr", mask_to_shape=True), masks, (*IMAGES, "hits", "kept"))
+    images = r.forward(scene, camera, RenderOptions(mask_kind="svr"), masks, (*IMAGES, "hits", "kept"))
     weights = {name: np.cos(np.arange(images[name].size, dtype=np.float32)).reshape(images[name].shape) for name in ("rgb", "depth", "alpha", "mask")}
     return hashed(images), hashed(r.backward(weights, GRADS))
 

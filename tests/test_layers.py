@@ -54,7 +54,7 @@ def test_imports(file):
         assert layer > 0 or top not in BLENDER, f"only operators and panels may import {top}"
         assert relative or top not in LAYERS, f"{module} must be imported relatively: the extension's package has another name"
         assert top not in LAYERS[layer + 1 :], f"{module} is above"
-        assert top != "ctypes" or file.name == "native.py", "only native.py loads the native library"
+        assert top != "ctypes" or file.name in ("native.py", "native_library.py"), "only these two call the native library"
         assert layer < 2 or not relative or module.startswith("panels"), "panels know operators and properties by name"
         assert layer == 0 or top != "numpy" or file.name.startswith("bridge"), "only bridge*.py turn Blender's data into arrays"
     if layer == 0 and file.name != "torch_engine.py":

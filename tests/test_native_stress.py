@@ -40,7 +40,7 @@ FLOAT_MAX = float(np.finfo(np.float32).max)
 
 def view_and_gradients(level, scene, camera, masks=None, seed=0, **options):
     """Images and gradients of one view, everything asked for."""
-    images = render(level, scene, camera, masks, **{"mask_to_shape": True} | options)
+    images = render(level, scene, camera, masks, **options)
     grads = backward(level, image_weights(camera, seed), len(scene.means))
     return images, grads
 
@@ -463,8 +463,9 @@ for _ in range(20):
     native.set_threads(1)
     gc.collect()
     handle = native._library()._handle
-    sys.modules["svrgs_addon"].__dict__.pop("native")
-    del native, sys.modules["svrgs_addon.native"]
+    del native
+    for name in ("native", "native_library"):
+        del sys.modules["svrgs_addon"].__dict__[name], sys.modules[f"svrgs_addon.{name}"]
     _ctypes.dlclose(handle)
 assert not before or len(os.listdir("/proc/self/task")) == before, "threads are left"
 print(len(found))

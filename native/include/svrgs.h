@@ -24,31 +24,32 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 9
+#define SVRGS_INTERFACE_VERSION 10
 
 typedef void real; /* float or double, by the context's level */
 
 enum svrgs_status { SVRGS_OK = 0, SVRGS_INVALID = 1, SVRGS_NO_MEMORY = 2, SVRGS_CANCELLED = 3, SVRGS_TOO_LARGE = 4 };
 
 /* SIMD levels, each a separate compilation of the same kernels. SCALAR is the definition of truth for the others. */
-enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4 };
+enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4, SVRGS_LEVELS };
 
-/* How the spatial mask F and its gradient are formed (paper Eq. 5 and 9, scenarios A and B; SELF: F as in SVR, gradient
+/* How the spatial mask F and its gradient with respect to M are formed (paper Eq. 5 and 9, scenarios A and B; SELF: F as in SVR, gradient
    from the self term alone, 1 - alpha_i T_i; EVEN: F and dF/dM as in SVR, but a Gaussian's sum over its pixels is scaled
    to SVRGS_EVEN_AREA pixels of footprint, so that large and small ones are pushed alike). NONE skips F and all of its
    counting. */
 enum svrgs_mask_kind {
-  SVRGS_MASK_NONE = 0, SVRGS_MASK_SVR = 1, SVRGS_MASK_SELF = 2, SVRGS_MASK_A = 3, SVRGS_MASK_B = 4, SVRGS_MASK_EVEN = 5
+  SVRGS_MASK_NONE = 0, SVRGS_MASK_SVR = 1, SVRGS_MASK_SELF = 2, SVRGS_MASK_A = 3, SVRGS_MASK_B = 4, SVRGS_MASK_EVEN = 5, SVRGS_MASK_KINDS
 };
 #define SVRGS_EVEN_AREA 256
 
-/* Skips, as bits of svrgs_options.without. Turning one off changes how much is computed, never the result; for
-   measurements and tests. */
+/* Skips: work that is left out because it cannot change the result. As bits of svrgs_options.disabled_skips they are turned off,
+   for measurements and tests. */
 enum svrgs_skip {
   SVRGS_EXACT_TILES = 1,    /* tiles the 1/255 ellipse reaches instead of those of its bounding box */
   SVRGS_BLOCK_TESTS = 2,    /* 4x4 blocks it reaches instead of all of a tile */
   SVRGS_OPACITY_BOUNDS = 4, /* the ellipse of alpha = 1/255 instead of that of a fully opaque Gaussian */
-  SVRGS_TERMINATION = 8     /* a tile ends where all its pixels have stopped */
+  SVRGS_TERMINATION = 8,    /* a tile ends where all its pixels have stopped */
+  SVRGS_ALL_SKIPS = 15
 };
 
 /* Parts of svrgs_forward (the first four), svrgs_backward (two), svrgs_loss and svrgs_adam. */
@@ -61,7 +62,6 @@ typedef struct svrgs_context svrgs_context; /* buffers of one renderer; use from
 typedef struct {
   int64_t count;            /* N */
   int32_t sh_coefficients;  /* 1, 4, 9 or 16 stored per channel */
-  int32_t sh_half;          /* sh holds 16-bit floats (not at level SVRGS_DOUBLE); such a view has no gradients */
   const real *means;        /* (N, 3) */
   const real *log_scales;   /* (N, 3) */
   const real *quats;        /* (N, 4) */
@@ -83,9 +83,8 @@ typedef struct {
   int32_t antialiased;   /* multiply opacity by sqrt(det before blur / det after blur) */
   int32_t full;          /* F walks the list to its end (1) or stops with the colours (0) */
   int32_t mask_kind;     /* enum svrgs_mask_kind */
-  int32_t mask_to_shape; /* the gradient of F also reaches alpha, and so shape and opacity */
   double eps_a;          /* epsilon of scenario A */
-  int32_t without;       /* enum svrgs_skip bits: skips turned off */
+  int32_t disabled_skips; /* enum svrgs_skip bits: skips turned off */
   int64_t max_pairs;     /* refuse more (Gaussian, tile) pairs than this: SVRGS_TOO_LARGE; 0: 2^31 - 1 */
   const int32_t *cancel; /* optional; polled once per tile, non-zero stops with SVRGS_CANCELLED */
   const real *depth_limit; /* (H, W), optional: a pixel takes a Gaussian only where its z < limit; no gradients and no statistics then */
@@ -120,6 +119,23 @@ typedef struct { /* all optional: one row per visible Gaussian, in the order of 
 
 SVRGS_API int32_t svrgs_interface_version(void);
 SVRGS_API const char *svrgs_last_error(void);
+
+/* The index-th name of an enum's values (of svrgs_skip: of its index-th bit), for users to choose by; NULL behind the last. */
+enum svrgs_names { SVRGS_LEVEL_NAMES, SVRGS_MASK_KIND_NAMES, SVRGS_SKIP_NAMES, SVRGS_STAGE_NAMES };
+SVRGS_API const char *svrgs_name(int32_t names, int32_t index);
+
+/* The constants of the model that this build has (native/src/constants.h). */
+typedef struct {
+  double near_depth, far_depth; /* a Gaussian is drawn where near < z < far, z the depth of its centre */
+  double blur;                  /* pixels^2, added to both variances of a projected Gaussian */
+  double frustum_margin;        /* share of half the image: x/z, y/z of the Jacobian are clamped this far outside it */
+  double alpha_cut;             /* a Gaussian hits a pixel where alpha >= alpha_cut */
+  double alpha_max;             /* alpha is clamped to this */
+  double stop;                  /* colours stop where the transmittance would fall below this */
+  double compensation_floor;    /* of det(before blur) / det(after blur), in antialiased scenes */
+  int32_t tile, block_width, block_height; /* pixels */
+} svrgs_thresholds;
+SVRGS_API void svrgs_get_thresholds(svrgs_thresholds *);
 
 SVRGS_API int32_t svrgs_best_level(void);           /* the fastest float level this processor runs */
 SVRGS_API int32_t svrgs_level_supported(int32_t level);
@@ -160,7 +176,7 @@ SVRGS_API int32_t svrgs_backward(svrgs_context *, const svrgs_image_grads *, con
 
 /* Adds the last view to per-Gaussian statistics, each (N,) and optional: sum of alpha_i T_i over pixels, its maximum,
    the number of pixels blended, and the sum of T_i over them. */
-SVRGS_API int32_t svrgs_scores(svrgs_context *, double *sum, float *max, int64_t *hits, double *through);
+SVRGS_API int32_t svrgs_scores(svrgs_context *, double *sum, float *max, int64_t *hits, double *transmittance);
 
 /* How much the last view's colours would change if a Gaussian's shape on the screen did: sums over pixels of w u^a v^b, with
    w = sum over the channels of (alpha_i dC/dalpha_i)^2, and (u, v) = L (pixel - centre), L upper triangular with a positive

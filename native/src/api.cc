@@ -3,12 +3,9 @@
 #include <atomic>
 #include <bit>
 #include <cmath>
+#include <iterator>
 #include <memory>
 #include <new>
-
-#if defined(__x86_64__)
-#include <cpuid.h>
-#endif
 
 #include "context.h"
 #include "depth_sort.h"
@@ -25,7 +22,6 @@ using svrgs::Failure;
 
 thread_local std::string last_error;
 
-constexpr int kMaxSide = 32768;           // pixels; tile coordinates are 16 bits
 constexpr int64_t kMaxCount = 1LL << 31;  // Gaussians; ids are 32 bits
 
 void require(bool ok, const char* sentence) {
@@ -49,20 +45,13 @@ int32_t guarded(F&& f) {
   }
 }
 
-#if defined(__x86_64__)
-bool has_f16c() {  // clang knows no such name before 19
-  unsigned a, b, c = 0, d;
-  return __get_cpuid(1, &a, &b, &c, &d) && (c & bit_F16C);
-}
-#endif
-
 bool supported(int32_t level) {
   switch (level) {
     case SVRGS_SCALAR:
     case SVRGS_BASELINE:
     case SVRGS_DOUBLE: return true;
 #if defined(__x86_64__)
-    case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && has_f16c();
+    case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
     case SVRGS_AVX512: return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && supported(SVRGS_AVX2);
 #endif
     default: return false;
@@ -90,7 +79,7 @@ void check(const svrgs_scene& s) {
 }
 
 void check(const svrgs_camera& c) {
-  require(c.width > 0 && c.height > 0 && c.width <= kMaxSide && c.height <= kMaxSide, "image sides must be 1 to 32768 pixels");
+  require(c.width > 0 && c.height > 0 && c.width <= svrgs::kMaxSide && c.height <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
   bool finite = std::isfinite(c.cx) && std::isfinite(c.cy);
   for (const double v : c.viewmat) finite = finite && std::isfinite(v);
   for (const double v : c.background) finite = finite && std::isfinite(v);
@@ -101,7 +90,7 @@ void check(const svrgs_camera& c) {
 
 void check(const svrgs_options& o, const svrgs_scene& s) {
   require(o.sh_degree >= 0 && o.sh_degree <= 3 && (o.sh_degree + 1) * (o.sh_degree + 1) <= s.sh_coefficients, "sh_degree is not stored in the scene");
-  require(o.mask_kind >= SVRGS_MASK_NONE && o.mask_kind <= SVRGS_MASK_EVEN, "mask_kind is unknown");
+  require(o.mask_kind >= 0 && o.mask_kind < SVRGS_MASK_KINDS, "mask_kind is unknown");
   require(o.mask_kind != SVRGS_MASK_A || o.eps_a > 0, "eps_a must be positive");
 }
 
@@ -113,8 +102,20 @@ void check_whole(const svrgs::Context& context) {
 void check_view(const svrgs::Context& context, const svrgs_image_grads& in) {
   require(context.holds_view(), "there is no rendered view to differentiate: call svrgs_forward first");
   check_whole(context);
-  require(context.holds_gradients(), "a view of 16-bit sh has no gradients");
   require(!in.depth || context.holds_depth(), "a gradient of the depth image needs a forward pass that made one");
+}
+
+// In the order of the enums' values.
+constexpr const char* kLevelNames[] = {"scalar", "baseline", "avx2", "avx512", "float64"};
+constexpr const char* kMaskKindNames[] = {"none", "svr", "self", "a", "b", "even"};
+constexpr const char* kSkipNames[] = {"exact_tiles", "block_tests", "opacity_bounds", "termination"};
+constexpr const char* kStageNames[] = {"project", "tiles", "sort", "blend", "raster_grads", "parameter_grads", "loss", "adam"};
+static_assert(std::size(kLevelNames) == SVRGS_LEVELS && std::size(kMaskKindNames) == SVRGS_MASK_KINDS);
+static_assert((1 << std::size(kSkipNames)) - 1 == SVRGS_ALL_SKIPS && std::size(kStageNames) == SVRGS_STAGES);
+
+template <size_t count>
+const char* name_of(const char* const (&names)[count], int32_t index) {
+  return index >= 0 && static_cast<size_t>(index) < count ? names[index] : nullptr;
 }
 
 uint64_t mix(uint64_t x) {  // the splitmix64 finaliser
@@ -129,6 +130,22 @@ extern "C" {
 
 int32_t svrgs_interface_version(void) { return SVRGS_INTERFACE_VERSION; }
 const char* svrgs_last_error(void) { return last_error.c_str(); }
+
+const char* svrgs_name(int32_t names, int32_t index) {
+  switch (names) {
+    case SVRGS_LEVEL_NAMES: return name_of(kLevelNames, index);
+    case SVRGS_MASK_KIND_NAMES: return name_of(kMaskKindNames, index);
+    case SVRGS_SKIP_NAMES: return name_of(kSkipNames, index);
+    case SVRGS_STAGE_NAMES: return name_of(kStageNames, index);
+    default: return nullptr;
+  }
+}
+
+void svrgs_get_thresholds(svrgs_thresholds* out) {
+  using namespace svrgs;
+  if (out) *out = {kNear, kFar, kBlur, kFrustumMargin, kAlphaCut, kAlphaMax, kStop, kCompensationFloor, kTile, kBlockWidth, kBlockHeight};
+}
+
 int32_t svrgs_level_supported(int32_t level) { return supported(level); }
 void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::clamp(threads, 0, 1024)); }
 int32_t svrgs_threads(void) { return svrgs::threads(); }
@@ -151,7 +168,6 @@ int32_t svrgs_forward(svrgs_context* c, const svrgs_scene* scene, const svrgs_ca
     check(*scene);
     check(*camera);
     check(*options, *scene);
-    require(!scene->sh_half || !c->context.is_double(), "16-bit sh is for the float levels");
     c->context.forward(*scene, *camera, *options, *images);
   });
 }
@@ -213,12 +229,12 @@ int32_t svrgs_backward_update(svrgs_context* c, const svrgs_image_grads* in, con
   });
 }
 
-int32_t svrgs_scores(svrgs_context* c, double* sum, float* max, int64_t* hits, double* through) {
+int32_t svrgs_scores(svrgs_context* c, double* sum, float* max, int64_t* hits, double* transmittance) {
   return guarded([&] {
     require(c, "an argument is missing");
     require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
     check_whole(c->context);
-    c->context.scores({sum, max, hits, through});
+    c->context.scores({sum, max, hits, transmittance});
   });
 }
 
@@ -243,7 +259,7 @@ int32_t svrgs_removal(svrgs_context* c, const real* residuals, double* cost) {
 int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int32_t height, int32_t width, double l1_weight, double ssim_weight, real* grad, double values[2]) {
   return guarded([&] {
     require(c && image && target && values, "an argument is missing");
-    require(height > 0 && width > 0 && height <= kMaxSide && width <= kMaxSide, "image sides must be 1 to 32768 pixels");
+    require(height > 0 && width > 0 && height <= svrgs::kMaxSide && width <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
     c->context.loss(image, target, height, width, l1_weight, ssim_weight, grad, values);
   });
 }

@@ -6,7 +6,7 @@
 #include <type_traits>
 
 #ifndef SVRGS_ALPHA_CUT
-#define SVRGS_ALPHA_CUT 1.0 / 255.0
+#define SVRGS_ALPHA_CUT (1.0 / 255.0)
 #endif
 #ifndef SVRGS_STOP
 #define SVRGS_STOP 1e-4
@@ -38,6 +38,11 @@ constexpr int kBlockPixels = 16;                // a block is 16 lanes
 constexpr int kBlockWidth = SVRGS_BLOCK_WIDTH, kBlockHeight = kBlockPixels / kBlockWidth;
 constexpr int kBlockColumns = kTile / kBlockWidth;           // per tile
 constexpr int kBlocks = kTile * kTile / kBlockPixels;        // per tile
-using BlockMask = std::conditional_t<kBlocks <= 16, uint16_t, uint64_t>;
+using BlockMask = std::conditional_t<kBlocks <= 16, uint16_t, uint64_t>;  // a bit for each block of a tile
+static_assert(kBlockPixels % kBlockWidth == 0, "a block is a whole rectangle");
+static_assert(kTile % kBlockWidth == 0 && kTile % kBlockHeight == 0, "blocks fill a tile");
+static_assert(kBlocks <= 64, "a BlockMask has 64 bits");
+constexpr int kMaxSide = 32768;                              // pixels of an image side
+static_assert(kMaxSide / kTile < 1 << 16, "tile coordinates have 16 bits");
 
 }  // namespace svrgs

@@ -12,7 +12,7 @@ namespace {
 
 constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
-constexpr int64_t kAhead = 16;  // visible Gaussians fetched before they are needed
+constexpr int64_t kPlacesAhead = 16;  // visible Gaussians fetched before they are needed
 
 int64_t chunk_count(int64_t items, int64_t grain) { return (items + grain - 1) / grain; }
 
@@ -25,7 +25,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.sh_coefficients = s.sh_coefficients;
   f.sh_degree = o.sh_degree;
   f.means = s.means, f.log_scales = s.log_scales, f.quats = s.quats, f.opacity_logits = s.opacity_logits, f.sh = s.sh;
-  f.masks = s.masks, f.sh_half = s.sh_half;
+  f.masks = s.masks;
   std::memcpy(f.viewmat, c.viewmat, sizeof f.viewmat);
   for (int k = 0; k < 3; ++k) {  // -R^T t
     f.position[k] = -(c.viewmat[k] * c.viewmat[3] + c.viewmat[4 + k] * c.viewmat[7] + c.viewmat[8 + k] * c.viewmat[11]);
@@ -35,22 +35,22 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.orthographic = c.orthographic;
   f.width = c.width, f.height = c.height;
   f.tiles_x = (c.width + kTile - 1) / kTile, f.tiles_y = (c.height + kTile - 1) / kTile;
-  f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.mask_to_shape = o.mask_to_shape, f.eps_a = o.eps_a, f.without = o.without;
+  f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.eps_a = o.eps_a, f.disabled_skips = o.disabled_skips;
   f.depth_limit = o.depth_limit;
-  f.full = o.full && o.mask_kind != kMaskNone;
+  f.full = o.full && o.mask_kind != SVRGS_MASK_NONE;
   f.want_depth = images.depth != nullptr;
 }
 
 void Context::project() {
   Frame& f = frame_;
-  f.splats = splats_.reserve<char>(f.count * kernels_.splat_size);
+  f.gaussians = gaussians_.reserve<char>(f.count * kernels_.gaussian_size);
   f.rects = rects_.reserve<TileRect>(f.count);
   uint32_t *ids = ids_.reserve<uint32_t>(f.count), *keys = depth_keys_.reserve<uint32_t>(f.count);
-  found_.resize(chunk_count(f.count, kProjectGrain)), before_.resize(found_.size());
+  chunk_counts_.resize(chunk_count(f.count, kProjectGrain)), before_.resize(chunk_counts_.size());
   parallel_blocks(f.count, kProjectGrain, [&](int64_t begin, int64_t end) {
-    found_[begin / kProjectGrain] = kernels_.project_range(f, begin, end, ids, keys);
+    chunk_counts_[begin / kProjectGrain] = kernels_.project_range(f, begin, end, ids, keys);
   });
-  f.visible_count = sum_before(&Found::visible);
+  f.visible_count = sum_before(&ProjectionCounts::visible);
 }
 
 // Exact tiles of every visible Gaussian; packs ids and places.
@@ -60,34 +60,34 @@ void Context::find_tiles(int64_t max_pairs) {
   const auto too_large = [&](int64_t n) {
     if (n > limit) throw Failure{SVRGS_TOO_LARGE, "the view needs " + std::to_string(n) + " (Gaussian, tile) pairs, more than the limit of " + std::to_string(limit)};
   };
-  const int64_t rows = sum_before(&Found::rows);
+  const int64_t rows = sum_before(&ProjectionCounts::rows);
   too_large(rows);
   const uint32_t* const ids = ids_.reserve<uint32_t>(f.count);
   uint32_t *visible = visible_.reserve<uint32_t>(f.visible_count), *places = places_.reserve<uint32_t>(f.visible_count);
   f.visible = visible, f.places = places;
-  f.tiles = tiles_.reserve<SplatTiles>(f.count);
+  f.tiles = tiles_.reserve<GaussianTiles>(f.count);
   f.spans = spans_.reserve<Span>(rows);
-  parallel_for(static_cast<int64_t>(found_.size()), [&](int64_t c) {
+  parallel_for(static_cast<int64_t>(chunk_counts_.size()), [&](int64_t c) {
     int64_t row = before_[c].rows, pairs = 0, i = before_[c].visible;
-    for (int64_t place = c * kProjectGrain, end = place + found_[c].visible; place < end; ++place, ++i) {
-      if (place + kAhead < end) __builtin_prefetch(static_cast<char*>(f.splats) + (place + kAhead) * kernels_.splat_size);
+    for (int64_t place = c * kProjectGrain, end = place + chunk_counts_[c].visible; place < end; ++place, ++i) {
+      if (place + kPlacesAhead < end) __builtin_prefetch(static_cast<char*>(f.gaussians) + (place + kPlacesAhead) * kernels_.gaussian_size);
       visible[i] = ids[place], places[i] = static_cast<uint32_t>(place);
       const TileRect& r = f.rects[place];
-      SplatTiles& t = f.tiles[place];
+      GaussianTiles& t = f.tiles[place];
       t.span = static_cast<uint32_t>(row);
       t.tiles = r.rows > 1 ? kernels_.fill_spans(f, places[i], f.spans + row) : r.columns.end - r.columns.begin;
       row += span_rows(r), pairs += t.tiles;
     }
-    found_[c].pairs = pairs;
+    chunk_counts_[c].pairs = pairs;
   });
-  pairs_ = sum_before(&Found::pairs);
+  pairs_ = sum_before(&ProjectionCounts::pairs);
   too_large(pairs_);
 }
 
 // Exclusive prefix sums over the chunks of projection; returns the whole.
-int64_t Context::sum_before(int64_t Found::*what) {
+int64_t Context::sum_before(int64_t ProjectionCounts::*what) {
   int64_t sum = 0;
-  for (size_t c = 0; c < found_.size(); ++c) before_[c].*what = sum, sum += found_[c].*what;
+  for (size_t c = 0; c < chunk_counts_.size(); ++c) before_[c].*what = sum, sum += chunk_counts_[c].*what;
   return sum;
 }
 
@@ -96,11 +96,11 @@ void Context::list_tiles() {
   const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y;
   int64_t* tile_begin = tile_begin_.reserve<int64_t>(tiles + 1);
   TileEntry* entries = entries_.reserve<TileEntry>(pairs_);
-  static_assert(sizeof(uint64_t) == sizeof(Pair));
-  Pair* pairs = slots_.reserve<Pair>(3 * pairs_);
-  parallel_for(static_cast<int64_t>(found_.size()), [&](int64_t c) {
+  static_assert(sizeof(uint64_t) == sizeof(TileIntersection));
+  TileIntersection* pairs = slots_.reserve<TileIntersection>(3 * pairs_);
+  parallel_for(static_cast<int64_t>(chunk_counts_.size()), [&](int64_t c) {
     const int64_t begin = c * kProjectGrain;
-    write_pairs(f, begin, begin + found_[c].visible, before_[c].pairs, pairs);
+    write_intersections(f, begin, begin + chunk_counts_[c].visible, before_[c].pairs, pairs);
   });
   svrgs::list_tiles(f, pairs, pairs_, depth_keys_.reserve<uint32_t>(f.count), reinterpret_cast<uint64_t*>(pairs + pairs_),
                     counts_.reserve<uint32_t>(listing_chunks(pairs_) * tiles), tile_begin, entries);
@@ -204,7 +204,7 @@ void Context::loss(const void* image, const void* target, int height, int width,
 void Context::loss_tiles(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]) {
   const int64_t row = 3 * static_cast<int64_t>(width);
   const double values_in = static_cast<double>(row * height);
-  const int64_t down = chunk_count(height, kLossRows), across = chunk_count(row, kLossValues), tiles = down * across;
+  const int64_t down = chunk_count(height, kLossTileRows), across = chunk_count(row, kLossTileValues), tiles = down * across;
   const int64_t tile_row = chunk_count(row, across * 16) * 16;  // equal shares, in whole vectors
   double* tile_values = tile_values_.reserve<double>(2 * tiles);
   const int64_t workers = std::min<int64_t>(threads(), tiles), own = kernels_.loss_scratch * kernels_.real_size;

@@ -57,8 +57,6 @@ class Context {
   svrgs_work work(bool count_pixels) const;
   const double* stage_seconds() const { return seconds_; }
   bool holds_view() const { return holds_view_; }
-  bool holds_gradients() const { return holds_view_ && !frame_.sh_half; }
-  bool is_double() const { return kernels_.real_size == sizeof(double); }
   bool holds_depth() const { return frame_.want_depth; }
   bool holds_limit() const { return frame_.depth_limit; }
 
@@ -67,7 +65,7 @@ class Context {
   void project();
   void find_tiles(int64_t max_pairs);
   void list_tiles();
-  int64_t sum_before(int64_t Found::*what);
+  int64_t sum_before(int64_t ProjectionCounts::*what);
   void loss_tiles(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
   template <class F>
   void timed(svrgs_stage stage, F&& run);
@@ -78,10 +76,10 @@ class Context {
   Frame frame_ = {};
   const int32_t* cancel_ = nullptr;
   int64_t pairs_ = 0;
-  std::vector<Found> found_, before_;  // by chunk of projection: of it, and of all before it
+  std::vector<ProjectionCounts> chunk_counts_, before_;  // by chunk of projection: of it, and of all before it
   bool holds_view_ = false;
   double seconds_[SVRGS_STAGES] = {};
-  Buffer splats_, rects_, tiles_, spans_, ids_, depth_keys_, visible_, places_, tile_begin_, entries_, counts_, hits_, state_;
+  Buffer gaussians_, rects_, tiles_, spans_, ids_, depth_keys_, visible_, places_, tile_begin_, entries_, counts_, hits_, state_;
   Buffer slots_;  // of the pixels' sums; before, where tiles are listed
   Buffer loss_scratch_, tile_values_;
 };

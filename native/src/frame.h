@@ -3,17 +3,18 @@
 #include <cstdint>
 
 #include "constants.h"
+#include "svrgs.h"
 
 namespace svrgs {
 
 // A projected Gaussian. alpha(dx, dy) = min(0.99, 2^(log2_opacity - u^2 - v^2)), u = l11 dx + l12 dy, v = l22 dy:
 // the Cholesky factor of the conic, scaled by sqrt(log2(e) / 2), keeps the exponent <= 0 and free of cancellation.
 template <class R>
-struct alignas(16 * sizeof(R)) Splat {
+struct alignas(16 * sizeof(R)) ProjectedGaussian {
   double x, y;  // centre, pixels; double so that offsets from it are exact to float rounding
   R l11, l12, l22, log2_opacity;
   R rgb[3], depth;
-  R inv_l11, y_extreme;  // 1 / l11; dy of the rightmost point of the 1/255 ellipse (see ellipse.h)
+  R inv_l11, y_extreme;  // 1 / l11; dy of the rightmost point of the 1/255 ellipse (kernels/ellipse-inl.h)
   R mask;                // 0 or 1
   R slope;               // -l12 / l11
 };
@@ -23,14 +24,14 @@ struct Span {  // tiles [begin, end) of one tile row
 };
 
 struct TileRect {      // tiles around a visible Gaussian
-  uint16_t row, rows;  // of tiles; these and its columns are written as two words (project.h)
+  uint16_t row, rows;  // of tiles; these and the columns are written as two words (kernels/project-inl.h)
   Span columns;        // of all its rows together
 };
 
 // Entries of Frame::spans a Gaussian needs: within one tile row its columns are its only span.
 inline int64_t span_rows(const TileRect& t) { return t.rows > 1 ? t.rows : 0; }
 
-struct SplatTiles {  // where the tiles it touches are
+struct GaussianTiles {  // where the tiles it touches are
   uint32_t span;     // first of its rows in Frame::spans, if it has several
   uint32_t slot;     // first of its (Gaussian, tile) slots
   uint32_t tiles;    // how many
@@ -48,15 +49,12 @@ constexpr int kSlotWidth = 12;  // reals per (Gaussian, tile) slot of the backwa
 // dL/dcolour, of dL/dM from the colours, of dL/d(view depth), of dL/dM from F.
 enum Slot { kG, kGu, kGv, kGuu, kGuv, kGvv, kSlotRed, kSlotGreen, kSlotBlue, kSlotMask, kSlotDepth, kSlotSpatial };
 
-enum MaskKind { kMaskNone = 0, kMaskSvr = 1, kMaskSelf = 2, kMaskA = 3, kMaskB = 4, kMaskEven = 5 };
-
 struct Frame {
   // scene
   int64_t count;
   int sh_coefficients, sh_degree;
   const void *means, *log_scales, *quats, *opacity_logits, *sh;
   const uint8_t* masks;
-  bool sh_half;
   // camera
   double viewmat[16], position[3];
   double fx, fy, cx, cy;
@@ -64,14 +62,14 @@ struct Frame {
   int width, height, tiles_x, tiles_y;
   double background[3];
   // options
-  bool antialiased, full, mask_to_shape, want_depth;
-  int mask_kind, without;
+  bool antialiased, full, want_depth;
+  int mask_kind, disabled_skips;
   double eps_a;
   const void* depth_limit;  // R[height][width], optional
   // projection
-  void* splats;           // Splat<R>[count], those of visible Gaussians close together at their places
+  void* gaussians;        // ProjectedGaussian<R>[count]; a visible Gaussian's index in this array is its place
   TileRect* rects;        // [count], likewise
-  SplatTiles* tiles;      // [count], likewise
+  GaussianTiles* tiles;      // [count], likewise
   Span* spans;
   const uint32_t* visible;  // [visible_count] ids, ascending
   const uint32_t* places;   // [visible_count]

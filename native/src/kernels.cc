@@ -1,37 +1,48 @@
-// Compiled once per SIMD level (native/Makefile): SVRGS_LEVEL and SVRGS_TABLE_NAME name it, SVRGS_LANES and SVRGS_REAL define its vectors.
-// Everything below lives in the level's own namespace; nothing here may use a standard container.
+// Compiled once per SIMD level (native/Makefile): SVRGS_LEVEL and SVRGS_TABLE_NAME name it, SVRGS_LANES and SVRGS_REAL define its
+// vectors, SVRGS_HAVE_AVX2 and SVRGS_HAVE_AVX512 its instructions. Everything below is in the level's own namespace; nothing here may use a standard container.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <limits>
 #include <type_traits>
 #include <utility>
-#if SVRGS_LANES >= 8
+#if defined(SVRGS_HAVE_AVX2)
 #include <immintrin.h>
 #endif
 
 #include "kernels.h"
 
 namespace svrgs::SVRGS_LEVEL {
-#include "simd.h"
-#include "gaussian.h"
-#include "sh.h"
-#include "ellipse.h"
-#include "project.h"
-#include "raster_forward.h"
-#include "images.h"
-#include "raster_backward.h"
-#include "statistics.h"
-#include "adam.h"
-#include "adam_sh.h"
-#include "gradients.h"
-#include "loss.h"
-#include "machine.h"
+#include "kernels/lanes-inl.h"
+#include "kernels/math-inl.h"
+#include "kernels/transpose-inl.h"
+#include "kernels/compact-inl.h"
+#include "kernels/camera-inl.h"
+#include "kernels/gaussian-inl.h"
+#include "kernels/gaussian_vjp-inl.h"
+#include "kernels/sh-inl.h"
+#include "kernels/ellipse-inl.h"
+#include "kernels/cull-inl.h"
+#include "kernels/sh_colour-inl.h"
+#include "kernels/project-inl.h"
+#include "kernels/tile_spans-inl.h"
+#include "kernels/evaluate-inl.h"
+#include "kernels/block_lists-inl.h"
+#include "kernels/raster_forward-inl.h"
+#include "kernels/images-inl.h"
+#include "kernels/raster_backward-inl.h"
+#include "kernels/statistics-inl.h"
+#include "kernels/work-inl.h"
+#include "kernels/adam-inl.h"
+#include "kernels/adam_sh-inl.h"
+#include "kernels/gradients-inl.h"
+#include "kernels/loss-inl.h"
+#include "kernels/multiply_adds-inl.h"
 
 void loss_pass(const LossArguments& a, int64_t tile, void* scratch) {
-  const int64_t y = tile / a.tiles_across * kLossRows, i = tile % a.tiles_across * a.tile_row;
+  const int64_t y = tile / a.tiles_across * kLossTileRows, i = tile % a.tiles_across * a.tile_row;
   LossTile t = {{static_cast<const R*>(a.image), a.height, a.row}, {static_cast<const R*>(a.target), a.height, a.row}, static_cast<R*>(a.grad),
-                y, std::min(y + kLossRows, a.height), i, std::min(i + a.tile_row, a.row),
+                y, std::min(y + kLossTileRows, a.height), i, std::min(i + a.tile_row, a.row),
                 static_cast<R>(a.l1_scale), static_cast<R>(a.ssim_scale), nullptr, 0, 0};
   loss_tile(t, static_cast<R*>(scratch));
   a.tile_l1[tile] = t.l1, a.tile_ssim[tile] = t.ssim;
@@ -47,7 +58,7 @@ int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* moments, cons
     return adam_sh_rows(rates, t, ids ? ids + begin : nullptr, end - begin, rows + begin * width, end - begin, end - begin, width);
   }
   const AdamTensors t = {static_cast<R*>(param), static_cast<Packed*>(moments)};
-  const Own own = ids ? Own{ids[begin], ids[end - 1]} : Own{};
+  const OwnedRows own = ids ? OwnedRows{ids[begin], ids[end - 1]} : OwnedRows{};
   return adam_rows(rates, t, rows, ids, begin, end, width, own);
 }
 }  // namespace svrgs::SVRGS_LEVEL
@@ -55,7 +66,7 @@ int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* moments, cons
 namespace svrgs {
 namespace level = SVRGS_LEVEL;
 const Kernels SVRGS_TABLE_NAME = {
-    sizeof(level::R), sizeof(Splat<level::R>), level::project_range, level::fill_spans, level::forward_tile, level::write_tile,
+    sizeof(level::R), sizeof(ProjectedGaussian<level::R>), level::project_range, level::fill_spans, level::forward_tile, level::write_tile,
     level::backward_tile, level::gradients_range, level::scores_tile, level::scores_range, level::moments_tile,
     level::moments_range, level::removal_tile, level::removal_range, level::count_tile,
     level::kLossScratch, level::loss_pass, level::adam_pass, level::multiply_adds};

@@ -5,7 +5,7 @@
 
 namespace svrgs {
 
-struct Found {  // what became of a range of Gaussians: how many are visible, their entries of Frame::spans and their (Gaussian, tile) pairs
+struct ProjectionCounts {  // what became of a range of Gaussians: how many are visible, their entries of Frame::spans and their (Gaussian, tile) pairs
   int64_t visible = 0, rows = 0, pairs = 0;
 };
 
@@ -13,12 +13,12 @@ struct Scores {  // each (N,) and optional
   double* sum;
   float* max;
   int64_t* hits;
-  double* through;
+  double* transmittance;
 };
 
 struct Kernels {
-  int real_size, splat_size;
-  Found (*project_range)(const Frame&, int64_t begin, int64_t end, uint32_t* ids, uint32_t* depth_keys);
+  int real_size, gaussian_size;
+  ProjectionCounts (*project_range)(const Frame&, int64_t begin, int64_t end, uint32_t* ids, uint32_t* depth_keys);
   uint32_t (*fill_spans)(const Frame&, uint32_t place, Span* spans);  // of several tile rows
   void (*forward_tile)(const Frame&, int64_t tile);
   void (*write_tile)(const Frame&, int64_t tile, const svrgs_images&);
@@ -41,7 +41,7 @@ struct Kernels {
 
 // The loss goes over tiles of at most this many rows and values: tall and wide against the surroundings that every tile
 // computes too, enough of them for many threads, and a block of rows small enough for a core's cache.
-constexpr int kLossRows = 90, kLossValues = 480;
+constexpr int kLossTileRows = 90, kLossTileValues = 480;
 
 struct LossArguments {
   const void *image, *target;

@@ -29,11 +29,11 @@ struct Job {
 };
 
 // A picture is a dozen short jobs: to wake a thread that sleeps takes as long as some of them, so it looks on for a while first.
-constexpr int kLooks = 4000;  // some 50 microseconds
+constexpr int kSpins = 4000;  // some 50 microseconds
 
 template <class F>
-void look_for(F&& found) {
-  for (int i = 0; i < kLooks && !found(); ++i) {
+void spin_until(F&& found) {
+  for (int i = 0; i < kSpins && !found(); ++i) {
 #if defined(__x86_64__)
     __builtin_ia32_pause();
 #endif
@@ -74,7 +74,7 @@ class Pool {
       std::lock_guard lock(mutex_);
       job_ = nullptr;
     }
-    look_for([&] { return job.working == 0; });
+    spin_until([&] { return job.working == 0; });
     std::unique_lock lock(mutex_);
     done_.wait(lock, [&] { return job.working == 0; });
   }
@@ -83,7 +83,7 @@ class Pool {
   void loop() {
     uint64_t seen = 0;
     for (;;) {
-      look_for([&] { return generation_ != seen; });
+      spin_until([&] { return generation_ != seen; });
       std::unique_lock lock(mutex_);
       wake_.wait(lock, [&] { return stop_ || (job_ && generation_ != seen); });
       if (stop_) return;

@@ -9,8 +9,8 @@
 namespace svrgs {
 namespace {
 
-constexpr int kMostBits = 11;     // of a digit
-constexpr int64_t kPatience = 8;  // moves for each item before another way is taken
+constexpr int kMaxDigitBits = 11;     // of a digit
+constexpr int64_t kMaxMovesPerKey = 8;  // moves for each item before another way is taken
 
 // An entry of a tile's list: its depth, then its slot, so that no two are equal and equal depths lie in the order of slots.
 uint64_t entry_key(uint32_t depth_key, int64_t slot) { return static_cast<uint64_t>(depth_key) << 32 | static_cast<uint64_t>(slot); }
@@ -23,7 +23,7 @@ void sort_by_insertion(uint64_t* keys, int64_t n) {
     int64_t j = i;
     for (; j && keys[j - 1] > key; --j) keys[j] = keys[j - 1];
     keys[j] = key, moves += i - j;
-    if (moves > kPatience * n) return std::sort(keys, keys + n);
+    if (moves > kMaxMovesPerKey * n) return std::sort(keys, keys + n);
   }
 }
 
@@ -32,11 +32,11 @@ void sort_list(uint64_t* keys, uint64_t* scratch, int64_t n) {
   uint64_t low = ~uint64_t{0}, high = 0;
   for (int64_t i = 0; i < n; ++i) low = std::min(low, keys[i] >> 32), high = std::max(high, keys[i] >> 32);
   if (low >= high) return;  // in the order of slots they are
-  const int bits = std::clamp(static_cast<int>(std::bit_width(static_cast<uint64_t>(n))) - 1, 4, kMostBits);
+  const int bits = std::clamp(static_cast<int>(std::bit_width(static_cast<uint64_t>(n))) - 1, 4, kMaxDigitBits);
   const int second = std::max(static_cast<int>(std::bit_width(high - low)) - 2 * bits, 0), first = second + bits;
   const uint64_t mask = (1u << bits) - 1;
   const auto digit = [low, mask](uint64_t key, int shift) { return ((key >> 32) - low) >> shift & mask; };
-  uint32_t begin[2][1 << kMostBits];
+  uint32_t begin[2][1 << kMaxDigitBits];
   std::fill_n(begin[0], mask + 1, 0u), std::fill_n(begin[1], mask + 1, 0u);
   for (int64_t i = 0; i < n; ++i) ++begin[0][digit(keys[i], second)], ++begin[1][digit(keys[i], first)];
   uint32_t total[2] = {};
@@ -49,8 +49,8 @@ void sort_list(uint64_t* keys, uint64_t* scratch, int64_t n) {
 
 }  // namespace
 
-void write_pairs(const Frame& f, int64_t begin, int64_t end, int64_t slot, Pair* pairs) {
-  Pair* next = pairs + slot;
+void write_intersections(const Frame& f, int64_t begin, int64_t end, int64_t slot, TileIntersection* pairs) {
+  TileIntersection* next = pairs + slot;
   for (int64_t place = begin; place < end; ++place) {
     const TileRect& t = f.rects[place];
     f.tiles[place].slot = static_cast<uint32_t>(next - pairs);
@@ -62,7 +62,7 @@ void write_pairs(const Frame& f, int64_t begin, int64_t end, int64_t slot, Pair*
 
 int64_t listing_chunks(int64_t pairs) { return std::clamp<int64_t>(pairs / 8192, 1, 16); }
 
-void list_tiles(const Frame& f, const Pair* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin, TileEntry* entries) {
+void list_tiles(const Frame& f, const TileIntersection* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin, TileEntry* entries) {
   const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y, chunks = listing_chunks(count), grain = (count + chunks - 1) / chunks;
   parallel_for(chunks, [&](int64_t c) {
     uint32_t* const own = counts + c * tiles;

@@ -1,7 +1,7 @@
 """A process that runs one build of the native library on a generated room, one request at a time.
 
-Requests and answers are one JSON object a line, on stdin and stdout. {"level": name or null, "half_sh": bool} is answered
-by {"forward": seconds, "step": seconds or null}, or {"error": sentence}; with "save": FILE as well, the image is written
+Requests and answers are one JSON object a line, on stdin and stdout. {"level": name or null} is answered
+by {"forward": seconds, "step": seconds}, or {"error": sentence}; with "save": FILE as well, the image is written
 there first.
 """
 
@@ -13,7 +13,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -67,30 +66,23 @@ def main(words: list[str]):
     threads, *facts = map(int, words)
     native.set_threads(threads)
     case = room_case(*facts)
-    trials: dict[tuple, Trial] = {}
+    trials: dict[str | None, Trial] = {}
     for line in sys.stdin:
         request = json.loads(line)
-        key = request["level"], request["half_sh"]
+        level = request["level"]
         try:
-            trials[key] = trials.get(key) or _trial(case, *key)
-            answer = _answer(trials[key], request)
+            trials[level] = trials.get(level) or Trial(case, level)
+            answer = _answer(trials[level], request)
         except (NativeError, TypeError) as error:  # a build or a level that cannot do this
             answer = {"error": str(error)}
         print(json.dumps(answer), flush=True)
-
-
-def _trial(case: Case, level: str | None, half_sh: bool) -> Trial:
-    trial = Trial(case, level)
-    if half_sh:
-        trial.drawn = SimpleNamespace(**{**trial.model.values, "sh": trial.model.sh.astype(np.float16)})
-    return trial
 
 
 def _answer(trial: Trial, request: dict) -> dict:
     if "save" in request:
         np.save(request["save"], trial.forward()["rgb"])
     forward = seconds(trial.forward)
-    return {"forward": forward, "step": None if request["half_sh"] else seconds(trial.step)}
+    return {"forward": forward, "step": seconds(trial.step)}
 
 
 if __name__ == "__main__":

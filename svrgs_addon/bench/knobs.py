@@ -16,23 +16,22 @@ from .cases import Case
 from .child import Child
 from .timing import WARMUPS, ratio
 
-PLAIN = {"level": None, "half_sh": False}  # how the standard build is asked
+PLAIN = {"level": None}  # how the standard build is asked
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One value of one knob: a level or storage chosen at run time, or a macro of a build."""
+    """One value of one knob: a level chosen at run time, or a macro of a build."""
 
     knob: str
     value: str
     default: bool = False
     level: str | None = None  # None: the best
-    half_sh: bool = False
     macro: str = ""
 
     @property
     def request(self) -> dict:
-        return {"level": self.level, "half_sh": self.half_sh}
+        return {"level": self.level}
 
 
 # Values of a build: knob -> (macro, {value: what the macro is set to; '' for the standard}).
@@ -50,7 +49,6 @@ def settings() -> list[Setting]:
     best = native.best_level()
     levels = [level for level in native.supported_levels() if level != "float64"]
     found = [Setting("simd", level, level == best, level=level) for level in levels]
-    found += [Setting("sh_storage", "float32", True), Setting("sh_storage", "float16", half_sh=True)]
     for knob, (name, values) in BUILD_KNOBS.items():
         found += [Setting(knob, value, not text, macro=text and f"{name}={text}") for value, text in values.items()]
     return found
@@ -80,7 +78,7 @@ class _Bench:
 
     def __init__(self, case: Case, folder: Path, standard: Child, repeat: int):
         self.case, self.folder, self.standard, self.repeat = case, folder, standard, repeat
-        self.truth = standard.image(folder, level="float64", half_sh=False)
+        self.truth = standard.image(folder, level="float64")
         readings = [standard.ask(**PLAIN) for _ in range(WARMUPS + repeat)][WARMUPS:]
         self.forward_ms = 1e3 * float(np.median([reading["forward"] for reading in readings]))
 
@@ -106,8 +104,8 @@ class _Bench:
             "image_mean": float(difference.mean()),
         }
 
-    def _ratios(self, setting: Setting, child: Child) -> tuple[float, float | None]:
+    def _ratios(self, setting: Setting, child: Child) -> tuple[float, float]:
         pairs = [(child.ask(**setting.request), self.standard.ask(**PLAIN)) for _ in range(WARMUPS + self.repeat)][WARMUPS:]
         ours, plain = zip(*pairs, strict=True)
         forward, step = (([a[name] for a in ours], [b[name] for b in plain]) for name in ("forward", "step"))
-        return ratio(*forward), None if setting.half_sh else ratio(*step)
+        return ratio(*forward), ratio(*step)

@@ -39,11 +39,11 @@ def peaks_of(level: str, thread_counts: list[int]) -> dict[int, dict]:
     return peaks
 
 
-def work_counts(trial: Trial, without=()) -> dict:
+def work_counts(trial: Trial, disabled_skips=()) -> dict:
     """Counts of the colour pass, as NAME_full those with F to each ray's end, and the memory its Gaussians lie in (floors.row_lines)."""
-    trial.forward("none", without=without)
+    trial.forward("none", disabled_skips=disabled_skips)
     counts = trial.rasterizer.work(count_pixels=True)
-    trial.forward(without=without)
+    trial.forward(disabled_skips=disabled_skips)
     full = trial.rasterizer.work(count_pixels=True)
     lines = row_lines(trial.rasterizer.visible(), trial.case.facts["sh_degree"])
     return counts | {f"{name}_full": full[name] for name in FULL_WALK} | {"row_lines": lines}

@@ -10,7 +10,6 @@ KNOBS = {
     "exp_degree": "Degree of the polynomial for 2^x",
     "alpha_cut": "Alpha below which a Gaussian does not hit a pixel",
     "stop": "Transmittance at which a pixel stops",
-    "sh_storage": "Storage of the SH coefficients (forward only)",
     "tile": "Tile side, pixels",
     "block": "Pixels of a block",
 }

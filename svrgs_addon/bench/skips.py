@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..native import SKIPS
+from ..native import skips
 from ..scene import SH_COEFFICIENTS
 from .cases import Case
 from .measure import work_counts
@@ -19,7 +19,7 @@ def measure_skips(case: Case, repeat: int, tell: Callable[[str], None]) -> list[
     """The result's `skips`."""
     trial = Trial(case)
     entries = []
-    for skip in SKIPS:
+    for skip in skips():
         tell(f"skip {skip}")
         entries.append(_native(trial, skip, repeat))
     for measured in (_mask, _behind_the_stop, _unused_gradients, _sparse_adam, _sh_bands):
@@ -38,13 +38,13 @@ def _entry(skip: str, stage: str, once: Callable[[], dict[str, float]], repeat: 
 
 def _native(trial: Trial, skip: str, repeat: int) -> dict:
     """A skip of the rasterizer: drawing colours with and without it, and what it does to the whole step and the counts."""
-    without = (skip,)
-    change = np.abs(trial.forward()["rgb"] - trial.forward(without=without)["rgb"]).max()
-    steps = rounds(lambda: {"on": seconds(trial.step), "off": seconds(trial.step, without)}, repeat)
-    more = {"step_gain": ratio(steps["off"], steps["on"]), "work_on": work_counts(trial), "work_off": work_counts(trial, without)}
+    disabled = (skip,)
+    change = np.abs(trial.forward()["rgb"] - trial.forward(disabled_skips=disabled)["rgb"]).max()
+    steps = rounds(lambda: {"on": seconds(trial.step), "off": seconds(trial.step, disabled)}, repeat)
+    more = {"step_gain": ratio(steps["off"], steps["on"]), "work_on": work_counts(trial), "work_off": work_counts(trial, disabled)}
 
     def colours() -> dict[str, float]:
-        return {"on": seconds(trial.forward, "none"), "off": seconds(trial.forward, "none", without=without)}
+        return {"on": seconds(trial.forward, "none"), "off": seconds(trial.forward, "none", disabled_skips=disabled)}
 
     return _entry(skip, "forward", colours, repeat, float(change), **more)
 

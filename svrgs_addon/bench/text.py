@@ -70,7 +70,7 @@ def _error(error: dict) -> str:
 def _knobs(knobs: list[dict]) -> str:
     rows = [("knob", "value", "forward ms", "x default", "step x default", "error max", "mean")]
     for k in knobs:
-        step = f"{k['step_ratio']:.3f}" if k["step_ratio"] is not None else "-"
+        step = f"{k['step_ratio']:.3f}"
         value = k["value"] + (" *" if k["default"] else "")
         rows.append((k["knob"], value, f"{k['forward_ms']:.2f}", f"{k['ratio']:.3f}", step, f"{k['image_max']:.1e}", f"{k['image_mean']:.1e}"))
     return "Knobs (* default):\n" + table(rows, 2)

@@ -36,21 +36,20 @@ class Trial:
         self.model = Model.of(case.scene, self.rasterizer.dtype)
         self.model.add_masks(MASK_LOGIT)
         self.masks, self.slope = drawn_masks(case.scene.count)
-        self.drawn = self.model  # what forward renders
         self.steps = 0
         self.images = self.forward()
         self.target = target_of(self.images["rgb"])
         self.image_grads = {"rgb": self.loss().copy(), "mask": mask_loss_grad(self.images["mask"], LAMBDA_F)[1]}
 
-    def options(self, mask_kind: str = "svr", full: bool = True, without=(), sh_degree: int = 3) -> RenderOptions:
+    def options(self, mask_kind: str = "svr", full: bool = True, disabled_skips=(), sh_degree: int = 3) -> RenderOptions:
         antialiased = self.case.scene.antialiased
-        return RenderOptions(sh_degree=sh_degree, antialiased=antialiased, full=full, mask_kind=mask_kind, without=without)
+        return RenderOptions(sh_degree=sh_degree, antialiased=antialiased, full=full, mask_kind=mask_kind, disabled_skips=disabled_skips)
 
-    def forward(self, mask_kind: str = "svr", full: bool = True, without=(), sh_degree: int = 3) -> dict[str, np.ndarray]:
+    def forward(self, mask_kind: str = "svr", full: bool = True, disabled_skips=(), sh_degree: int = 3) -> dict[str, np.ndarray]:
         """Colours, and F unless mask_kind is 'none'."""
         outputs = ("rgb",) if mask_kind == "none" else ("rgb", "mask")
-        options = self.options(mask_kind, full and mask_kind != "none", without, sh_degree)
-        return self.rasterizer.forward(self.drawn, self.case.camera, options, self.masks, outputs)
+        options = self.options(mask_kind, full and mask_kind != "none", disabled_skips, sh_degree)
+        return self.rasterizer.forward(self.model, self.case.camera, options, self.masks, outputs)
 
     def loss(self) -> np.ndarray:
         return self.rasterizer.loss(self.images["rgb"], self.target)[2]
@@ -69,10 +68,10 @@ class Trial:
             total += self.rasterizer.stage_seconds()["adam"]
         return total
 
-    def step(self, without=()):
+    def step(self, disabled_skips=()):
         """A whole fine-tuning step: forward, loss, backward, Adam."""
         self.steps += 1
         rates = dict.fromkeys((*PARAMETERS, "sh_rest", MASK), RATE)
-        options = self.options(without=without)
+        options = self.options(disabled_skips=disabled_skips)
         step = Step(self.case.camera, self.target, self.steps, rates, options, masks=self.masks, slope=self.slope, lambda_f=LAMBDA_F)
         self.engine.step(self.model, step)

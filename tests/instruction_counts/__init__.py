@@ -56,7 +56,7 @@ def measure(folder: Path) -> Counts:
     for level in (level for level in LEVELS if level in native.supported_levels()):
         out = folder / f"{level}.out"
         tool = ["valgrind", "--quiet", "--tool=callgrind", f"--callgrind-out-file={out}"]
-        subprocess.run([*tool, driver, case, str(native.LEVELS[level])], check=True)
+        subprocess.run([*tool, driver, case, str(native.levels()[level])], check=True)
         counts |= {f"{level} {call}": count for call, count in _dumps(out)}
     return counts
 

@@ -57,8 +57,8 @@ struct Case {
   explicit Case(Bytes& b) {
     static constexpr int kCoefficients[] = {1, 4, 9, 16};
     count = b.below(40), k = kCoefficients[b.below(4)], width = 1 + b.below(70), height = 1 + b.below(50);
-    options.sh_degree = b.below(4), options.antialiased = b.below(2), options.full = b.below(2), options.mask_kind = b.below(6);
-    options.mask_to_shape = b.below(2), options.without = b.below(16), options.eps_a = 1e-3;
+    options.sh_degree = b.below(4), options.antialiased = b.below(2), options.full = b.below(2), options.mask_kind = b.below(SVRGS_MASK_KINDS);
+    b.below(2), options.disabled_skips = b.below(SVRGS_ALL_SKIPS + 1), options.eps_a = 1e-3;
     if ((options.sh_degree + 1) * (options.sh_degree + 1) > k) options.sh_degree = 0;
     const double angle = b.below(256) / 40.0, c = std::cos(angle), s = std::sin(angle);
     const double view[16] = {c, 0, s, b.value(), 0, 1, 0, b.value(), -s, 0, c, b.value(), 0, 0, 0, 1};

@@ -39,7 +39,7 @@ inline V times_zero(const R* row) {  // NaN where a value is not finite
   if constexpr (k < width)
     return load_first<std::min(W, width - k)>(row + k) * R(0) + times_zero<width, k + W>(row);
   else
-    return splat(0);
+    return broadcast(0);
 }
 
 template <int width, int k = 0>
@@ -56,7 +56,7 @@ inline int adam_sh_row(const AdamRates& a, R* param, R* moments, const R* grad) 
   if (any_nan(times_zero<width>(grad))) return 1;
   R& v = moments[sh_moments(width) - 1];
   v = a.beta2[0] * v + a.rest2[0] * ((grad[0] * grad[0] + grad[1] * grad[1] + grad[2] * grad[2]) / 3);
-  const V scale = splat(R(1) / (std::sqrt(v) * a.root_bias2[0] + a.eps[0]));
+  const V scale = broadcast(R(1) / (std::sqrt(v) * a.root_bias2[0] + a.eps[0]));
   adam_sh_values<width>(a, scale, param, reinterpret_cast<FirstMoment*>(moments), grad);
   return 0;
 }

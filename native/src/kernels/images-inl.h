@@ -2,18 +2,18 @@
 // by block.
 
 // 1 / log(1 + n), n whole; 0 for n = 0, so that F := 0 with zero gradient where no Gaussian is on the ray.
-inline V inverse_log(V n) { return keep(less(splat(0), n), splat(R(1.4426950408889634)) / log2(n + R(1))); }
+inline V inverse_log(V n) { return keep(less(broadcast(0), n), broadcast(R(1.4426950408889634)) / log2(n + R(1))); }
 
 // One of a block's kept values, W lanes of it.
 inline V kept(const R* state, Field k) { return load(state + k * kBlockPixels); }
 
-// F of W pixels, paper Eq. 5 in closed form (design.md section 3), or of a scenario.
+// F of W pixels, paper Eq. 5 in closed form (docs/methods.md), or of a scenario.
 inline V spatial_mask(const Frame& f, const R* state) {
-  if (f.mask_kind == kMaskNone) return splat(0);
+  if (f.mask_kind == SVRGS_MASK_NONE) return broadcast(0);
   const V n = kept(state, kCount);
-  if (f.mask_kind == kMaskA) return keep(less(splat(0), n), kept(state, kSum1) / kept(state, kSum0));
-  if (f.mask_kind == kMaskB) return kept(state, kSum0) * inverse_log(n);
-  return (n - kept(state, kDropped) - splat(1) + kept(state, kFullT)) * inverse_log(n);
+  if (f.mask_kind == SVRGS_MASK_A) return keep(less(broadcast(0), n), kept(state, kSum1) / kept(state, kSum0));
+  if (f.mask_kind == SVRGS_MASK_B) return kept(state, kSum0) * inverse_log(n);
+  return (n - kept(state, kDropped) - broadcast(1) + kept(state, kFullT)) * inverse_log(n);
 }
 
 struct BlockPlace {
@@ -51,7 +51,7 @@ inline void read_block(const Frame& f, BlockPlace p, const void* image, R (*valu
     std::fill_n(pixels, channels * kBlockPixels, R(0));
     for_rows(f, p, [&](int64_t at, int lane) { std::copy_n(from + channels * at, channels * p.columns, pixels + channels * lane); });
   }
-  for (int h = 0; h < kSub; ++h) {
+  for (int h = 0; h < kVectorsPerBlock; ++h) {
     V columns[channels];
     columns_of<channels>(pixels + channels * h * W, columns);
     for (int c = 0; c < channels; ++c) store(values[c] + h * W, columns[c]);
@@ -62,7 +62,7 @@ inline void read_block(const Frame& f, BlockPlace p, const void* image, R (*valu
 template <int channels, class T, class F>
 inline void write_block(const Frame& f, BlockPlace p, const R* block, T* image, F&& value) {
   R pixels[channels * kBlockPixels];
-  for (int h = 0; h < kSub; ++h) {
+  for (int h = 0; h < kVectorsPerBlock; ++h) {
     V columns[channels];
     for (int c = 0; c < channels; ++c) columns[c] = value(block + h * W, c);
     interleave<channels>(columns, pixels + channels * h * W);
@@ -72,7 +72,7 @@ inline void write_block(const Frame& f, BlockPlace p, const R* block, T* image, 
 }
 
 // Asks for the rows of an image (H, W, channels) that lie in a tile: many, each of a few lines, which the processor does not foresee.
-// write: they will be written. Always inline, as fetch is (project.h).
+// write: they will be written. Always inline, as fetch is (cull-inl.h).
 template <bool write>
 [[gnu::always_inline]] inline void fetch_image(const Frame& f, int64_t tile, const void* image, int channels) {
   if (!image) return;
@@ -94,12 +94,12 @@ void write_tile(const Frame& f, int64_t tile, const svrgs_images& out) {
     const auto write = [&](auto* image, auto&& value) { write_block<1>(f, p, block, image, [&](const R* s, int) { return value(s); }); };
     const auto real = [](void* image) { return static_cast<R*>(image); };
     if (out.rgb)
-      write_block<3>(f, p, block, real(out.rgb), [&](const R* s, int c) { return fma(kept(s, kFinalT), splat(static_cast<R>(f.background[c])), kept(s, Field(kRed + c))); });
+      write_block<3>(f, p, block, real(out.rgb), [&](const R* s, int c) { return fma(kept(s, kFinalT), broadcast(static_cast<R>(f.background[c])), kept(s, Field(kRed + c))); });
     if (out.depth) write(real(out.depth), [](const R* s) { return kept(s, kDepth); });
-    if (out.alpha) write(real(out.alpha), [](const R* s) { return splat(1) - kept(s, kFinalT); });
+    if (out.alpha) write(real(out.alpha), [](const R* s) { return broadcast(1) - kept(s, kFinalT); });
     if (out.mask) write(real(out.mask), [&](const R* s) { return spatial_mask(f, s); });
     if (out.transmittance) write(real(out.transmittance), [](const R* s) { return kept(s, kFullT); });
-    const auto count = [&](const R* s, Field k) { return f.mask_kind == kMaskNone ? splat(0) : kept(s, k); };
+    const auto count = [&](const R* s, Field k) { return f.mask_kind == SVRGS_MASK_NONE ? broadcast(0) : kept(s, k); };
     if (out.hits) write(out.hits, [&](const R* s) { return count(s, kCount); });
     if (out.kept) write(out.kept, [&](const R* s) { return count(s, kCount) - count(s, kDropped); });
   });

@@ -4,12 +4,12 @@
 double multiply_adds(int64_t rounds) {
   constexpr int kChains = 12;
   V sums[kChains];
-  for (int k = 0; k < kChains; ++k) sums[k] = splat(R(k));
+  for (int k = 0; k < kChains; ++k) sums[k] = broadcast(R(k));
   volatile R unknown = R(0.999);
-  const V factor = splat(unknown);
+  const V factor = broadcast(unknown);
   for (int64_t r = 0; r < rounds; ++r)
     for (int k = 0; k < kChains; ++k) sums[k] = fma(sums[k], factor, factor);
-  V total = splat(0);
+  V total = broadcast(0);
   for (int k = 0; k < kChains; ++k) total += sums[k];
   volatile R result = sum(total);
   (void)result;

@@ -2,7 +2,7 @@
 // Gaussian as (total - what was blended so far): no reverse walk, no division to recover T. Each (Gaussian, tile) pair
 // writes its own slot, so sums do not depend on the number of threads.
 //
-//   dL/dM_i     = alpha_i (T_i c_i.g - S_i / (1 - M_i alpha_i)),  S_i = g.(colour still to come)     (design.md section 3)
+//   dL/dM_i     = alpha_i (T_i c_i.g - S_i / (1 - M_i alpha_i)),  S_i = g.(colour still to come)     (docs/methods.md)
 //   dL/dalpha_i = M_i     (T_i c_i.g - S_i / (1 - M_i alpha_i))
 //   dF/dM_i     = (1 - alpha_i T_N / (1 - M_i alpha_i)) / log(1 + N)
 
@@ -20,30 +20,30 @@ inline void read_gradients(const Frame& f, const svrgs_image_grads& g, BlockPlac
   if (g.rgb) read_block<3>(f, place, g.rgb, t.rgb);
   if (g.depth) read_block<1>(f, place, g.depth, &t.depth);
   if (g.alpha) read_block<1>(f, place, g.alpha, &t.alpha);
-  if (g.mask && f.mask_kind != kMaskNone) read_block<1>(f, place, g.mask, &t.mask);
+  if (g.mask && f.mask_kind != SVRGS_MASK_NONE) read_block<1>(f, place, g.mask, &t.mask);
 }
 
 // What the lanes from `h` on start with, given their image gradients and kept state.
 inline void start_lanes(const Frame& f, const svrgs_image_grads& g, const R* state, BackwardBlock& t, int h) {
   const V final_T = kept(state, kFinalT);
-  V behind = load(t.alpha + h) * (splat(1) - final_T);
+  V behind = load(t.alpha + h) * (broadcast(1) - final_T);
   for (int c = 0; c < 3; ++c)
-    behind = fma(load(t.rgb[c] + h), fma(final_T, splat(static_cast<R>(f.background[c])), kept(state, Field(kRed + c))), behind);
+    behind = fma(load(t.rgb[c] + h), fma(final_T, broadcast(static_cast<R>(f.background[c])), kept(state, Field(kRed + c))), behind);
   if (g.depth) behind = fma(load(t.depth + h), kept(state, kDepth), behind);
-  store(t.T + h, splat(1));
+  store(t.T + h, broadcast(1));
   store(t.behind + h, behind);
-  if (!g.mask || f.mask_kind == kMaskNone) return;
+  if (!g.mask || f.mask_kind == SVRGS_MASK_NONE) return;
   const V n = kept(state, kCount), d = load(t.mask + h);
-  if (f.mask_kind == kMaskA) {
+  if (f.mask_kind == SVRGS_MASK_A) {
     const V F = spatial_mask(f, state);
     store(t.value + h, F);
-    store(t.mask + h, keep(less(splat(0), n), d / kept(state, kSum0)));
+    store(t.mask + h, keep(less(broadcast(0), n), d / kept(state, kSum0)));
     store(t.to_come + h, kept(state, kSum3) - F * kept(state, kSum2));
   } else {
     const V scaled = d * inverse_log(n);
     store(t.mask + h, scaled);
     store(t.mask_T + h, scaled * kept(state, kFullT));
-    if (f.mask_kind == kMaskB) store(t.to_come + h, kept(state, kSum1));
+    if (f.mask_kind == SVRGS_MASK_B) store(t.to_come + h, kept(state, kSum1));
   }
 }
 
@@ -54,7 +54,7 @@ inline void start_backward(const Frame& f, const svrgs_image_grads& g, int64_t t
   R* const state = tile_state(f, tile);
   for_blocks(f, tile, [&](int b, BlockPlace place) {
     read_gradients(f, g, place, blocks[b]);
-    for (int h = 0; h < kSub; ++h) start_lanes(f, g, block_state(state, b, h), blocks[b], h * W);
+    for (int h = 0; h < kVectorsPerBlock; ++h) start_lanes(f, g, block_state(state, b, h), blocks[b], h * W);
   });
 }
 
@@ -66,92 +66,85 @@ struct Wanted {
   bool shape, colour, mask, depth, alpha, spatial;  // spatial: a gradient of F came in
 };
 
-// dF/dM_i and dF/dalpha_i of one hit, times dL/dF: design.md closed form, the self term alone, and paper scenarios A, B.
-struct SpatialGrads {
-  V mask, alpha;
-};
-
+// dF/dM_i of one hit, times dL/dF: the closed form (docs/methods.md), the self term alone, and paper scenarios A, B.
 template <bool scenario>
-inline SpatialGrads spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha, V T, V inv, R mask, M counted) {
-  const V d = load(t.mask + h), one = splat(1);
+inline V spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha, V T, V inv, R mask, M counted) {
+  const V d = load(t.mask + h), one = broadcast(1);
   if constexpr (!scenario) {
-    const V share = f.mask_kind == kMaskSelf ? d * T : load(t.mask_T + h) * inv;
-    return {fnma(alpha, share, d), splat(-mask) * share};
-  } else if (f.mask_kind == kMaskA) {
-    const V weight = alpha * T, w = one / (weight + splat(static_cast<R>(f.eps_a))), F = load(t.value + h);
-    const V to_come = add_if(counted, load(t.to_come + h), (F - splat(mask)) * weight * w * w), behind = to_come * inv;
+    const V share = f.mask_kind == SVRGS_MASK_SELF ? d * T : load(t.mask_T + h) * inv;
+    return fnma(alpha, share, d);
+  } else if (f.mask_kind == SVRGS_MASK_A) {
+    const V weight = alpha * T, w = one / (weight + broadcast(static_cast<R>(f.eps_a))), F = load(t.value + h);
+    const V to_come = add_if(counted, load(t.to_come + h), (F - broadcast(mask)) * weight * w * w), behind = to_come * inv;
     store(t.to_come + h, to_come);
-    return {d * fma(alpha, behind, w), d * (splat(mask) * behind - (splat(mask) - F) * T * w * w)};
+    return d * fma(alpha, behind, w);
   } else {
-    const V to_come = add_if(counted, load(t.to_come + h), -splat(mask) * T), behind = to_come * inv;
+    const V to_come = add_if(counted, load(t.to_come + h), -broadcast(mask) * T), behind = to_come * inv;
     store(t.to_come + h, to_come);
-    return {d * fma(alpha, behind, one - T), splat(mask) * d * behind};
+    return d * fma(alpha, behind, one - T);
   }
 }
 
 // What one Gaussian does to W pixels of a block.
-struct Part {
-  V weight;   // of its colour
-  V through;  // alpha dL/dalpha, by way of the colours
-  V shape;    // the same where the clamp lets it through, with what comes by way of F
-  V spatial;  // dL/dM by way of F, where counted
+struct PixelGrads {
+  V weight;      // of its colour
+  V alpha_grad;  // alpha dL/dalpha from the images of colour, depth and alpha
+  V shape_grad;  // the same where alpha is not clamped, 0 elsewhere
+  V spatial;     // dL/dM from F, where counted
   M counted;
 };
 
 // Of the lanes from `h` on. drawn: its mask is 1; depth_alpha: gradients of depth or of alpha may have come in.
 template <bool spatial, bool scenario, bool depth_alpha>
-[[gnu::always_inline]] inline Part part_of(const Frame& f, const Wanted& want, BackwardBlock& t, const Local& l, bool drawn, const Hit& e, int h) {
-  const V one = splat(1), stop = splat(R(kStop));
+[[gnu::always_inline]] inline PixelGrads pixel_grads(const Frame& f, const Wanted& want, BackwardBlock& t, const LocalGaussian& l, bool drawn, const Hit& e, int h) {
+  const V one = broadcast(1), stop = broadcast(R(kStop));
   const V alpha = clamped(e.alpha), T = load(t.T + h);
-  V through = fma(splat(l.rgb[0]), load(t.rgb[0] + h), fma(splat(l.rgb[1]), load(t.rgb[1] + h), splat(l.rgb[2]) * load(t.rgb[2] + h)));
-  if (depth_alpha && want.alpha) through += load(t.alpha + h);
-  if (depth_alpha && want.depth) through = fma(splat(l.depth), load(t.depth + h), through);
-  Part p = {};
+  V image_grad = fma(broadcast(l.rgb[0]), load(t.rgb[0] + h), fma(broadcast(l.rgb[1]), load(t.rgb[1] + h), broadcast(l.rgb[2]) * load(t.rgb[2] + h)));
+  if (depth_alpha && want.alpha) image_grad += load(t.alpha + h);
+  if (depth_alpha && want.depth) image_grad = fma(broadcast(l.depth), load(t.depth + h), image_grad);
+  PixelGrads p = {};
   V inv = one;
   M live;
   if (drawn) {
     const V weight = keep(e.hit, alpha * T), next = T - weight;  // the same operations as the forward pass
     live = both(e.hit, at_least(next, stop));
     p.weight = keep(live, weight);
-    const V behind = fnma(p.weight, through, load(t.behind + h));
+    const V behind = fnma(p.weight, image_grad, load(t.behind + h));
     store(t.T + h, next);
     store(t.behind + h, behind);
     inv = reciprocal(one - alpha);
-    p.through = keep(live, alpha * fnma(behind, inv, T * through));
+    p.alpha_grad = keep(live, alpha * fnma(behind, inv, T * image_grad));
   } else {
     live = both(e.hit, at_least(T, stop));
-    p.through = keep(live, alpha * (T * through - load(t.behind + h)));
+    p.alpha_grad = keep(live, alpha * (T * image_grad - load(t.behind + h)));
   }
-  const M free = less(e.alpha, splat(R(kAlphaMax)));  // the clamp blocks the gradient
-  if (drawn) p.shape = keep(free, p.through);
+  if (drawn) p.shape_grad = keep(less(e.alpha, broadcast(R(kAlphaMax))), p.alpha_grad);  // the clamp blocks the gradient
   if constexpr (spatial) {
     p.counted = f.full ? e.hit : live;
-    const SpatialGrads d = spatial_vjp<scenario>(f, t, h, alpha, T, inv, l.mask, p.counted);
-    p.spatial = d.mask;
-    if (f.mask_to_shape) p.shape = add_if(both(p.counted, free), p.shape, alpha * d.alpha);
+    p.spatial = spatial_vjp<scenario>(f, t, h, alpha, T, inv, l.mask, p.counted);
   }
   return p;
 }
 
 // One Gaussian over one block: the sums of all its pixels are touched once.
 template <bool spatial, bool scenario, bool depth_alpha>
-[[gnu::always_inline]] inline void accumulate(const Frame& f, const Wanted& want, BackwardBlock& t, const Local& l, const BlockHits& hits, Sums& a) {
+[[gnu::always_inline]] inline void accumulate(const Frame& f, const Wanted& want, BackwardBlock& t, const LocalGaussian& l, const BlockHits& hits, Sums& a) {
   const bool drawn = l.mask != 0;
-  Part p[kSub];
-  for (int h = 0; h < kSub; ++h) p[h] = part_of<spatial, scenario, depth_alpha>(f, want, t, l, drawn, hits.part[h], h * W);
-  for (int h = 0; h < kSub; ++h) a.mask += p[h].through;
+  PixelGrads p[kVectorsPerBlock];
+  for (int h = 0; h < kVectorsPerBlock; ++h) p[h] = pixel_grads<spatial, scenario, depth_alpha>(f, want, t, l, drawn, hits.part[h], h * W);
+  for (int h = 0; h < kVectorsPerBlock; ++h) a.mask += p[h].alpha_grad;
   if constexpr (spatial)
-    for (int h = 0; h < kSub; ++h) a.spatial = add_if(p[h].counted, a.spatial, p[h].spatial);
+    for (int h = 0; h < kVectorsPerBlock; ++h) a.spatial = add_if(p[h].counted, a.spatial, p[h].spatial);
   if (drawn) {
-    for (int h = 0; h < kSub; ++h) a.red = fma(p[h].weight, load(t.rgb[0] + h * W), a.red);
-    for (int h = 0; h < kSub; ++h) a.green = fma(p[h].weight, load(t.rgb[1] + h * W), a.green);
-    for (int h = 0; h < kSub; ++h) a.blue = fma(p[h].weight, load(t.rgb[2] + h * W), a.blue);
+    for (int h = 0; h < kVectorsPerBlock; ++h) a.red = fma(p[h].weight, load(t.rgb[0] + h * W), a.red);
+    for (int h = 0; h < kVectorsPerBlock; ++h) a.green = fma(p[h].weight, load(t.rgb[1] + h * W), a.green);
+    for (int h = 0; h < kVectorsPerBlock; ++h) a.blue = fma(p[h].weight, load(t.rgb[2] + h * W), a.blue);
     if (depth_alpha && want.depth)
-      for (int h = 0; h < kSub; ++h) a.depth = fma(p[h].weight, load(t.depth + h * W), a.depth);
+      for (int h = 0; h < kVectorsPerBlock; ++h) a.depth = fma(p[h].weight, load(t.depth + h * W), a.depth);
   }
   if (!want.shape) return;
-  for (int h = 0; h < kSub; ++h) {
-    const V g = p[h].shape, u = hits.part[h].u, v = hits.part[h].v, gu = g * u, gv = g * v;
+  for (int h = 0; h < kVectorsPerBlock; ++h) {
+    const V g = p[h].shape_grad, u = hits.part[h].u, v = hits.part[h].v, gu = g * u, gv = g * v;
     a.g += g, a.gu += gu, a.gv += gv;
     a.guu = fma(gu, u, a.guu), a.guv = fma(gu, v, a.guv), a.gvv = fma(gv, v, a.gvv);
   }
@@ -170,13 +163,13 @@ inline Wanted wanted(const Frame& f, const svrgs_image_grads& in, const svrgs_gr
   w.colour = (update || out.sh || out.means) && in.rgb;
   w.mask = out.masks;
   w.depth = in.depth, w.alpha = in.alpha;
-  w.spatial = in.mask && (w.mask || w.shape) && f.mask_kind != kMaskNone;
+  w.spatial = in.mask && w.mask && f.mask_kind != SVRGS_MASK_NONE;
   return w;
 }
 
 // An entry of a tile's list that the forward pass marked.
 struct Visit {
-  Local local;
+  LocalGaussian local;
   BlockMask blocks;
   R* slot;
 };
@@ -188,12 +181,12 @@ inline bool next_visit(const Frame& f, TileOrigin o, const TileEntry*& entry, co
   for (; entry < end; ++entry) {
     if (entry + kVisitsAhead < end) {
       const TileEntry coming = entry[kVisitsAhead];
-      __builtin_prefetch(&splat_of(f, coming));
+      __builtin_prefetch(&gaussian_of(f, coming));
       __builtin_prefetch(f.hits + coming.slot);
       __builtin_prefetch(slots + static_cast<int64_t>(coming.slot) * kSlotWidth, 1);
     }
     if (const BlockMask blocks = f.hits[entry->slot]) {
-      visit = {localise(splat_of(f, *entry), o), blocks, slots + static_cast<int64_t>(entry->slot) * kSlotWidth};
+      visit = {to_local(gaussian_of(f, *entry), o), blocks, slots + static_cast<int64_t>(entry->slot) * kSlotWidth};
       ++entry;
       return true;
     }
@@ -202,7 +195,7 @@ inline bool next_visit(const Frame& f, TileOrigin o, const TileEntry*& entry, co
 }
 
 // Of a tile. Beside the loop's own, inline, it costs that its registers where a block is four vectors (SSE: gradients of pixels +1 to +3 %).
-#if SVRGS_LANES >= 8
+#if defined(SVRGS_HAVE_AVX2)
 inline
 #else
 [[gnu::noinline]]
@@ -252,7 +245,7 @@ void backward_tile(const Frame& f, const svrgs_image_grads& in, const svrgs_grad
   R* const own = static_cast<R*>(slots);
   if (!want.spatial)
     backward_tile_with<false, false>(f, want, in, tile, own);
-  else if (f.mask_kind == kMaskA || f.mask_kind == kMaskB)
+  else if (f.mask_kind == SVRGS_MASK_A || f.mask_kind == SVRGS_MASK_B)
     backward_tile_with<true, true>(f, want, in, tile, own);
   else
     backward_tile_with<true, false>(f, want, in, tile, own);

@@ -2,10 +2,10 @@
 
 constexpr int kAdamWidth = 64;  // widest row, values
 
-struct Pair {
+struct MomentPair {
   R m, v;
 };
-using Packed = std::conditional_t<sizeof(R) == 4, uint32_t, Pair>;  // both moments of a value: svrgs.h
+using Packed = std::conditional_t<sizeof(R) == 4, uint32_t, MomentPair>;  // both moments of a value: svrgs.h
 
 struct AdamRates {  // constants of a step, in the level's type
   R rate[W * kAdamWidth];  // lr / bias1 by column, repeated
@@ -18,8 +18,8 @@ inline AdamRates adam_rates(const svrgs_adam_settings& a, const double* lr, int 
   const double steps = static_cast<double>(a.step), bias1 = 1 - std::pow(a.beta1, steps), bias2 = 1 - std::pow(a.beta2, steps);
   for (int k = 0; k < width; ++k) s.rate[k] = static_cast<R>(lr[k] / bias1);
   for (int i = 1; i < W; ++i) std::copy_n(s.rate, width, s.rate + i * width);
-  s.beta1 = splat(R(a.beta1)), s.rest1 = splat(R(1 - a.beta1)), s.beta2 = splat(R(a.beta2)), s.rest2 = splat(R(1 - a.beta2));
-  s.root_bias2 = splat(R(1 / std::sqrt(bias2))), s.eps = splat(R(a.eps));
+  s.beta1 = broadcast(R(a.beta1)), s.rest1 = broadcast(R(1 - a.beta1)), s.beta2 = broadcast(R(a.beta2)), s.rest2 = broadcast(R(1 - a.beta2));
+  s.root_bias2 = broadcast(R(1 / std::sqrt(bias2))), s.eps = broadcast(R(a.eps));
   s.salt = static_cast<uint32_t>(a.step) * 0x9e3779b1u;
   return s;
 }
@@ -28,12 +28,12 @@ struct Moments {
   V m, v;
 };
 
-inline Moments load_moments(const Pair* p) {
+inline Moments load_moments(const MomentPair* p) {
   Moments n;
   for (int i = 0; i < W; ++i) n.m[i] = p[i].m, n.v[i] = p[i].v;
   return n;
 }
-inline void store_moments(const AdamRates&, Pair* p, const Moments& n, M set) {
+inline void store_moments(const AdamRates&, MomentPair* p, const Moments& n, M set) {
   for (int i = 0; i < W; ++i)
     if (bits(set) >> i & 1) p[i] = {n.m[i], n.v[i]};
 }
@@ -135,19 +135,19 @@ inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* 
 }
 
 // The first and the last of the rows that a thread has to itself.
-struct Own {
+struct OwnedRows {
   uint32_t first, last;
 };
 
 // Narrow rows ids[begin, end), W rows of the tensor at a time where they lie: those that are not named keep their values. Where
 // `own` begins and ends another thread may be at the same W, or the tensor may end within them: there rows are taken one by one.
 template <int width>
-inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int64_t begin, int64_t end, Own own) {
+inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int64_t begin, int64_t end, OwnedRows own) {
   int64_t bad = 0;
   for (int64_t r = begin, next; r < end; r = next) {
     const uint32_t base = ids[r] / W * W, rows = rows_from(base, ids + r, end - r);
     next = r + __builtin_popcount(rows);
-    V g[width], zero = splat(0);
+    V g[width], zero = broadcast(0);
     const R* packed = grad + r * width;  // the named rows' gradients
     if (base + kNarrowAhead <= ids[end - 1]) prefetch_row(t, (base + int64_t{kNarrowAhead}) * width, W * width);
     if (r + kNarrowAhead < end) prefetch_grads(packed + kNarrowAhead * width, W * width);
@@ -173,7 +173,7 @@ inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uin
 }
 
 // Rows [begin, end) of one tensor; ids null: row r is r, and `own` is not read.
-int64_t adam_rows(const AdamRates& a, const AdamTensors& t, const R* grad, const uint32_t* ids, int64_t begin, int64_t end, int width, Own own) {
+int64_t adam_rows(const AdamRates& a, const AdamTensors& t, const R* grad, const uint32_t* ids, int64_t begin, int64_t end, int width, OwnedRows own) {
   if (W >= 8 && ids && width == 1) return adam_in_place<1>(a, t, ids, grad, begin, end, own);
   if (W >= 8 && ids && width == 3) return adam_in_place<3>(a, t, ids, grad, begin, end, own);
   if (W >= 8 && ids && width == 4) return adam_in_place<4>(a, t, ids, grad, begin, end, own);

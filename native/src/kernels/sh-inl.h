@@ -9,22 +9,22 @@ struct Direction {
   V d[3], inv_length;
 };
 
-inline Direction direction(const Eye& e, const V mean[3]) {
-  if (e.orthographic) return {{e.view(2, 0), e.view(2, 1), e.view(2, 2)}, splat(0)};  // does not change with the mean
+inline Direction direction(const CameraParams& camera, const V mean[3]) {
+  if (camera.orthographic) return {{camera.view(2, 0), camera.view(2, 1), camera.view(2, 2)}, broadcast(0)};  // does not change with the mean
   Direction out;
-  V length2 = splat(0);
+  V length2 = broadcast(0);
   for (int k = 0; k < 3; ++k) {
     out.d[k] = mean[k];
     length2 = fma(out.d[k], out.d[k], length2);
   }
-  out.inv_length = reciprocal(sqrt(max(length2, splat(R(1e-30)))));
+  out.inv_length = reciprocal(sqrt(max(length2, broadcast(R(1e-30)))));
   for (int k = 0; k < 3; ++k) out.d[k] *= out.inv_length;
   return out;
 }
 
 inline void sh_basis(int degree, const V d[3], V basis[16]) {
   const V x = d[0], y = d[1], z = d[2];
-  basis[0] = splat(kC0);
+  basis[0] = broadcast(kC0);
   if (degree < 1) return;
   basis[1] = -kC1 * y, basis[2] = kC1 * z, basis[3] = -kC1 * x;
   if (degree < 2) return;
@@ -40,7 +40,7 @@ inline void sh_basis(int degree, const V d[3], V basis[16]) {
 // Gradient of sum_k weight_k basis_k with respect to the (unit) direction, before the normalisation is undone.
 inline void sh_basis_vjp(int degree, const V d[3], const V w[16], V out[3]) {
   const V x = d[0], y = d[1], z = d[2];
-  out[0] = out[1] = out[2] = splat(0);
+  out[0] = out[1] = out[2] = broadcast(0);
   if (degree < 1) return;
   out[0] = -kC1 * w[3], out[1] = -kC1 * w[1], out[2] = kC1 * w[2];
   if (degree < 2) return;

@@ -1,6 +1,6 @@
 // Stage 6: sums each visible Gaussian's slots in tile order and carries them back to its parameters.
 
-inline void sum_slots(const Frame& f, const R* slots, const SplatTiles& t, R sums[kSlotWidth]) {
+inline void sum_slots(const Frame& f, const R* slots, const GaussianTiles& t, R sums[kSlotWidth]) {
   std::fill_n(sums, kSlotWidth, R(0));
   for (uint32_t i = 0; i < t.tiles; ++i) {
     if (!f.hits[t.slot + i]) continue;
@@ -21,43 +21,43 @@ struct ColourGrads {
 };
 
 // ... to its SH coefficients (rows of (V, K, 3), bands above sh_degree zero) and, through the direction, to the mean.
-inline void sh_vjp(const Frame& f, const Eye& e, const Batch& b, const uint32_t* ids, int n, const ColourGrads& g, R* sh_rows, V mean[3]) {
-  const Direction dir = direction(e, b.mean);
+inline void sh_vjp(const Frame& f, const CameraParams& camera, const Batch& b, const uint32_t* ids, int n, const ColourGrads& g, R* sh_rows, V mean[3]) {
+  const Direction dir = direction(camera, b.mean);
   const int used = (f.sh_degree + 1) * (f.sh_degree + 1), width = 3 * f.sh_coefficients;
-  V basis[kRow], weight[kRow];
-  for (V& column : basis) column = splat(0);
+  V basis[kPaddedRow], weight[kPaddedRow];
+  for (V& column : basis) column = broadcast(0);
   sh_basis(f.sh_degree, dir.d, basis);
-  alignas(64) R basis_rows[W * kRow], weight_rows[W * kRow] = {}, stored[3 * kRow] = {};
+  alignas(64) R basis_rows[W * kPaddedRow], weight_rows[W * kPaddedRow] = {}, stored[3 * kPaddedRow] = {};
   rows_of(basis, basis_rows);
   for (int i = 0; i < n; ++i) {  // coefficients of a Gaussian side by side
     const R* row = static_cast<const R*>(f.sh) + int64_t{ids[i]} * width;
-    if (width < 3 * kRow) row = std::copy_n(row, width, stored) - width;
+    if (width < 3 * kPaddedRow) row = std::copy_n(row, width, stored) - width;
     R* const out = sh_rows ? sh_rows + static_cast<int64_t>(i) * width : nullptr;
-    const V red = splat(g.rgb[0][i]), green = splat(g.rgb[1][i]), blue = splat(g.rgb[2][i]);
+    const V red = broadcast(g.rgb[0][i]), green = broadcast(g.rgb[1][i]), blue = broadcast(g.rgb[2][i]);
     for (int k = 0; k < used; k += W) {
       V c[3];
       columns_of<3>(row + 3 * k, c);
-      store(weight_rows + kRow * i + k, fma(red, c[0], fma(green, c[1], blue * c[2])));
+      store(weight_rows + kPaddedRow * i + k, fma(red, c[0], fma(green, c[1], blue * c[2])));
     }
     if (!out) continue;
-    R spare[3 * kRow];
-    R* const to = width < 3 * kRow ? spare : out;
-    for (int k = 0; k < kRow; k += W) {
-      const V some = load(basis_rows + kRow * i + k), c[3] = {some * red, some * green, some * blue};
+    R spare[3 * kPaddedRow];
+    R* const to = width < 3 * kPaddedRow ? spare : out;
+    for (int k = 0; k < kPaddedRow; k += W) {
+      const V some = load(basis_rows + kPaddedRow * i + k), c[3] = {some * red, some * green, some * blue};
       interleave<3>(c, to + 3 * k);
     }
     if (to == spare) std::copy_n(spare, width, out);
   }
   columns_of_rows(weight_rows, weight);
-  V d[3], along = splat(0);
+  V d[3], along = broadcast(0);
   sh_basis_vjp(f.sh_degree, dir.d, weight, d);
   for (int k = 0; k < 3; ++k) along = fma(d[k], dir.d[k], along);
   for (int k = 0; k < 3; ++k) mean[k] += (d[k] - along * dir.d[k]) * dir.inv_length;
 }
 
 // What dL/dM from F is multiplied by: 1, or for EVEN the fixed footprint over the Gaussian's own (its 1/255 ellipse).
-inline R spatial_weight(const Frame& f, const Splat<R>& s) {
-  if (f.mask_kind != kMaskEven) return 1;
+inline R spatial_weight(const Frame& f, const ProjectedGaussian<R>& s) {
+  if (f.mask_kind != SVRGS_MASK_EVEN) return 1;
   const R area = R(3.141592653589793) * (s.log2_opacity - R(kLog2Cut)) / (s.l11 * s.l22);
   return R(SVRGS_EVEN_AREA) / std::max(area, R(1));
 }
@@ -87,10 +87,10 @@ struct Update {
 };
 
 // Gradients of the narrow parameters of some visible Gaussians, on their way into an Adam step.
-constexpr int64_t kStaged = 256;
+constexpr int64_t kStagedRows = 256;
 
 struct Staged {
-  R means[3 * kStaged], log_scales[3 * kStaged], quats[4 * kStaged], opacity_logits[kStaged];
+  R means[3 * kStagedRows], log_scales[3 * kStagedRows], quats[4 * kStagedRows], opacity_logits[kStagedRows];
 
   // `out`, but here what is updated, for Gaussians from `first` on.
   svrgs_grads in_place_of(const svrgs_grads& out, const svrgs_update& u, int64_t first) {
@@ -103,7 +103,7 @@ struct Staged {
   }
 };
 
-inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t first, int64_t n, Own own) {
+inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t first, int64_t n, OwnedRows own) {
   const auto step = [&](const AdamRates& rates, const svrgs_trained& t, const R* rows, int width) {
     return t.param ? adam_rows(rates, tensors(t), rows, f.visible + first, 0, n, width, own) : 0;
   };
@@ -113,36 +113,36 @@ inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t f
 
 // Visible Gaussians [first, first + n): gradients into the rows of `out`, or into an Adam step. Returns the rows it left alone.
 template <bool updates>
-inline int gradient_batch(const Frame& f, const Eye& e, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t first, int n) {
+inline int gradient_batch(const Frame& f, const CameraParams& camera, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t first, int n) {
   uint32_t ids[W];
-  alignas(64) R rows[W * kRow];  // sums, colour and weight of F
-  static_assert(kSlotWidth + 4 == kRow);
+  alignas(64) R rows[W * kPaddedRow];  // sums, colour and weight of F
+  static_assert(kSlotWidth + 4 == kPaddedRow);
   for (int i = 0; i < W; ++i) {
     ids[i] = f.visible[first + (i < n ? i : n - 1)];
     if (want.colour && first + i + W < f.visible_count) prefetch_sh(f, f.visible[first + i + W]);
     const uint32_t place = f.places[first + (i < n ? i : n - 1)];
-    const Splat<R>& splat = static_cast<const Splat<R>*>(f.splats)[place];
-    R* const row = rows + kRow * i;
+    const ProjectedGaussian<R>& gaussian = static_cast<const ProjectedGaussian<R>*>(f.gaussians)[place];
+    R* const row = rows + kPaddedRow * i;
     sum_slots(f, slots, f.tiles[place], row);
-    std::copy_n(splat.rgb, 3, row + kSlotWidth);
-    row[kSlotWidth + 3] = spatial_weight(f, splat);
+    std::copy_n(gaussian.rgb, 3, row + kSlotWidth);
+    row[kSlotWidth + 3] = spatial_weight(f, gaussian);
   }
-  V s[kRow];
+  V s[kPaddedRow];
   columns_of_rows(rows, s);
   s[kSlotMask] += s[kSlotWidth + 3] * s[kSlotSpatial];
   ColourGrads colour;
-  for (int c = 0; c < 3; ++c) colour.rgb[c] = keep(less(splat(0), s[kSlotWidth + c]), s[kSlotRed + c]);
+  for (int c = 0; c < 3; ++c) colour.rgb[c] = keep(less(broadcast(0), s[kSlotWidth + c]), s[kSlotRed + c]);
   if (want.mask) scatter<1>(out.masks, first, n, &s[kSlotMask]);
   if (!want.shape && !want.colour) return 0;
   const Batch b = load_batch(f, ids);
   ParameterGrads g = {};
   if (want.shape)
-    g = project_vjp(e, project(e, b), {s[kG], s[kGu], s[kGv], s[kGuu], s[kGuv], s[kGvv], want.depth ? s[kSlotDepth] : splat(0)});
+    g = project_vjp(camera, project(camera, b), {s[kG], s[kGu], s[kGv], s[kGuu], s[kGuv], s[kGvv], want.depth ? s[kSlotDepth] : broadcast(0)});
   const int width = 3 * f.sh_coefficients;
   alignas(64) R own[W * 48];
   R* const sh_rows = updates ? own : out.sh ? static_cast<R*>(out.sh) + first * width : nullptr;
   if (want.colour)
-    sh_vjp(f, e, b, ids, n, colour, sh_rows, g.mean);
+    sh_vjp(f, camera, b, ids, n, colour, sh_rows, g.mean);
   else if (sh_rows)
     __builtin_memset(sh_rows, 0, sizeof(R) * n * width);
   scatter<2>(out.means2d, first, n, g.mean2d);
@@ -156,25 +156,25 @@ inline int gradient_batch(const Frame& f, const Eye& e, const Wanted& want, cons
 }
 
 template <bool updates>
-inline int64_t gradient_batches(const Frame& f, const Eye& e, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t begin, int64_t end) {
+inline int64_t gradient_batches(const Frame& f, const CameraParams& camera, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t begin, int64_t end) {
   int64_t bad = 0;
-  for (int64_t i = begin; i < end; i += W) bad += gradient_batch<updates>(f, e, want, out, update, slots, i, static_cast<int>(std::min<int64_t>(W, end - i)));
+  for (int64_t i = begin; i < end; i += W) bad += gradient_batch<updates>(f, camera, want, out, update, slots, i, static_cast<int>(std::min<int64_t>(W, end - i)));
   return bad;
 }
 
 // Visible Gaussians [begin, end). Returns how many rows of parameters had a gradient that is not finite, and were left alone.
 int64_t gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update, const void* slots,
                         int64_t begin, int64_t end) {
-  const Eye e(f);
+  const CameraParams camera(f);
   const Wanted want = wanted(f, in, out, update);
   const R* const sums = static_cast<const R*>(slots);
-  if (!update) return gradient_batches<false>(f, e, want, out, nullptr, sums, begin, end);
+  if (!update) return gradient_batches<false>(f, camera, want, out, nullptr, sums, begin, end);
   const Update u(f, *update);
   alignas(64) Staged staged;
   int64_t bad = 0;
-  for (int64_t from = begin; from < end; from += kStaged) {
-    const int64_t until = std::min(from + kStaged, end);
-    bad += gradient_batches<true>(f, e, want, staged.in_place_of(out, *update, from), &u, sums, from, until);
+  for (int64_t from = begin; from < end; from += kStagedRows) {
+    const int64_t until = std::min(from + kStagedRows, end);
+    bad += gradient_batches<true>(f, camera, want, staged.in_place_of(out, *update, from), &u, sums, from, until);
     bad += apply(f, u, staged, from, until - from, {f.visible[begin], f.visible[end - 1]});
   }
   return bad;

@@ -3,27 +3,27 @@
 
 // Transmittance of a tile's pixels, block-major; starts at 1 inside the image and 0 outside.
 struct Transmittance {
-  V T[kBlocks][kSub];
+  V T[kBlocks][kVectorsPerBlock];
   Transmittance(const Frame& f, TileOrigin o) {
     for (int b = 0; b < kBlocks; ++b)
-      for (int h = 0; h < kSub; ++h) T[b][h] = keep(in_image(f, o, all_lanes().block[b], h), splat(1));
+      for (int h = 0; h < kVectorsPerBlock; ++h) T[b][h] = keep(in_image(f, o, all_lanes().block[b], h), broadcast(1));
   }
 };
 
 // One Gaussian over one part of a block: its hits, what it blends where, and T moved on.
 struct Blended {
   M hit, live;
-  V weight, through;  // alpha T, T
+  V weight, transmittance;  // alpha T, T
 };
 
-inline Blended blend_again(const Local& l, int block, int h, V& T) {
+inline Blended blend_again(const LocalGaussian& l, int block, int h, V& T) {
   const Lanes& lanes = all_lanes().block[block];
   const Hit e = evaluate(l, lanes.x[h], lanes.y[h]);
-  const M open = at_least(T, splat(R(kStop)));
-  if (l.mask == 0) return {e.hit, both(e.hit, open), splat(0), splat(0)};
+  const M open = at_least(T, broadcast(R(kStop)));
+  if (l.mask == 0) return {e.hit, both(e.hit, open), broadcast(0), broadcast(0)};
   const V before = T, weight = keep(e.hit, clamped(e.alpha) * T);
   T -= weight;
-  const M live = both(e.hit, at_least(T, splat(R(kStop))));
+  const M live = both(e.hit, at_least(T, broadcast(R(kStop))));
   return {e.hit, live, keep(live, weight), keep(live, before)};
 }
 
@@ -33,26 +33,26 @@ void scores_tile(const Frame& f, int64_t tile, void* slots) {
   Transmittance t(f, o);
   for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
     const TileEntry entry = f.entries[e];
-    const Local l = localise(splat_of(f, entry), o);
+    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
     if (l.mask == 0) continue;
-    V total = splat(0), best = splat(0), pixels = splat(0), through = splat(0);
+    V total = broadcast(0), best = broadcast(0), pixels = broadcast(0), transmittance = broadcast(0);
     for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
-      for (int b = __builtin_ctzll(left), h = 0; h < kSub; ++h) {
+      for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const Blended w = blend_again(l, b, h, t.T[b][h]);
         total += w.weight;
         best = max(best, w.weight);
-        pixels = add_if(w.live, pixels, splat(1));
-        through += w.through;
+        pixels = add_if(w.live, pixels, broadcast(1));
+        transmittance += w.transmittance;
       }
     R* slot = static_cast<R*>(slots) + static_cast<int64_t>(entry.slot) * kSlotWidth;
-    slot[0] = sum(total), slot[1] = largest(best), slot[2] = sum(pixels), slot[3] = sum(through);
+    slot[0] = sum(total), slot[1] = largest(best), slot[2] = sum(pixels), slot[3] = sum(transmittance);
   }
 }
 
 void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end, const Scores& out) {
   for (int64_t i = begin; i < end; ++i) {
     const uint32_t id = f.visible[i];
-    const SplatTiles& t = f.tiles[f.places[i]];
+    const GaussianTiles& t = f.tiles[f.places[i]];
     if (f.masks && !f.masks[id]) continue;
     for (uint32_t k = 0; k < t.tiles; ++k) {
       if (!f.hits[t.slot + k]) continue;
@@ -60,24 +60,24 @@ void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end,
       if (out.sum) out.sum[id] += static_cast<double>(slot[0]);
       if (out.max) out.max[id] = std::max(out.max[id], static_cast<float>(slot[1]));
       if (out.hits) out.hits[id] += static_cast<int64_t>(slot[2]);
-      if (out.through) out.through[id] += static_cast<double>(slot[3]);
+      if (out.transmittance) out.transmittance[id] += static_cast<double>(slot[3]);
     }
   }
 }
 
 // A tile's pixels on the way to the stop: T, and what is still to come of each channel, background included.
 struct Remaining {
-  V T[kBlocks][kSub], rgb[kBlocks][kSub][3];
+  V T[kBlocks][kVectorsPerBlock], rgb[kBlocks][kVectorsPerBlock][3];
   Remaining(const Frame& f, int64_t tile) {
     const TileOrigin o = tile_origin(f, tile);
     R* const state = tile_state(f, tile);
     for (int b = 0; b < kBlocks; ++b)
-      for (int h = 0; h < kSub; ++h) {
+      for (int h = 0; h < kVectorsPerBlock; ++h) {
         const R* const at = block_state(state, b, h);
         const M inside = in_image(f, o, all_lanes().block[b], h);
-        T[b][h] = keep(inside, splat(1));
+        T[b][h] = keep(inside, broadcast(1));
         for (int c = 0; c < 3; ++c)
-          rgb[b][h][c] = keep(inside, fma(kept(at, kFinalT), splat(static_cast<R>(f.background[c])), kept(at, Field(kRed + c))));
+          rgb[b][h][c] = keep(inside, fma(kept(at, kFinalT), broadcast(static_cast<R>(f.background[c])), kept(at, Field(kRed + c))));
       }
   }
 };
@@ -88,22 +88,22 @@ struct Share {
   V rgb[3];
   M live;
 };
-inline Share share(const Local& l, const Hit& e, V& T, V left[3]) {
-  const V alpha = clamped(e.alpha), weight = keep(e.hit, alpha * T), before = T, inv = reciprocal(splat(1) - alpha);
+inline Share share(const LocalGaussian& l, const Hit& e, V& T, V left[3]) {
+  const V alpha = clamped(e.alpha), weight = keep(e.hit, alpha * T), before = T, inv = reciprocal(broadcast(1) - alpha);
   T -= weight;
   Share s;
-  s.live = both(e.hit, at_least(T, splat(R(kStop))));
+  s.live = both(e.hit, at_least(T, broadcast(R(kStop))));
   for (int c = 0; c < 3; ++c) {
-    left[c] -= keep(s.live, weight * splat(l.rgb[c]));
-    s.rgb[c] = keep(s.live, alpha * (before * splat(l.rgb[c]) - left[c] * inv));
+    left[c] -= keep(s.live, weight * broadcast(l.rgb[c]));
+    s.rgb[c] = keep(s.live, alpha * (before * broadcast(l.rgb[c]) - left[c] * inv));
   }
   return s;
 }
 
-// w = sum over the channels of (alpha dC/dalpha)^2, alpha's clamp let through nowhere: alpha dC/dalpha is the share.
-inline V sensitivity(const Local& l, const Hit& e, V& T, V left[3]) {
+// w = sum over the channels of (alpha dC/dalpha)^2, 0 where alpha is clamped; alpha dC/dalpha is the share.
+inline V sensitivity(const LocalGaussian& l, const Hit& e, V& T, V left[3]) {
   const Share s = share(l, e, T, left);
-  return keep(less(e.alpha, splat(R(kAlphaMax))), fma(s.rgb[0], s.rgb[0], fma(s.rgb[1], s.rgb[1], s.rgb[2] * s.rgb[2])));
+  return keep(less(e.alpha, broadcast(R(kAlphaMax))), fma(s.rgb[0], s.rgb[0], fma(s.rgb[1], s.rgb[1], s.rgb[2] * s.rgb[2])));
 }
 
 // Slot of each pair: by how much the sum of squared residuals (H, W, 3) would grow without the Gaussian, sum of d^2 - 2 r d.
@@ -114,11 +114,11 @@ void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slo
   for_blocks(f, tile, [&](int b, BlockPlace place) { read_block<3>(f, place, residuals, residual[b]); });
   for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
     const TileEntry entry = f.entries[e];
-    const Local l = localise(splat_of(f, entry), o);
+    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
     if (l.mask == 0) continue;
-    V cost = splat(0);
+    V cost = broadcast(0);
     for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
-      for (int b = __builtin_ctzll(left), h = 0; h < kSub; ++h) {
+      for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const Lanes& lanes = all_lanes().block[b];
         const Share s = share(l, evaluate(l, lanes.x[h], lanes.y[h]), t.T[b][h], t.rgb[b][h]);
         for (int c = 0; c < 3; ++c) cost = fma(s.rgb[c], s.rgb[c] - R(2) * load(residual[b][c] + h * W), cost);
@@ -130,7 +130,7 @@ void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slo
 void removal_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* cost) {
   for (int64_t i = begin; i < end; ++i) {
     const uint32_t id = f.visible[i];
-    const SplatTiles& t = f.tiles[f.places[i]];
+    const GaussianTiles& t = f.tiles[f.places[i]];
     if (f.masks && !f.masks[id]) continue;
     for (uint32_t k = 0; k < t.tiles; ++k)
       if (f.hits[t.slot + k]) cost[id] += static_cast<double>(static_cast<const R*>(slots)[t.slot + k]);
@@ -143,11 +143,11 @@ void moments_tile(const Frame& f, int64_t tile, void* slots) {
   Remaining t(f, tile);
   for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
     const TileEntry entry = f.entries[e];
-    const Local l = localise(splat_of(f, entry), o);
+    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
     if (l.mask == 0) continue;
     V m[SVRGS_MOMENTS] = {};
     for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
-      for (int b = __builtin_ctzll(left), h = 0; h < kSub; ++h) {
+      for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const Lanes& lanes = all_lanes().block[b];
         const Hit hit = evaluate(l, lanes.x[h], lanes.y[h]);
         const V w = sensitivity(l, hit, t.T[b][h], t.rgb[b][h]), u = keep(hit.hit, hit.u), v = keep(hit.hit, hit.v), uu = u * u, uv = u * v, vv = v * v;
@@ -163,7 +163,7 @@ void moments_tile(const Frame& f, int64_t tile, void* slots) {
 // Rows [begin, end) of the visible Gaussians.
 void moments_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* out) {
   for (int64_t i = begin; i < end; ++i) {
-    const SplatTiles& t = f.tiles[f.places[i]];
+    const GaussianTiles& t = f.tiles[f.places[i]];
     double* row = out + i * SVRGS_MOMENTS;
     std::fill_n(row, SVRGS_MOMENTS, 0.0);
     if (f.masks && !f.masks[f.visible[i]]) continue;
@@ -172,34 +172,5 @@ void moments_range(const Frame& f, const void* slots, int64_t begin, int64_t end
       const R* slot = static_cast<const R*>(slots) + static_cast<int64_t>(t.slot + k) * SVRGS_MOMENTS;
       for (int m = 0; m < SVRGS_MOMENTS; ++m) row[m] += static_cast<double>(slot[m]);
     }
-  }
-}
-
-// Adds a tile's work. `blocks` are those whose alpha the forward pass computed.
-void count_tile(const Frame& f, int64_t tile, svrgs_work& work) {
-  const TileOrigin o = tile_origin(f, tile);
-  Transmittance t(f, o);
-  Chunk c;
-  const TileEntry *entry = f.entries + f.tile_begin[tile], *const end = f.entries + f.tile_begin[tile + 1];
-  while (entry < end) {
-    const int n = static_cast<int>(std::min<int64_t>(kChunk, end - entry));
-    gather_chunk(f, o, entry, end, n, static_cast<BlockMask>(~BlockMask(0)), c);
-    for (int k = 0; k < n; ++k) work.used_pairs += f.hits[entry[k].slot] != 0;
-    for (int b = 0; b < kBlocks; ++b)
-      for (int i = 0; i < c.listed[b]; ++i) {
-        int hit = 0;
-        bool computed = false;
-        for (int h = 0; h < kSub; ++h) {
-          const bool open = any(at_least(t.T[b][h], splat(R(kStop))));
-          if (!f.full && !open && !(f.without & SVRGS_TERMINATION)) continue;
-          const M inside = less(splat(0), t.T[b][h]);  // it starts at 0 outside the image
-          computed = true;
-          const Blended w = blend_again(c.entry[c.list[b][i]].local, b, h, t.T[b][h]);
-          hit += __builtin_popcount(bits(both(w.hit, inside)));
-          work.contributing += __builtin_popcount(bits(w.live));
-        }
-        work.blocks += computed, work.hit_blocks += hit > 0, work.hits += hit;
-      }
-    entry += n;
   }
 }

@@ -1,0 +1,30 @@
+// How much work a view was: its tile lists are walked again.
+
+// Adds a tile's work. `blocks` are those whose alpha the forward pass computed.
+void count_tile(const Frame& f, int64_t tile, svrgs_work& work) {
+  const TileOrigin o = tile_origin(f, tile);
+  Transmittance t(f, o);
+  Chunk c;
+  const TileEntry *entry = f.entries + f.tile_begin[tile], *const end = f.entries + f.tile_begin[tile + 1];
+  while (entry < end) {
+    const int n = static_cast<int>(std::min<int64_t>(kChunkEntries, end - entry));
+    gather_chunk(f, o, entry, end, n, static_cast<BlockMask>(~BlockMask(0)), c);
+    for (int k = 0; k < n; ++k) work.used_pairs += f.hits[entry[k].slot] != 0;
+    for (int b = 0; b < kBlocks; ++b)
+      for (int i = 0; i < c.listed[b]; ++i) {
+        int hit = 0;
+        bool computed = false;
+        for (int h = 0; h < kVectorsPerBlock; ++h) {
+          const bool open = any(at_least(t.T[b][h], broadcast(R(kStop))));
+          if (!f.full && !open && !(f.disabled_skips & SVRGS_TERMINATION)) continue;
+          const M inside = less(broadcast(0), t.T[b][h]);  // it starts at 0 outside the image
+          computed = true;
+          const Blended w = blend_again(c.entry[c.list[b][i]].local, b, h, t.T[b][h]);
+          hit += __builtin_popcount(bits(both(w.hit, inside)));
+          work.contributing += __builtin_popcount(bits(w.live));
+        }
+        work.blocks += computed, work.hit_blocks += hit > 0, work.hits += hit;
+      }
+    entry += n;
+  }
+}

@@ -1,0 +1,202 @@
+"""Loads the native library and calls it: structs of its interface, checks of arrays, names, thresholds, threads.
+
+`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Only this module and native.py import ctypes.
+"""
+
+from __future__ import annotations
+
+import ctypes as c
+import functools
+import os
+import sys
+from pathlib import Path
+from typing import NamedTuple, get_type_hints
+
+import numpy as np
+
+from .errors import Cancelled, NativeError
+from .outputs import OUTPUTS
+
+INTERFACE_VERSION = 10
+LIBRARY_VARIABLE = "SVRGS_LIBRARY"  # environment: another build of the library, to measure it
+PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
+GRADS = (*PARAMETERS, "masks", "means2d")
+LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # those a gradient may come from
+_LIBRARY = {"win32": "svrgs.dll", "darwin": "libsvrgs.dylib"}.get(sys.platform, "libsvrgs.so")
+_CANCELLED = 3  # of enum svrgs_status
+_LEVEL_NAMES, _MASK_KIND_NAMES, _SKIP_NAMES, _STAGE_NAMES = range(4)  # enum svrgs_names
+
+_real = c.c_void_p
+
+
+def _struct(name: str, **fields) -> type[c.Structure]:
+    return type(name, (c.Structure,), {"_fields_": list(fields.items())})
+
+
+SceneStruct = _struct(
+    "SceneStruct",
+    count=c.c_int64,
+    sh_coefficients=c.c_int32,
+    means=_real,
+    log_scales=_real,
+    quats=_real,
+    opacity_logits=_real,
+    sh=_real,
+    masks=c.c_void_p,
+)
+CameraStruct = _struct(
+    "CameraStruct",
+    viewmat=c.c_double * 16,
+    fx=c.c_double,
+    fy=c.c_double,
+    cx=c.c_double,
+    cy=c.c_double,
+    width=c.c_int32,
+    height=c.c_int32,
+    orthographic=c.c_int32,
+    background=c.c_double * 3,
+)
+OptionsStruct = _struct(
+    "OptionsStruct",
+    sh_degree=c.c_int32,
+    antialiased=c.c_int32,
+    full=c.c_int32,
+    mask_kind=c.c_int32,
+    eps_a=c.c_double,
+    disabled_skips=c.c_int32,
+    max_pairs=c.c_int64,
+    cancel=c.c_void_p,
+    depth_limit=_real,
+)
+ImagesStruct = _struct("ImagesStruct", **{name: _real for name in OUTPUTS})
+ImageGradsStruct = _struct("ImageGradsStruct", **{name: _real for name in LOSS_IMAGES})
+GradsStruct = _struct("GradsStruct", **{name: _real for name in GRADS})
+AdamStruct = _struct("AdamStruct", lr=c.c_void_p, beta1=c.c_double, beta2=c.c_double, eps=c.c_double, step=c.c_int64, shared=c.c_int32)
+TrainedStruct = _struct("TrainedStruct", param=_real, moments=c.c_void_p, lr=c.c_void_p)
+UpdateStruct = _struct("UpdateStruct", adam=AdamStruct, **{name: TrainedStruct for name in PARAMETERS})
+WorkStruct = _struct("WorkStruct", **{name: c.c_int64 for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")})
+MachineStruct = _struct("MachineStruct", fma=c.c_double, read=c.c_double, update=c.c_double)
+
+
+@functools.cache
+def library() -> c.CDLL:
+    """The loaded library. Raises NativeError where it is missing, does not load, or has another interface version."""
+    path = Path(os.environ.get(LIBRARY_VARIABLE) or Path(__file__).with_name(_LIBRARY))
+    if not path.exists():
+        raise NativeError(f"the native library {path} is missing: build it with 'make setup', or install the extension's wheel")
+    try:
+        loaded = c.CDLL(str(path))
+        loaded.svrgs_last_error.restype = c.c_char_p
+    except (OSError, AttributeError) as error:
+        raise NativeError(f"the native library {path} does not load ({error}): build it for this computer with 'make setup'") from None
+    if (found := loaded.svrgs_interface_version()) != INTERFACE_VERSION:
+        raise NativeError(f"{path} has interface version {found}, this code needs {INTERFACE_VERSION}: rebuild it with 'make setup'")
+    loaded.svrgs_name.restype = c.c_char_p
+    return loaded
+
+
+def call_library(name: str, *arguments):
+    """Calls a function of the library that returns a status. Raises Cancelled, or NativeError with the library's sentence."""
+    loaded = library()
+    status = getattr(loaded, name)(*arguments)
+    if status == _CANCELLED:
+        raise Cancelled
+    if status:
+        raise NativeError(loaded.svrgs_last_error().decode())
+
+
+def check(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
+    """Address of `array`, or TypeError if it is not exactly what the library will read or write."""
+    if not isinstance(array, np.ndarray) or array.dtype != dtype or array.shape != shape or not array.flags.c_contiguous:
+        found = f"{array.dtype}{array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise TypeError(f"{name} is {found}; expected C-contiguous {np.dtype(dtype).name}{shape}")
+    return array.ctypes.data
+
+
+def check_out(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
+    address = check(array, name, shape, dtype)
+    if not array.flags.writeable:
+        raise TypeError(f"{name} is read-only")
+    return address
+
+
+class Thresholds(NamedTuple):
+    """The constants of the model that this build of the library has; see svrgs_thresholds in svrgs.h."""
+
+    near: float  # a Gaussian is drawn where near < z < far, z the depth of its centre
+    far: float
+    blur: float  # pixels^2, added to both variances of a projected Gaussian
+    frustum_margin: float  # share of half the image: x/z, y/z of the Jacobian are clamped this far outside it
+    alpha_cut: float  # a Gaussian hits a pixel where alpha >= alpha_cut
+    alpha_max: float  # alpha is clamped to this
+    stop: float  # colours stop where the transmittance would fall below this
+    compensation_floor: float  # of det(before blur) / det(after blur), in antialiased scenes
+    tile: int  # pixels a side
+    block_width: int  # pixels
+    block_height: int
+
+
+ThresholdsStruct = _struct("ThresholdsStruct", **{name: {float: c.c_double, int: c.c_int32}[kind] for name, kind in get_type_hints(Thresholds).items()})
+
+
+@functools.cache
+def thresholds() -> Thresholds:
+    """The constants of the model, asked of the library."""
+    found = ThresholdsStruct()
+    library().svrgs_get_thresholds(c.byref(found))
+    return Thresholds(**{name: getattr(found, name) for name in Thresholds._fields})
+
+
+@functools.cache
+def _names(which: int) -> tuple[str, ...]:
+    """Names of one of the library's enums, in its order; which: of enum svrgs_names."""
+    ask, names = library().svrgs_name, []
+    while name := ask(c.c_int32(which), c.c_int32(len(names))):
+        names.append(name.decode())
+    return tuple(names)
+
+
+def levels() -> dict[str, int]:
+    """SIMD levels, the fastest float level last but one; 'float64' is the last. {name: its number in the interface}."""
+    return {name: number for number, name in enumerate(_names(_LEVEL_NAMES))}
+
+
+def mask_kinds() -> dict[str, int]:
+    """Ways to form the spatial mask F and its gradient, see svrgs_mask_kind in svrgs.h. {name: its number in the interface}."""
+    return {name: number for number, name in enumerate(_names(_MASK_KIND_NAMES))}
+
+
+def skips() -> dict[str, int]:
+    """Work that the rasterizer leaves out because it cannot change the result, see svrgs_skip in svrgs.h. {name: its bit}."""
+    return {name: 1 << number for number, name in enumerate(_names(_SKIP_NAMES))}
+
+
+def stages() -> tuple[str, ...]:
+    """Parts of forward (the first four), of backward (two), loss and Adam, whose durations are measured."""
+    return _names(_STAGE_NAMES)
+
+
+def best_level() -> str:
+    """Name of the fastest SIMD level this processor runs."""
+    return list(levels())[library().svrgs_best_level()]
+
+
+def supported_levels() -> list[str]:
+    """Names of every level this processor runs, 'float64' among them."""
+    return [name for name, code in levels().items() if library().svrgs_level_supported(code)]
+
+
+def peaks(level: str) -> dict[str, float]:
+    """What all threads reach together, measured: 'fma' (operations/s, 2 a lane), 'read' and 'update' (bytes/s from and to memory)."""
+    machine = MachineStruct()
+    call_library("svrgs_measure_machine", c.c_int32(levels()[level]), c.byref(machine))
+    return {name: getattr(machine, name) for name, _ in MachineStruct._fields_}
+
+
+def set_threads(count: int):
+    """Size of the thread pool; 0: one per core that this process may use. Results do not depend on it."""
+    library().svrgs_set_threads(c.c_int32(count))
+
+
+def threads() -> int:
+    return library().svrgs_threads()
