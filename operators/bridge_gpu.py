@@ -6,12 +6,13 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
-WIDTH = 4096  # texels in a row of a texture that holds a list
-NEAR = 0.2  # depth, in the scene's units, up to which Gaussians are not drawn
+from ..svrgs_addon.native_library import thresholds
 
-# A Gaussian's ellipse, alpha, limits and low-pass are the rasterizer's: native/src/project.h and constants.h.
+WIDTH = 4096  # texels in a row of a texture that holds a list
+
+# A Gaussian's ellipse and alpha are the rasterizer's (native/src/kernels/). Names in capitals: thresholds of the native library.
 VERTEX = """
-ivec2 place(int k) { return ivec2(k % 4096, k / 4096); }
+ivec2 place(int k) { return ivec2(k % WIDTH, k / WIDTH); }
 
 void main() {
   int id = int(texelFetch(order, place(gl_InstanceID), 0).r + 0.5);
@@ -23,11 +24,11 @@ void main() {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside: not drawn
   corner = vec2(0.0);
   opacity = 0.0;
-  if (z < near || a.w < 1.0 / 255.0) return;
+  if (z < near || a.w < ALPHA_CUT) return;
   vec2 focal = lens.xy, centre = lens.zw;
   float w = parallel > 0.5 ? 1.0 : z;
   vec2 ray = vec2(t.x, -t.y) / w;
-  vec2 limit = parallel > 0.5 ? vec2(0.0) : 0.15 * size / focal + max(centre, size - centre) / focal;
+  vec2 limit = parallel > 0.5 ? vec2(0.0) : 0.5 * FRUSTUM_MARGIN * size / focal + max(centre, size - centre) / focal;
   vec2 near_ray = clamp(ray, -limit, limit);
   mat3 W = mat3(modelview);
   mat3 S = mat3(b, vec3(b.y, c.x, c.y), vec3(b.z, c.y, c.z));
@@ -35,13 +36,13 @@ void main() {
   vec3 jx = vec3(focal.x, 0.0, focal.x * near_ray.x) / w, jy = vec3(0.0, -focal.y, focal.y * near_ray.y) / w;
   float xx = dot(jx, S * jx), xy = dot(jx, S * jy), yy = dot(jy, S * jy);
   float sharp = max(xx * yy - xy * xy, 0.0);
-  xx += 0.3;
-  yy += 0.3;
-  opacity = a.w * (antialiased > 0.5 ? sqrt(max(sharp / (xx * yy - xy * xy), 0.000025)) : 1.0);
-  if (opacity < 1.0 / 255.0) return;
+  xx += BLUR;
+  yy += BLUR;
+  opacity = a.w * (antialiased > 0.5 ? sqrt(max(sharp / (xx * yy - xy * xy), COMPENSATION_FLOOR)) : 1.0);
+  if (opacity < ALPHA_CUT) return;
   float middle = 0.5 * (xx + yy), spread = sqrt(max(0.25 * (xx - yy) * (xx - yy) + xy * xy, 1e-12));
   vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0)) : normalize(vec2(xy, middle + spread - xx));
-  float reach = sqrt(2.0 * log(255.0 * opacity));
+  float reach = sqrt(2.0 * log(opacity / ALPHA_CUT));
   corner = reach * pos;
   vec2 offset = corner.x * sqrt(middle + spread) * axis + corner.y * sqrt(max(middle - spread, 0.0)) * vec2(-axis.y, axis.x);
   vec2 pixel = centre + focal * ray + offset;
@@ -51,8 +52,8 @@ void main() {
 
 FRAGMENT = """
 void main() {
-  float alpha = min(0.99, opacity * exp(-0.5 * dot(corner, corner)));
-  if (alpha < 1.0 / 255.0 || gl_FragCoord.z > texelFetch(hidden, ivec2(gl_FragCoord.xy * reduction), 0).r) discard;
+  float alpha = min(ALPHA_MAX, opacity * exp(-0.5 * dot(corner, corner)));
+  if (alpha < ALPHA_CUT || gl_FragCoord.z > texelFetch(hidden, ivec2(gl_FragCoord.xy * reduction), 0).r) discard;
   blended = vec4(color * alpha, alpha);
 }
 """
@@ -68,6 +69,13 @@ void main() {
   result = vec4(mix(s / 12.92, curve, vec3(greaterThan(s, vec3(0.04045)))) * c.a, c.a);
 }
 """
+
+
+def defines() -> dict[str, float]:
+    """The thresholds that the shaders use, by their names there."""
+    found = thresholds()
+    return {name.upper(): getattr(found, name) for name in ("alpha_cut", "alpha_max", "blur", "frustum_margin", "compensation_floor")}
+
 
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1))
 
@@ -92,6 +100,8 @@ class Shaders:
             info.push_constant("FLOAT", name)
         for slot, name in enumerate(("order", "geometry", "colors", "hidden")):
             info.sampler(slot, "FLOAT_2D", name)
+        for name, value in {"WIDTH": WIDTH, **defines()}.items():
+            info.define(name, str(value))
         info.vertex_in(0, "VEC2", "pos")
         info.vertex_out(passed)
         info.fragment_out(0, "VEC4", "blended")

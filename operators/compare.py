@@ -10,7 +10,7 @@ from bpy.app.handlers import persistent
 
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
-from ..svrgs_addon.files.ply import file_size
+from ..svrgs_addon.files.registry import file_size
 from ..svrgs_addon.metrics import flip, psnr, ssim
 from ..svrgs_addon.metrics.evaluate import render_options, shown
 from ..svrgs_addon.native import Rasterizer

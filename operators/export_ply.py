@@ -9,7 +9,7 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.files.registry import write_scene
+from ..svrgs_addon.files.registry import labels, suffixes, write_scene
 from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from . import bridge
 
@@ -20,8 +20,8 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
     bl_description = "Write the active splat as a 3DGS PLY"
     bl_options = {"REGISTER", "PRESET"}
 
-    filename_ext = ".ply"
-    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
+    filename_ext = suffixes(written=True)[0]
+    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in suffixes(written=True)), options={"HIDDEN"})
     space: EnumProperty(
         name="Coordinates",
         description="Coordinates of what is written",
@@ -64,7 +64,7 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
 
 
 def menu(self, context):
-    self.layout.operator(SVRGS_OT_export_ply.bl_idname, text="3D Gaussian Splat (.ply)")
+    self.layout.operator(SVRGS_OT_export_ply.bl_idname, text=", ".join(labels(written=True)))
 
 
 def register():

@@ -10,8 +10,7 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
 
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.files.ply import read_ply_parts
-from ..svrgs_addon.files.registry import read_scene
+from ..svrgs_addon.files.registry import check_readable, labels, read_scene, suffixes
 from ..svrgs_addon.files.repair import drop_nonfinite
 from . import bridge
 from .select import select
@@ -23,8 +22,8 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
     bl_description = "Import 3DGS PLY files, each as an object of points that keeps every number of its file"
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
-    filename_ext = ".ply"
-    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
+    filename_ext = suffixes()[0]
+    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in suffixes()), options={"HIDDEN"})
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     y_down: BoolProperty(name="Y Is Down", default=True, description="The file's y axis points down, as training leaves it; the object is turned upright")
@@ -62,7 +61,7 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
         if self.properties.is_property_set("filepath"):
             try:
                 for path in self.paths():
-                    next(read_ply_parts(path))  # the header, and no more than a few thousand Gaussians
+                    check_readable(path)
             except SplatError as error:
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
@@ -75,7 +74,7 @@ class SVRGS_FH_ply(bpy.types.FileHandler):
     bl_idname = "SVRGS_FH_ply"
     bl_label = "3D Gaussian Splat"
     bl_import_operator = SVRGS_OT_import_ply.bl_idname
-    bl_file_extensions = ".ply"
+    bl_file_extensions = ";".join(suffixes())
 
     @classmethod
     def poll_drop(cls, context):
@@ -83,7 +82,7 @@ class SVRGS_FH_ply(bpy.types.FileHandler):
 
 
 def menu(self, context):
-    self.layout.operator(SVRGS_OT_import_ply.bl_idname, text="3D Gaussian Splat (.ply)")
+    self.layout.operator(SVRGS_OT_import_ply.bl_idname, text=", ".join(labels()))
 
 
 CLASSES = (SVRGS_OT_import_ply, SVRGS_FH_ply)

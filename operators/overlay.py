@@ -16,8 +16,9 @@ from ..svrgs_addon import native
 from ..svrgs_addon.blender.lens import depth_of_projection, step_back
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import NativeError, SplatError
+from ..svrgs_addon.native_library import thresholds
 from ..svrgs_addon.render.live_view import LiveView, Picture
-from ..svrgs_addon.render.passes import lay
+from ..svrgs_addon.render.passes import overlay_rgba
 from ..svrgs_addon.render.quads import Quads, colors, painted, quads
 from ..svrgs_addon.scene import Scene
 from . import bridge, bridge_gpu, bridge_graph, scene_cache
@@ -43,7 +44,7 @@ class Job:
 def draw_job(rasterizer, job: Job, _) -> tuple:
     """(H, W, 4) display sRGB times alpha, and the quads' colours (n, 3) from here."""
     scene, rows = job.cloud.scene, job.cloud.quads.rows
-    return lay(rasterizer, scene, job.camera, job.hidden), colors(scene, rows, job.camera)
+    return overlay_rgba(rasterizer, scene, job.camera, job.hidden), colors(scene, rows, job.camera)
 
 
 class Cloud:
@@ -173,7 +174,7 @@ class Overlay:
         constants = {
             "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]), "size": (width, height),
             "parallel": float(camera.orthographic), "depth_scale": P[2][2], "depth_shift": P[2][3],
-            "near": bridge_gpu.NEAR * cloud.shown.unit - step_back(P),
+            "near": thresholds().near * cloud.shown.unit - step_back(P),
             "enlarge": min(cloud.scene.count / count, LARGEST**2), "antialiased": float(cloud.scene.antialiased), "reduction": reduction,
         }  # fmt: skip
         lists = {"order": bridge_gpu.texture(order, "R32F"), "geometry": cloud.geometry, "colors": cloud.colors}

@@ -8,7 +8,7 @@ from bpy.app.handlers import persistent
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.native import Rasterizer
-from ..svrgs_addon.render.composite import draw_while
+from ..svrgs_addon.render.composite import composite_while
 from ..svrgs_addon.render.passes import PASSES, blank, passes
 from . import bridge, bridge_graph, bridge_images
 from .bridge_images import working_space
@@ -67,8 +67,8 @@ class SVRGS_engine(bpy.types.RenderEngine):
         self.say(f"Drawing {shown.scene.count:,} Gaussians", 0.2)
         transparent = scene.render.film_transparent
         background = (0.0, 0.0, 0.0) if transparent else tuple(scene.svrgs_looking.background)
-        drawing = draw_while(lambda: not self.test_break(), Rasterizer(), shown.scene, shown.seen_by(view), background, hidden_by)
-        return passes(drawing, transparent, shown.unit, working_space()) if drawing is not None else None
+        found = composite_while(lambda: not self.test_break(), Rasterizer(), shown.scene, shown.seen_by(view), background, hidden_by)
+        return passes(found, transparent, shown.unit, working_space()) if found is not None else None
 
     def say(self, text: str, progress: float):
         self.update_stats("", text)

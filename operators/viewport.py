@@ -12,10 +12,10 @@ from gpu_extras.presets import draw_texture_2d
 from ..svrgs_addon import native
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import NativeError, SplatError
-from ..svrgs_addon.render.composite import draw
+from ..svrgs_addon.render.composite import composite
 from ..svrgs_addon.render.live_view import LiveView, Picture
 from ..svrgs_addon.render.mesh_depth import Triangles
-from ..svrgs_addon.render.passes import film
+from ..svrgs_addon.render.passes import linear_rgba
 from . import bridge_gpu, bridge_graph, scene_cache
 from .bridge_images import working_space
 from .preferences import threads
@@ -41,8 +41,8 @@ def draw_job(rasterizer, job: Job, reduction: int):
     """(H, W, 4) float32 in the file's working space, times alpha."""
     camera = job.camera.reduced(reduction)
     background = (0.0, 0.0, 0.0) if job.transparent else job.background
-    drawing = draw(rasterizer, job.shown.scene, job.shown.seen_by(camera), background, job.shown.hidden_by(job.triangles, camera))
-    return film(drawing, job.transparent, job.working_space)
+    picture = composite(rasterizer, job.shown.scene, job.shown.seen_by(camera), background, job.shown.hidden_by(job.triangles, camera))
+    return linear_rgba(picture, job.transparent, job.working_space)
 
 
 class Viewport:

@@ -12,9 +12,9 @@ from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.camera import Camera
 from svrgs_addon.files.images import linear_to_srgb
 from svrgs_addon.native import Rasterizer, RenderOptions
-from svrgs_addon.render.composite import FAR, draw, draw_while
+from svrgs_addon.render.composite import FAR, composite, composite_while
 from svrgs_addon.render.mesh_depth import Surface, Triangles, surface
-from svrgs_addon.render.passes import film, lay
+from svrgs_addon.render.passes import linear_rgba, overlay_rgba
 
 CAMERA = orbit_camera(64, 40)
 
@@ -22,6 +22,10 @@ CAMERA = orbit_camera(64, 40)
 @pytest.fixture(scope="module")
 def scene():
     return room(2000)
+
+
+def image_of(picture, name: str) -> np.ndarray:
+    return picture.rgb if name == "rgb" else picture.images[name]
 
 
 def plane(z: float, rgb=(0.2, 0.6, 0.9)) -> Surface:
@@ -34,72 +38,72 @@ def depths(scene) -> np.ndarray:
 
 
 def test_without_a_surface_it_is_the_rasterizers_picture(scene):
-    drawing = draw(Rasterizer(), scene, CAMERA, (0.1, 0.2, 0.3))
+    picture = composite(Rasterizer(), scene, CAMERA, (0.1, 0.2, 0.3))
     expected = Rasterizer().forward(scene, CAMERA, RenderOptions(background=(0.1, 0.2, 0.3), mask_kind="svr"), outputs=("rgb", "mask", "hits"))
     for name, image in expected.items():
-        np.testing.assert_array_equal(getattr(drawing, name), image)
+        np.testing.assert_array_equal(image_of(picture, name), image)
 
 
 def test_a_flat_surface_hides_what_lies_behind_it(scene):
     z = float(np.median(depths(scene)))
-    drawing = draw(Rasterizer(), scene, CAMERA, surface=plane(z))
+    picture = composite(Rasterizer(), scene, CAMERA, surface=plane(z))
     before = scene.select(depths(scene) <= z)
     expected = Rasterizer().forward(
         before, CAMERA, RenderOptions(background=(0.2, 0.6, 0.9), mask_kind="svr"), outputs=("rgb", "mask", "hits", "alpha", "depth")
     )
     for name in ("rgb", "alpha", "mask", "hits"):
-        np.testing.assert_allclose(getattr(drawing, name), expected[name], atol=2e-5, rtol=1e-5)
-    np.testing.assert_allclose(drawing.depth, expected["depth"] + (1 - expected["alpha"]) * z, rtol=1e-5)
-    assert (drawing.covered == 1).all()
+        np.testing.assert_allclose(image_of(picture, name), expected[name], atol=2e-5, rtol=1e-5)
+    np.testing.assert_allclose(picture.depth, expected["depth"] + (1 - expected["alpha"]) * z, rtol=1e-5)
+    assert (picture.covered == 1).all()
 
 
 def test_a_slope_hides_at_every_pixel_what_lies_behind_it_there(scene):
     slope = plane(0)
     slope.depth[:] = np.linspace(depths(scene).min() - 1, depths(scene).max() + 1, CAMERA.width)
     slope.depth[:, 48:] = np.inf
-    drawing, whole = draw(Rasterizer(), scene, CAMERA, surface=slope), draw(Rasterizer(), scene, CAMERA)
+    picture, whole = composite(Rasterizer(), scene, CAMERA, surface=slope), composite(Rasterizer(), scene, CAMERA)
     for name in ("rgb", "alpha", "mask", "hits", "depth"):
-        np.testing.assert_array_equal(getattr(drawing, name)[:, 48:], getattr(whole, name)[:, 48:])
-    assert (drawing.hits[:, 0] == 0).all() and (drawing.covered[:, :48] == 1).all()
+        np.testing.assert_array_equal(image_of(picture, name)[:, 48:], image_of(whole, name)[:, 48:])
+    assert (picture.images["hits"][:, 0] == 0).all() and (picture.covered[:, :48] == 1).all()
     for column in (12, 25, 40):
-        flat = draw(Rasterizer(), scene, CAMERA, surface=plane(slope.depth[0, column]))
+        flat = composite(Rasterizer(), scene, CAMERA, surface=plane(slope.depth[0, column]))
         for name in ("rgb", "alpha", "mask", "hits", "depth"):
-            np.testing.assert_array_equal(getattr(drawing, name)[:, column], getattr(flat, name)[:, column])
+            np.testing.assert_array_equal(image_of(picture, name)[:, column], image_of(flat, name)[:, column])
 
 
 def test_nothing_at_all_is_far_away():
-    drawing = draw(Rasterizer(), scenes.empty_scene(), CAMERA)
-    assert (drawing.depth == FAR).all() and not drawing.covered.any()
+    picture = composite(Rasterizer(), scenes.empty_scene(), CAMERA)
+    assert (picture.depth == FAR).all() and not picture.covered.any()
 
 
 def test_a_drawing_nobody_wants_any_more_stops(scene):
-    assert draw_while(lambda: False, Rasterizer(), room(300_000), orbit_camera(1920, 1080)) is None
-    assert draw_while(lambda: True, Rasterizer(), scene, CAMERA) is not None
+    assert composite_while(lambda: False, Rasterizer(), room(300_000), orbit_camera(1920, 1080)) is None
+    assert composite_while(lambda: True, Rasterizer(), scene, CAMERA) is not None
 
 
 def test_errors_of_a_drawing_come_through():
     with pytest.raises(AttributeError):
-        draw_while(lambda: True, Rasterizer(), None, CAMERA)
+        composite_while(lambda: True, Rasterizer(), None, CAMERA)
 
 
 def test_the_film_encodes_back_to_the_drawing(scene):
-    drawing = draw(Rasterizer(), scene, CAMERA)
-    opaque, clear = film(drawing, False), film(drawing, True)
-    np.testing.assert_allclose(linear_to_srgb(opaque[..., :3]), drawing.rgb, atol=1e-6)
+    picture = composite(Rasterizer(), scene, CAMERA)
+    opaque, clear = linear_rgba(picture, False), linear_rgba(picture, True)
+    np.testing.assert_allclose(linear_to_srgb(opaque[..., :3]), picture.rgb, atol=1e-6)
     assert (opaque[..., 3] == 1).all()
     straight = clear[..., :3] / np.maximum(clear[..., 3:], 1e-9)
-    np.testing.assert_allclose(linear_to_srgb(straight) * clear[..., 3:], drawing.rgb, atol=1e-5)
+    np.testing.assert_allclose(linear_to_srgb(straight) * clear[..., 3:], picture.rgb, atol=1e-5)
 
 
 def test_another_working_space_holds_the_same_colours(scene):
-    drawing, swapped = draw(Rasterizer(), scene, CAMERA), ((0, 1, 0), (1, 0, 0), (0, 0, 1))
-    np.testing.assert_array_equal(film(drawing, False, swapped)[..., [1, 0, 2, 3]], film(drawing, False))
+    picture, swapped = composite(Rasterizer(), scene, CAMERA), ((0, 1, 0), (1, 0, 0), (0, 0, 1))
+    np.testing.assert_array_equal(linear_rgba(picture, False, swapped)[..., [1, 0, 2, 3]], linear_rgba(picture, False))
 
 
 def test_laid_over_a_picture_it_shows_what_is_before_it(scene):
     hidden = plane(float(np.median(depths(scene)))).depth
-    rgba, drawing = lay(Rasterizer(), scene, CAMERA, hidden), draw(Rasterizer(), scene, CAMERA, surface=plane(hidden[0, 0], (1, 1, 1)))
-    np.testing.assert_allclose(rgba[..., :3] + (1 - rgba[..., 3:]), drawing.rgb, atol=1e-6)
+    rgba, picture = overlay_rgba(Rasterizer(), scene, CAMERA, hidden), composite(Rasterizer(), scene, CAMERA, surface=plane(hidden[0, 0], (1, 1, 1)))
+    np.testing.assert_allclose(rgba[..., :3] + (1 - rgba[..., 3:]), picture.rgb, atol=1e-6)
 
 
 # --- surfaces

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import SceneError
+from ..files import registry
 
-SUFFIX = ".ply"
 PRUNED = "_pruned"
 
 
@@ -34,7 +34,7 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
     if len(set(names)) < len(names) and (out or report):
         raise SceneError(f"two scenes are called '{next(n for n in names if names.count(n) > 1)}': prune them into separate folders")
     alone = len(found) == 1 and not paths[0].is_dir()
-    to_file = out is not None and not out.is_dir() and (out.suffix.lower() == SUFFIX or (alone and out.suffix != ""))
+    to_file = out is not None and not out.is_dir() and (out.name.lower().endswith(registry.suffixes(written=True)) or (alone and out.suffix != ""))
     if to_file and len(found) > 1:
         raise SceneError(f"{out}: is the name of a file, but there are {len(found)} scenes; give a folder")
     return [Item(name, scene, colmap or _dataset(scene), out if to_file else _output(name, scene, out)) for name, scene in found]
@@ -53,21 +53,26 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
         return [(path.name, own)]
     below = [(folder.name, splat) for folder in sorted(path.iterdir()) if folder.is_dir() and folder.resolve() != outputs and (splat := _splat_in(folder))]
     if not below:
-        raise SceneError(f"{path}: holds no splat: neither a {SUFFIX} file nor folders with one")
+        raise SceneError(f"{path}: holds no splat: neither a {' or '.join(registry.suffixes())} file nor folders with one")
     return below
 
 
 def _splat_in(folder: Path) -> Path | None:
-    """The folder's splat: the last of a 3DGS run's point_cloud folder, or else its only .ply that is no output of ours.
+    """The folder's splat: the last of a 3DGS run's point_cloud folder, or else its only splat file that is no output of ours.
 
     The folder itself where there are several: reading it fails with a sentence, and the other scenes go on.
     """
-    trained = {p: p.parent.name.removeprefix("iteration_") for p in folder.glob("point_cloud/iteration_*/point_cloud" + SUFFIX)}
+    trained = {p: p.parent.name.removeprefix("iteration_") for p in _splats(folder, "point_cloud/iteration_*/point_cloud")}
     numbered = [p for p, number in trained.items() if number.isdecimal()]
     if numbered:  # beside it such a run keeps its sparse points, input.ply
         return max(numbered, key=lambda p: int(trained[p]))
-    files = [p for p in sorted(folder.glob("*" + SUFFIX)) if not p.stem.endswith(PRUNED) and not p.name.startswith(".")]
+    files = [p for p in sorted(_splats(folder, "*")) if not p.stem.endswith(PRUNED) and not p.name.startswith(".")]
     return folder if len(files) > 1 else files[0] if files else None
+
+
+def _splats(folder: Path, pattern: str) -> list[Path]:
+    """The splat files of every format whose name without its suffix fits the pattern."""
+    return [path for suffix in registry.suffixes() for path in folder.glob(pattern + suffix)]
 
 
 def _dataset(scene: Path) -> Path | None:
@@ -79,4 +84,5 @@ def _dataset(scene: Path) -> Path | None:
 
 
 def _output(name: str, scene: Path, folder: Path | None) -> Path:
-    return scene.with_name(f"{scene.stem}{PRUNED}{SUFFIX}") if folder is None else folder / f"{name}{SUFFIX}"
+    suffix = registry.suffixes(written=True)[0]
+    return scene.with_name(f"{scene.stem}{PRUNED}{suffix}") if folder is None else folder / f"{name}{suffix}"

@@ -15,10 +15,11 @@ from ..files.images import write_image
 from ..files.registry import load_scene
 from ..metrics.evaluate import render_options
 from ..native import Rasterizer
+from ..outputs import OUTPUTS
 from ..photographs.dataset import HOLDOUT, load_cameras_json, load_dataset
 from ..report.pictures import mask_to_rgb, to_uint8
 
-OUTPUTS = ("rgb", "mask", "depth", "alpha")
+NAMES = ("rgb", "mask", "depth", "alpha")
 
 
 def render_views(options: argparse.Namespace) -> list[Path]:
@@ -41,9 +42,9 @@ def render_views(options: argparse.Namespace) -> list[Path]:
 
 def _outputs(text: str) -> tuple[str, ...]:
     names = tuple(part.strip() for part in text.split(","))
-    unknown = [name for name in names if name not in OUTPUTS]
+    unknown = [name for name in names if name not in NAMES]
     if unknown:
-        raise SceneError(f"output '{unknown[0]}' is unknown; choose from {', '.join(OUTPUTS)}")
+        raise SceneError(f"output '{unknown[0]}' is unknown; choose from {', '.join(NAMES)}")
     return names
 
 
@@ -94,9 +95,9 @@ def _save(folder: Path, camera: Camera, output: str, image: np.ndarray, extensio
 
 
 def _as_picture(output: str, image: np.ndarray) -> np.ndarray:
-    """8 bits to look at: F in the mask's colours, depth from black (0) to white (the farthest)."""
-    if output == "mask":
+    """8 bits to look at, as outputs.py says."""
+    if OUTPUTS[output].shown == "mask_map":
         return mask_to_rgb(image)
-    if output == "depth":
+    if OUTPUTS[output].shown == "farthest":
         return to_uint8(image / max(float(image.max()), 1e-12))
     return to_uint8(image)

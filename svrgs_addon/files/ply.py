@@ -21,6 +21,7 @@ from ..scene import SH_COEFFICIENTS, Scene
 from .atomic import atomic_write, check_writable, start_storing
 from .ply_body import MAX_ASCII_BYTES, Body, blocks, empty_arrays, named_columns
 from .ply_header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, parse_header
+from .splat_format import SplatFormat
 
 MAX_COUNT = 20_000_000
 NORMALS = ("nx", "ny", "nz")  # 3DGS writes them, always zero
@@ -181,3 +182,15 @@ def _file_comments(scene: Scene) -> list[str]:
 
 def _says_mip(comments: Iterable[str]) -> bool:
     return any(MIP_PATTERN.fullmatch(text) for text in comments)
+
+
+FORMAT = SplatFormat(
+    name="ply",
+    label="3D Gaussian Splat",
+    suffixes=(".ply",),
+    sniff=lambda head: head.startswith(b"ply"),
+    read=read_ply,
+    read_parts=read_ply_parts,
+    write=write_ply,
+    size=file_size,
+)

@@ -17,12 +17,11 @@ import numpy as np
 from ..camera import Camera
 from ..geometry.rotations import rotation_matrices
 from ..native import MOMENTS, Rasterizer, RenderOptions
+from ..native_library import thresholds
 from ..scene import Scene
 from .views import fitting_reduction
 
 REDUCTION = 4  # published: views at a quarter of their size
-BLUR = 0.3  # pixels^2
-FRUSTUM_MARGIN = 0.3
 K2 = 2 * np.log(2)
 ROWS = 32_768  # Gaussians at a time
 _UPPER = np.triu_indices(6)
@@ -70,7 +69,7 @@ def jacobians(scene: Scene, camera: Camera, ids: np.ndarray) -> np.ndarray:
     axes = W @ rotation_matrices(scene.quats[ids].astype(np.float64)) * np.exp(scene.log_scales[ids].astype(np.float64))[:, None, :]  # (V, 3, 3)
     P, dP = screen_jacobian(points, K, camera.width, camera.height)
     half = P @ axes  # (V, 2, 3): half axes on the screen
-    L = whitening(half @ half.swapaxes(1, 2) + BLUR * np.eye(2))
+    L = whitening(half @ half.swapaxes(1, 2) + thresholds().blur * np.eye(2))
     white = L @ half
     d_cov = np.empty((len(ids), 6, 2, 2))  # L dSigma L^T
     for k in range(3):
@@ -104,7 +103,7 @@ def centre_jacobian(points: np.ndarray, K: np.ndarray) -> np.ndarray:
 def screen_jacobian(points: np.ndarray, K: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """The Jacobian P (V, 2, 3) that carries shapes to the screen, x/z and y/z clamped to the widened view, and dP/d(camera point) (V, 3, 2, 3)."""
     focal, principal, size, z = K.diagonal()[:2], K[:2, 2], np.array([width, height]), points[:, 2:]
-    margin = FRUSTUM_MARGIN * size / (2 * focal)
+    margin = thresholds().frustum_margin * size / (2 * focal)
     slope = points[:, :2] / z
     clamped = np.clip(slope, -principal / focal - margin, (size - principal) / focal + margin)
     free = slope == clamped

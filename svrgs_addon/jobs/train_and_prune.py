@@ -12,7 +12,7 @@ import numpy as np
 from .. import memory
 from ..errors import SceneError
 from ..files.atomic import check_writable
-from ..files.registry import invisible, load_scene, write_scene
+from ..files.registry import format_to_write, invisible, load_scene, write_scene
 from ..finetune import checkpoint, loop, masks, scores
 from ..finetune.engine import NativeEngine
 from ..finetune.model import Model, scene_from_points
@@ -95,8 +95,7 @@ class Clock:
 
 def check_outputs(job: JobContext):
     """Finds out before the work whether its results can be written. Raises SceneError."""
-    if job.out.suffix.lower() != ".ply":
-        raise SceneError(f"{job.out}: scenes are written as .ply")
+    format_to_write(job.out)
     check_writable(job.out)
     check_writable(job.folder / "manifest.json")
     if job.report:
