@@ -1,4 +1,4 @@
-"""The house's one-way streets, read from the imports themselves, and what a quick command must not wait for."""
+"""The order of layers and rooms, read from the imports themselves; no circles; short files and functions; quick commands stay quick."""
 
 from __future__ import annotations
 
@@ -12,9 +12,15 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("svrgs_addon", "operators", "panels")  # each may import those before it
+ROOMS = ("", "geometry", "files", "photographs", "blender", "metrics", "render", "finetune", "report", "jobs", "bench", "cli")  # of svrgs_addon, likewise
+TOP = ("__main__.py", "batch.py")  # of svrgs_addon, above every room
 FILES = [path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))]
+ALL_FILES = [path for folder in (*LAYERS, "tests", "benchmarks", "examples", "tools") for path in sorted((ROOT / folder).rglob("*.py"))]
+NATIVE_FILES = [path for pattern in ("*.h", "*.cc") for path in sorted((ROOT / "native").rglob(pattern))]
 BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "bl_ui"}
 HEAVY = {"torch", "pycolmap", "OpenImageIO", "scipy", "bpy"}
+NATIVE = ("native.py", "native_library.py")
+MAX_FILE, MAX_FUNCTION = 400, 40  # lines
 
 
 def imports(tree: ast.AST, file: Path) -> Iterator[tuple[str, bool]]:
@@ -45,7 +51,11 @@ def at_top(tree: ast.Module) -> ast.Module:
     return Strip().visit(tree)
 
 
-@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(ROOT)))
+def label(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("file", FILES, ids=label)
 def test_imports(file):
     layer = LAYERS.index(file.relative_to(ROOT).parts[0])
     tree = ast.parse(file.read_text())
@@ -54,7 +64,7 @@ def test_imports(file):
         assert layer > 0 or top not in BLENDER, f"only operators and panels may import {top}"
         assert relative or top not in LAYERS, f"{module} must be imported relatively: the extension's package has another name"
         assert top not in LAYERS[layer + 1 :], f"{module} is above"
-        assert top != "ctypes" or file.name in ("native.py", "native_library.py"), "only these two call the native library"
+        assert top != "ctypes" or file.name in NATIVE, f"only {' and '.join(NATIVE)} call the native library"
         assert layer < 2 or not relative or module.startswith("panels"), "panels know operators and properties by name"
         assert layer == 0 or top != "numpy" or file.name.startswith("bridge"), "only bridge*.py turn Blender's data into arrays"
     if layer == 0 and file.name != "torch_engine.py":
@@ -68,6 +78,79 @@ def test_the_import_reader_sees_every_form():
     found = [("bpy.types", False), ("torch", False), ("panels", True), ("operators", True), ("scipy", False)]
     assert list(imports(tree, file)) == found
     assert list(imports(at_top(tree), file)) == found[:-1]
+
+
+# --- rooms and circles; imports inside functions and for type checkers count too
+
+
+def module_of(file: Path) -> str:
+    parts = file.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def import_graph(files: list[Path]) -> dict[str, set[str]]:
+    """The modules of the repository that each module imports."""
+    modules, graph = {module_of(file): file for file in files}, {}
+    for name, file in modules.items():
+        found = set()
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                package = ".".join((*file.relative_to(ROOT).parts[: -node.level], *filter(None, (node.module,))))
+                found |= {f"{package}.{alias.name}" if f"{package}.{alias.name}" in modules else package for alias in node.names}
+        graph[name] = (found & modules.keys()) - {name}
+    return graph
+
+
+def circles(graph: dict[str, set[str]]) -> list[str]:
+    """What is left of the graph when modules that import nothing left are taken away again and again."""
+    left = {name: set(found) for name, found in graph.items()}
+    while free := {name for name, found in left.items() if not found & left.keys()}:
+        left = {name: found for name, found in left.items() if name not in free}
+    return sorted(left)
+
+
+def room_of(file: Path) -> int:
+    """Its place in ROOMS; a file of TOP stands above them all."""
+    parts = file.relative_to(ROOT / "svrgs_addon").parts
+    return len(ROOMS) if parts[0] in TOP else ROOMS.index(parts[0] if len(parts) > 1 else "")
+
+
+GRAPH = import_graph(FILES)
+ROOM_FILES = {module_of(file): file for file in FILES if file.is_relative_to(ROOT / "svrgs_addon")}
+
+
+@pytest.mark.parametrize("module", ROOM_FILES)
+def test_rooms_import_no_room_above(module):
+    above = [found for found in GRAPH[module] if room_of(ROOM_FILES[found]) > room_of(ROOM_FILES[module])]
+    assert not above, f"{module} is below {above}"
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_there_is_no_circle(layer):
+    packages = {module_of(file) for file in FILES if file.name == "__init__.py"}  # whose register() names what is in them
+    graph = {name: found - packages for name, found in GRAPH.items() if name.split(".")[0] == layer and name not in packages}
+    assert circles(graph) == []
+
+
+def test_a_circle_would_be_found():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()}) == ["a", "b", "c"]
+    assert circles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+
+
+# --- sizes
+
+
+@pytest.mark.parametrize("file", [*ALL_FILES, *NATIVE_FILES], ids=label)
+def test_files_and_functions_are_short(file):
+    text = file.read_text()
+    lines = text.count("\n")
+    assert lines <= MAX_FILE, "split it: it holds more than one concern"
+    functions = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)) if file.suffix == ".py" else ()
+    long = {node.name: node.end_lineno - node.lineno + 1 for node in functions if node.end_lineno - node.lineno + 1 > MAX_FUNCTION}
+    assert not long, "functions of more than 40 lines"
+
+
+# --- what is loaded
 
 
 def loaded_after(code: str, *arguments: str) -> set[str]:
