@@ -1,8 +1,9 @@
 """The command line inside Blender: `blender -b --python svrgs_addon/batch.py -- prune SCENE… --out DIR`.
 
-Any verb works. `prune` prints one JSON line a scene, skips finished scenes unless --overwrite, reports a failing scene and
-goes on with the rest, and ends non-zero if any failed. The work runs in a child of Blender's own Python: what the
-libraries need cannot clash with Blender's, and a crash cannot take Blender down. Runs under plain Python too.
+Any command works. `prune` prints one JSON line per scene and skips finished scenes unless --overwrite is given. If a scene
+fails, it reports the scene, continues with the others, and exits with a status that is not 0. The work runs in a child process of
+Blender's own Python: its libraries cannot conflict with those of Blender, and a crash cannot end Blender. The script runs under
+plain Python too.
 """
 
 import os
@@ -16,8 +17,8 @@ def main() -> int:
     words = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
     if words[:1] == ["prune"]:
         words = [*words, "--batch"]
-    above = str(Path(__file__).resolve().parents[1])
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (above, os.environ.get("PYTHONPATH"))))}
+    root = str(Path(__file__).resolve().parents[1])
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))}
     child = subprocess.Popen([sys.executable, "-m", "svrgs_addon", *words], env=environment)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop(child))
@@ -25,7 +26,10 @@ def main() -> int:
 
 
 def stop(child: subprocess.Popen):
-    """Asks for a clean stop. A terminal's Ctrl-C reaches the child too, which does no harm; on Windows it is the only way."""
+    """Asks the child process to stop cleanly (SIGTERM on POSIX).
+
+    Ctrl-C in a terminal reaches the child directly as well, which is harmless. On Windows, Ctrl-C is the only way.
+    """
     if os.name == "posix":
         child.terminate()
 

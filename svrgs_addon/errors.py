@@ -1,21 +1,21 @@
-"""The exception family of the product. Each message is one sentence: what is wrong, in which file, what to do."""
+"""The exceptions of the product. Each message is one sentence: it names the file, the fault, and what to do about it."""
 
 
 class SplatError(Exception):
-    """Base of every error a user can cause or mend. The command line prints it and exits 2."""
+    """Base class of errors that a user can cause and correct. The command line prints the message and exits with status 2."""
 
 
 class FormatError(SplatError):
-    """A file is not what it claims to be: truncated, hostile, or of a kind that is not read."""
+    """A file cannot be read: it is truncated, malformed, malicious or of an unsupported kind."""
 
 
 class SceneError(SplatError):
-    """Files are readable but do not fit together, or the request would leave nothing."""
+    """The files can be read, but the request cannot be carried out: they do not belong together, or nothing would be left of the scene."""
 
 
 class NativeError(Exception):
-    """The native library is missing, does not match, or reports a failure. The command line exits 1."""
+    """The native library is missing, has another interface version, or reports a failure. The command line exits with status 1."""
 
 
 class Cancelled(Exception):
-    """The user asked to stop; everything written so far is complete."""
+    """The user asked to stop. Files that were written before are complete. The command line exits with status 130."""

@@ -1,6 +1,6 @@
-"""How a process ends: its exit status, and its errors and results as others read them.
+"""Exit status, error sentence and JSON result of a process.
 
-Exit 0: done. 1: failure. 2: usage or input. 130: stopped by the user, resumable.
+Exit status 0: done. 1: failure of the program or the system. 2: wrong usage or input. 130: stopped by the user; the run can be resumed.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ STOPPED = 130
 
 
 def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
-    """The exit status of run(). An error becomes one sentence for tell() and its status."""
+    """Calls run() and returns its exit status. An expected error is passed to tell() as one sentence and becomes a status (see above).
+
+    Other exceptions pass through.
+    """
     try:
         return run()
     except SplatError as error:
         tell(str(error))
         return 2
     except Cancelled:
-        tell("stopped; --resume goes on from the last checkpoint")
+        tell("stopped; continue from the last checkpoint with --resume")
         return STOPPED
     except KeyboardInterrupt:
         tell("interrupted")
@@ -32,7 +35,7 @@ def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
 
 
 def plain(value):
-    """The value as JSON can hold it: infinity and NaN become null."""
+    """Returns the value in a form that JSON can store. Infinity and NaN become None, tuples become lists; containers are converted recursively."""
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,8 @@
-"""Memory foreseen from sizes: what would not fit is refused before it starts, with the number. And what was taken."""
+"""Estimates of the memory that a job needs, and the memory that is available.
+
+A job whose estimate exceeds the available memory is refused before it starts; the message names both numbers. peak() measures
+the memory that was used.
+"""
 
 from __future__ import annotations
 
@@ -10,48 +14,55 @@ from pathlib import Path
 from .camera import Camera
 from .errors import SceneError
 
-# Bytes, measured as the growth of the process (docs/reliability.md).
-READING = 1.3  # times a file's size: its arrays, and copies of some while they are mended
-ROW_FLOATS = 13  # of a Gaussian beside its SH coefficients: place, size, turn, opacity, mask, origin
-SH_MOMENT = 2  # bytes of a coefficient: what the optimiser keeps of it; of other values as much as they take
-BORN_COPIES = 2  # of a new Gaussian's values while it joins the others
-PROJECTED = 150  # of a Gaussian on the screen
-RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 400
+# Measured as the growth of the process in bytes (docs/reliability.md).
+READING = 1.3  # bytes per byte of a splat file: its arrays, and copies of some of them during repair
+ROW_FLOATS = 13  # 4-byte values per Gaussian without SH: mean 3, log-scale 3, quaternion 4, opacity logit, existence logit, source row
+SH_MOMENT = 2  # bytes of Adam moments per SH coefficient; other values have moments of their own size, 4 bytes
+ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densification adds
+PROJECTED = 150  # bytes per projected Gaussian
+RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 400  # bytes per pixel of a view: rendering, fine-tuning, metrics
 CGROUP = Path("/sys/fs/cgroup")
 
 
 def reading(file_bytes: int) -> int:
-    """To read a splat file of that size."""
+    """Bytes of memory needed to read a splat file of file_bytes bytes."""
     return int(READING * file_bytes)
 
 
 def rendering(count: int, width: int, height: int) -> int:
-    """To draw a scene that is in memory."""
+    """Bytes of memory needed to render one view of width x height pixels of `count` Gaussians that are in memory already."""
     return PROJECTED * count + RENDERED_PIXEL * width * height
 
 
 def tuning(count: int, coefficients: int, cameras: Sequence[Camera], kept_photographs: int) -> int:
-    """To fine-tune and measure `count` Gaussians with K coefficients a channel, photographs (bytes) beside them."""
+    """Bytes of memory needed to fine-tune and evaluate `count` Gaussians.
+
+    coefficients: SH coefficients per channel, K. cameras: all views; the largest one counts. kept_photographs: memory budget of
+    cached photographs in bytes; at most 3 bytes per pixel of all views are counted.
+    """
     photographs = min(kept_photographs, 3 * sum(camera.width * camera.height for camera in cameras))
     row, moments = _trained_row(coefficients)
     return int(row + moments + PROJECTED) * count + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + photographs
 
 
-def growing(count: int, born: int, coefficients: int, cameras: Sequence[Camera]) -> int:
-    """To add `born` Gaussians to `count` in training, one array after the other copied, and still to measure a view in the end."""
+def growing(count: int, added: int, coefficients: int, cameras: Sequence[Camera]) -> int:
+    """Further bytes of memory needed to add `added` Gaussians to `count` ones during training.
+
+    The arrays are copied one after the other, so one copy of the largest array counts. Metrics of a view at the end must fit as well.
+    """
     (row, moments), largest = _trained_row(coefficients), 4 * 3 * coefficients
-    new = (1 + BORN_COPIES) * row + moments + PROJECTED
-    return new * born + largest * (count + born) + MEASURED_PIXEL * _pixels(cameras)
+    new = (1 + ADDED_COPIES) * row + moments + PROJECTED
+    return new * added + largest * (count + added) + MEASURED_PIXEL * _pixels(cameras)
 
 
 def _trained_row(coefficients: int) -> tuple[int, int]:
-    """Bytes of a Gaussian with K coefficients a channel, and of its moments."""
+    """Bytes of the parameters and of the Adam moments of one Gaussian with K SH coefficients per channel."""
     other = 4 * ROW_FLOATS
     return other + 4 * 3 * coefficients, other + SH_MOMENT * 3 * coefficients
 
 
 def shortage(what: str, needed: int) -> str:
-    """The sentence that `needed` bytes are more than are available, or ''. what: its subject, as 'pruning a.ply'."""
+    """A sentence if `needed` bytes exceed the available memory, else ''. what: subject of the sentence, such as 'pruning a.ply'."""
     free = available()
     if free is None or needed <= free:
         return ""
@@ -59,21 +70,21 @@ def shortage(what: str, needed: int) -> str:
 
 
 def refuse_excess(what: str, needed: int) -> None:
-    """Raises SceneError where there is a shortage."""
+    """Raises SceneError with the sentence of shortage() if there is one."""
     if sentence := shortage(what, needed):
         raise SceneError(sentence)
 
 
 def available() -> int | None:
-    """Bytes this process may still take without swapping; None where the system does not tell."""
-    limits = [limit for limit in (_system(), _cgroup()) if limit is not None]
+    """Bytes that this process can still allocate without swapping, a container's limit included; None if the system does not report it."""
+    limits = [limit for limit in (_system_available(), _cgroup_available()) if limit is not None]
     return min(limits) if limits else None
 
 
 def peak() -> int | None:
-    """Largest resident size of this process so far, bytes; None where the system does not tell."""
-    try:  # of this program alone: what getrusage tells on Linux is no less than what the process held that started it
-        return _kernel_says("self/status", "VmHWM")
+    """Largest resident set size of this process so far in bytes; None if the system does not report it."""
+    try:  # VmHWM counts this program only; on Linux, getrusage starts with the size of the parent process
+        return _proc_bytes("self/status", "VmHWM")
     except (OSError, ValueError):
         pass
     try:
@@ -85,7 +96,7 @@ def peak() -> int | None:
 
 
 def _pixels(cameras: Sequence[Camera]) -> int:
-    """Of the largest view."""
+    """Number of pixels of the largest view."""
     return max(camera.width * camera.height for camera in cameras)
 
 
@@ -93,21 +104,22 @@ def _gigabytes(value: int) -> str:
     return f"{value / 1e9:.1f} GB" if value >= 1e8 else f"{value / 1e6:.1f} MB"
 
 
-def _system() -> int | None:
+def _system_available() -> int | None:
+    """Available bytes of the whole system; None if it does not report them."""
     try:
-        return _kernel_says("meminfo", "MemAvailable")
-    except (OSError, ValueError):  # macOS tells its whole memory only, Windows nothing without ctypes
+        return _proc_bytes("meminfo", "MemAvailable")
+    except (OSError, ValueError):  # macOS reports only its total memory, Windows nothing without ctypes
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else None
 
 
-def _kernel_says(file: str, name: str) -> int:
-    """Bytes in the line of that name; OSError or ValueError where there is none."""
+def _proc_bytes(file: str, name: str) -> int:
+    """Bytes in the line `name` of /proc/`file`. Raises OSError or ValueError if there is no such file or line."""
     text = Path("/proc", file).read_text()
     return 1024 * int(text.partition(f"{name}:")[2].partition("kB")[0])
 
 
-def _cgroup() -> int | None:
-    """What is left of a container's limit; files that are only cached count as free."""
+def _cgroup_available() -> int | None:
+    """Bytes below the limit of the container (cgroup v2), where cached files count as free; None without a limit."""
     try:
         limit = (CGROUP / "memory.max").read_text().strip()
         used = int((CGROUP / "memory.current").read_text())

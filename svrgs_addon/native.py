@@ -1,6 +1,7 @@
-"""Renderers of the native library: forward and backward passes, statistics, loss and Adam; masks drawn, Gaussians in order of depth.
+"""The renderer of the native library: forward and backward passes, statistics, loss and Adam; sampled masks; depth order.
 
-`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Every argument's dtype, shape and contiguity is checked.
+`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Array arguments must have exactly the stated dtype
+and shape and be C-contiguous, else TypeError is raised. A call that fails raises NativeError with the library's sentence.
 """
 
 from __future__ import annotations
@@ -80,23 +81,23 @@ MOMENTS = ("uu", "uv", "vv", "uuu", "uuv", "uvv", "vvv", "uuuu", "uuuv", "uuvv",
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """What one forward pass computes; see svrgs.h for each."""
+    """Options of one forward pass; svrgs_options in svrgs.h describes each."""
 
-    sh_degree: int = 3  # lowered to what the scene stores
-    antialiased: bool = False
-    full: bool = True  # F walks each ray to its end
-    mask_kind: str = "none"  # one of mask_kinds()
-    eps_a: float = 1e-3
-    disabled_skips: tuple[str, ...] = ()  # names from skips(), turned off: the same picture, more slowly; for measurements
-    max_pairs: int = 0
-    background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
+    sh_degree: int = 3  # at most the degree of the scene is used
+    antialiased: bool = False  # opacity is compensated for the 2-D low-pass filter
+    full: bool = True  # F counts each ray to its end, not only to where the colours stop
+    mask_kind: str = "none"  # form of the spatial mask F, a name from mask_kinds()
+    eps_a: float = 1e-3  # epsilon of mask kind 'a'
+    disabled_skips: tuple[str, ...] = ()  # names from skips() that are turned off: the same picture, but slower; for measurements
+    max_pairs: int = 0  # a view with more (Gaussian, tile) pairs raises NativeError; 0: 2^31 - 1
+    background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # colour behind all Gaussians, display sRGB
 
 
 class Rasterizer:
-    """One renderer with its buffers; use from one thread at a time.
+    """One renderer with its buffers. Only one thread may use it at a time.
 
-    level: a name from levels() (default: the best). `dtype` is float64 for 'float64', else float32; every `real` array in
-    and out has it. `cancel[0] = 1` from any thread stops the running call, which then raises Cancelled.
+    level: a SIMD level from levels(); default: the fastest. Arrays in and out have the type `dtype`: float64 for level 'float64',
+    else float32. Any thread may set cancel[0] = 1; the running call then stops and raises Cancelled.
     """
 
     def __init__(self, level: str | None = None):
@@ -106,9 +107,9 @@ class Rasterizer:
         self.dtype = np.dtype(np.float64 if self.level == "float64" else np.float32)
         self.cancel = np.zeros(1, np.int32)
         self._context = c.c_void_p()
-        self._view = None  # arrays the library still reads: kept alive until the next forward
+        self._view = None  # arrays that the library reads until the next forward; they must stay alive
         self._shape = (0, 0, 0)  # H, W, K of the last view
-        self._shapes: dict[str, tuple] = {}  # of its scene's arrays
+        self._shapes: dict[str, tuple] = {}  # shapes of the arrays of the last scene
         self._buffers: dict[str, np.ndarray] = {}
         _call("svrgs_context_create", c.c_int32(levels()[self.level]), c.byref(self._context))
 
@@ -118,12 +119,11 @@ class Rasterizer:
             self._context = None
 
     def forward(self, scene, camera: Camera, options: RenderOptions = RenderOptions(), masks=None, outputs=("rgb",), depth_limit=None) -> dict:
-        """Renders one view (paper Eq. 1-2 and 5).
+        """Renders one view (SVR-GS, Eq. 1, 2 and 5).
 
-        scene: anything with the arrays of Scene, in self.dtype;
-        masks: (N,) uint8 of 0 and 1, or None for all 1; outputs: names from IMAGES and COUNTS; depth_limit: (H, W) in self.dtype, or None:
-        a pixel takes a Gaussian only where its z is less, and the view has no gradients, scores, moments or counts of pixels.
-        Returns {name: (H, W) or (H, W, 3) array}; rgb is not clamped.
+        scene: an object with the arrays of Scene in self.dtype. masks: (N,) uint8 of 0 and 1; None: all 1. outputs: names from
+        IMAGES and COUNTS. depth_limit: (H, W) in self.dtype; a pixel then takes only Gaussians whose centre has a smaller camera z,
+        and the view has no gradients, scores, moments or pixel counts. Returns {name: (H, W) or (H, W, 3)}; rgb is not clamped.
         """
         arrays = self._scene(scene, masks)
         images, pointers = self._images(camera, outputs)
@@ -145,14 +145,14 @@ class Rasterizer:
         return images
 
     def visible(self) -> np.ndarray:
-        """Ids of the Gaussians of the last view that can touch a pixel, (V,) uint32, ascending."""
+        """Row numbers of the V Gaussians that can reach a pixel of the last view, (V,) uint32, ascending."""
         ids, count = c.POINTER(c.c_uint32)(), c.c_int64()
         _call("svrgs_visible", self._context, c.byref(ids), c.byref(count))
         return np.ctypeslib.as_array(ids, (count.value,)).copy() if count.value else np.empty(0, np.uint32)
 
     def work(self, count_pixels: bool = False) -> dict[str, int]:
-        """What the last view took: visible Gaussians and (Gaussian, tile) pairs; with count_pixels also used_pairs, blocks and
-        hit_blocks (4x4 pixels), evaluated, hits and contributing (Gaussian, pixel) pairs; see svrgs.h."""
+        """Counts of the last view (svrgs_work in svrgs.h): visible Gaussians, (Gaussian, tile) pairs; with count_pixels also used_pairs,
+        blocks and hit_blocks (4x4 pixels), and (Gaussian, pixel) pairs: evaluated, hits (alpha >= 1/255), contributing (blended)."""
         work = WorkStruct()
         _call("svrgs_count_work", self._context, c.c_int32(count_pixels), c.byref(work))
         if not count_pixels:
@@ -160,30 +160,31 @@ class Rasterizer:
         return {name: getattr(work, name) for name, _ in WorkStruct._fields_} | {"evaluated": 16 * work.blocks}
 
     def stage_seconds(self) -> dict[str, float]:
-        """Durations inside the last forward (project, tiles, sort, blend), backward (two) and loss, by name from stages()."""
+        """Durations in seconds of the stages of the last calls, by name from stages()."""
         seconds = (c.c_double * len(stages()))()
         _call("svrgs_stage_seconds", self._context, seconds)
         return dict(zip(stages(), seconds, strict=True))
 
     def backward(self, image_grads: dict, wanted=GRADS) -> dict:
-        """Gradients of the last view, one row per visible Gaussian (see visible()).
+        """Gradients of the last view, one row per visible Gaussian in the order of visible().
 
-        image_grads: {'rgb' | 'depth' | 'alpha' | 'mask': dL/dimage}; wanted: names from GRADS, the others are not computed.
-        Returns {name: (V, ...)}, valid until the next backward.
+        image_grads: dL/dimage by name from LOSS_IMAGES ('rgb', 'depth', 'alpha', 'mask'), with the shape of the image; depth needs a
+        forward pass with output depth. wanted: names from GRADS; others are not computed. Returns {name: (V, ...)}, valid until the
+        next backward. Raises ValueError for unknown names.
         """
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
         _call("svrgs_backward", self._context, c.byref(grads_in), c.byref(grads_out))
         return grads
 
     def backward_update(self, image_grads: dict, tensors: dict, rates: dict, *, step, betas=(0.9, 0.999), eps=1e-15, wanted=()) -> tuple[dict, int]:
-        """backward() and adam() in one, bit for bit, without storing the gradients; uses the view up.
+        """backward() and adam() in one call, with the same bits, but without storing the gradients.
 
-        tensors: {name: (param, moments)} for arrays of the rendered scene, param being the scene's own, sh among them; rates: {name:
-        one rate, or one per column} for those; wanted: gradients to return, of anything else. Returns ({name: (V, ...)},
-        rows left alone because their gradient was not finite).
+        The view cannot be used afterwards, because its scene has changed. tensors: {name: (param, moments)}; param is the scene's
+        own array; sh must be among them. rates: {name: one rate, or one per column}. step: from 1. wanted: gradients to return, not
+        of tensors. Returns ({name: (V, ...)}, number of rows that were skipped because their gradient was not finite).
         """
         if both := {*wanted} & {*tensors}:
-            raise ValueError(f"gradients of what is updated are not kept: {', '.join(sorted(both))}")
+            raise ValueError(f"these tensors are updated, so their gradients are not stored: {', '.join(sorted(both))}")
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
         columns, update = {}, UpdateStruct(adam=_adam_settings(None, betas, eps, step))
         for name, (param, moments) in tensors.items():
@@ -195,9 +196,10 @@ class Rasterizer:
         return grads, bad.value
 
     def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray, transmittance: np.ndarray | None = None):
-        """Adds the last view to per-Gaussian statistics (N,): sum of alpha T float64, max alpha T float32, pixels int64, sum of T float64."""
+        """Adds the last view to statistics (N,) of each Gaussian over the pixels in which it is blended: sum of alpha T float64,
+        maximum of alpha T float32, number of pixels int64, sum of T float64."""
         if self._view is None:
-            raise NativeError("there is no rendered view to score: call forward first")
+            raise NativeError("there is no rendered view to score: call forward() first")
         n = (len(self._view[0]),)
         _call(
             "svrgs_scores",
@@ -209,28 +211,34 @@ class Rasterizer:
         )
 
     def moments(self) -> np.ndarray:
-        """(V, 12) float64, a row per visible Gaussian of the last view: sums over pixels of w u^a v^b in the order of MOMENTS, w the
-        squared change of the colours with alpha; see svrgs.h."""
+        """Moments of each visible Gaussian of the last view, (V, 12) float64: sums over pixels of w u^a v^b in the order of MOMENTS.
+        w: sum over channels of (alpha dC/dalpha)^2; (u, v): whitened offset of the pixel from the centre; see svrgs.h."""
         if self._view is None:
-            raise NativeError("there is no rendered view to take moments of: call forward first")
+            raise NativeError("there is no rendered view to take moments of: call forward() first")
         rows = np.empty((self.work()["visible"], len(MOMENTS)))
         _call("svrgs_moments", self._context, c.c_void_p(rows.ctypes.data))
         return rows
 
-    def add_removal(self, cost: np.ndarray, residuals: np.ndarray):
-        """Adds to cost (N,) float64 by how much the sum of squared residuals (H, W, 3) of the last view, colours less
-        photograph, would grow without each Gaussian alone; see svrgs.h."""
+    def add_removal(self, error: np.ndarray, residuals: np.ndarray):
+        """Adds the removal error of each Gaussian in the last view to `error` (N,) float64 (the Delta SE of GaussianPOP).
+
+        It is the exact growth of the sum of squared residuals if this Gaussian alone were removed: the sum over pixels and channels
+        of d^2 - 2 r d with d = alpha T (c - b). residuals r: (H, W, 3), rendered colours minus photograph; see svrgs.h.
+        """
         if self._view is None:
-            raise NativeError("there is no rendered view to score: call forward first")
+            raise NativeError("there is no rendered view to score: call forward() first")
         _call(
             "svrgs_removal",
             self._context,
             c.c_void_p(check(residuals, "residuals", (*self._shape[:2], 3), self.dtype)),
-            c.c_void_p(check_out(cost, "cost", (len(self._view[0]),), np.float64)),
+            c.c_void_p(check_out(error, "error", (len(self._view[0]),), np.float64)),
         )
 
     def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
-        """(mean |image - target|, SSIM, dL/dimage or None) of (H, W, 3) images; L = l1_weight L1 + ssim_weight (1 - SSIM)."""
+        """Image loss L = l1_weight mean|image - target| + ssim_weight (1 - SSIM) of two (H, W, 3) images in self.dtype.
+
+        Returns (mean|image - target|, SSIM, dL/dimage). The gradient is None without want_grad, and valid until the next loss.
+        """
         shape = np.shape(image)
         grad = self._buffer("loss", shape) if want_grad else None
         values = (c.c_double * 2)()
@@ -249,10 +257,11 @@ class Rasterizer:
         return values[0], values[1], grad
 
     def adam(self, param, moments, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
-        """One Adam step on rows `ids` (uint32, ascending, or None: all) of param and moments (N, ...), given grad (rows, ...).
+        """One Adam step (Kingma and Ba) on some rows of param (N, ...), in place.
 
-        moments: as moments_like says, zero to begin with; finetune/moments.py reads them. lr: one rate, or one per column of a
-        flattened row; step counts from 1. Returns the number of rows skipped because their gradient was not finite.
+        ids: numbers of the rows, uint32, ascending; None: all. grad: (rows, ...). moments: zeros of the shape and dtype of
+        moments_like() at first; finetune/moments.py decodes them. lr: one rate, or one per column of a flattened row. step: from 1.
+        Returns the number of rows that were skipped because their gradient was not finite. Raises ValueError if ids do not ascend.
         """
         shape = np.shape(param)
         rates = _rates(lr, shape)
@@ -263,17 +272,18 @@ class Rasterizer:
         addresses.append(check(grad, "grad", (rows, *shape[1:]), self.dtype))
         addresses.append(check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
         if ids is not None and rows and (ids[-1] >= len(param) or (ids[1:] <= ids[:-1]).any()):
-            raise ValueError(f"ids must ascend, below {len(param)}")
+            raise ValueError(f"ids must be in ascending order and below {len(param)}")
         _call("svrgs_adam", self._context, c.byref(settings), *map(c.c_void_p, addresses), c.c_int64(rows), c.c_int32(len(rates)), c.byref(bad))
         return bad.value
 
     def _trained(self, param, moments, shape: tuple, of: str = "") -> tuple[int, int]:
+        """Checks both arrays and returns their addresses. of: addition to their names in messages."""
         return check_out(param, f"param{of}", shape, self.dtype), check_out(moments, f"moments{of}", *moments_like(shape, self.dtype))
 
     def _gradients(self, image_grads: dict, wanted):
-        """What the library reads, what it writes, and pointers to the latter."""
+        """The struct of image gradients, the arrays {name: (V, ...)} for the gradients, and the struct of their addresses."""
         if unknown := {*image_grads} - {*LOSS_IMAGES} | {*wanted} - {*GRADS}:
-            raise ValueError(f"no gradient of {', '.join(sorted(unknown))}: from {', '.join(LOSS_IMAGES)}, to {', '.join(GRADS)}")
+            raise ValueError(f"{', '.join(sorted(unknown))}: unknown gradient; image_grads may hold {', '.join(LOSS_IMAGES)}, wanted {', '.join(GRADS)}")
         height, width, coefficients = self._shape
         grads_in = ImageGradsStruct(**{name: check(g, f"d{name}", _image_shape(name, height, width), self.dtype) for name, g in image_grads.items()})
         count = self.work()["visible"]
@@ -299,7 +309,7 @@ class Rasterizer:
         return images, ImagesStruct(**{name: image.ctypes.data for name, image in images.items()})
 
     def _buffer(self, name: str, shape: tuple) -> np.ndarray:
-        """A view of a grow-only buffer: large gradients are not allocated anew at every step."""
+        """An array of this shape in a buffer that only grows, so that large gradients are not allocated again at every step."""
         size = int(np.prod(shape, dtype=np.int64))
         if name not in self._buffers or self._buffers[name].size < size:
             self._buffers[name] = np.empty(size + size // 4, self.dtype)
@@ -307,8 +317,11 @@ class Rasterizer:
 
 
 def moments_like(shape: tuple, dtype) -> tuple[tuple, np.dtype]:
-    """Shape and dtype of the Adam moments of parameters (N, ...): both of each value in one; of SH coefficients (N, K, 3) a row of
-    the first ones and the second they share (svrgs.h)."""
+    """Shape and dtype of the Adam moments of parameters of the given shape (N, ...) and dtype.
+
+    Both moments of a value are packed into one element. A row of SH coefficients (N, K, 3) has the first moment of each value and
+    one second moment for all. The bits are described in svrgs.h (svrgs_adam) and docs/methods.md (Adam).
+    """
     single = np.dtype(dtype) == np.float32
     if len(shape) < 3:
         return tuple(shape), np.dtype(np.uint32 if single else np.complex128)
@@ -317,7 +330,7 @@ def moments_like(shape: tuple, dtype) -> tuple[tuple, np.dtype]:
 
 
 def _rates(lr, shape: tuple) -> np.ndarray:
-    """One rate per column of a tensor, float64."""
+    """One learning rate per column of a tensor (N, ...) with flattened rows, float64."""
     width = int(np.prod(shape[1:], dtype=np.int64))
     return np.ascontiguousarray(np.broadcast_to(np.asarray(lr, np.float64), (width,)))
 
@@ -348,9 +361,10 @@ def _camera(camera: Camera, background) -> CameraStruct:
 
 
 def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, np.ndarray]:
-    """Draws every Gaussian's existence from its logit (N,) float32, keyed by (seed, step, index): (masks uint8, slopes float32).
+    """Samples a mask for each Gaussian from its existence logit (MaskGaussian, form with one logit).
 
-    slope = dM/dlogit by the straight-through rule, sigma(d + l)(1 - sigma(d + l)) (MaskGaussian, one-logit form).
+    logits m: (N,) float32. The logistic noise e is keyed by (seed, step, row), so a sample can be repeated. Returns the masks
+    M = 1[m + e > 0], (N,) uint8, and the slopes dM/dm = y (1 - y) with y = sigmoid(m + e), (N,) float32 (straight-through).
     """
     n = np.shape(logits)[:1]
     masks, slope = np.empty(n, np.uint8), np.empty(n, np.float32)
@@ -367,7 +381,7 @@ def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, 
 
 
 def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """(N,) uint32: rows of means (N, 3) float32 from the farthest along `axis` (3,) to the nearest; ties in their order."""
+    """Rows of means (N, 3) float32 from the farthest along `axis` (3,) to the nearest, (N,) uint32; equal ones keep their order."""
     order = np.empty(len(means), np.uint32)
     _call(
         "svrgs_depth_order",

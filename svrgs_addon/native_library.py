@@ -1,4 +1,4 @@
-"""Loads the native library and calls it: structs of its interface, checks of arrays, names, thresholds, threads.
+"""Loads the native library and calls its functions: structs of the interface, checks of arrays, names, thresholds, threads.
 
 `native/include/svrgs.h` is the manual; names, shapes and units here are the same. Only this module and native.py import ctypes.
 """
@@ -18,10 +18,10 @@ from .errors import Cancelled, NativeError
 from .outputs import OUTPUTS
 
 INTERFACE_VERSION = 10
-LIBRARY_VARIABLE = "SVRGS_LIBRARY"  # environment: another build of the library, to measure it
+LIBRARY_VARIABLE = "SVRGS_LIBRARY"  # environment variable: path of another build of the library, for measurements
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 GRADS = (*PARAMETERS, "masks", "means2d")
-LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # those a gradient may come from
+LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # images whose gradients backward() accepts
 _LIBRARY = {"win32": "svrgs.dll", "darwin": "libsvrgs.dylib"}.get(sys.platform, "libsvrgs.so")
 _CANCELLED = 3  # of enum svrgs_status
 _LEVEL_NAMES, _MASK_KIND_NAMES, _SKIP_NAMES, _STAGE_NAMES = range(4)  # enum svrgs_names
@@ -80,7 +80,7 @@ MachineStruct = _struct("MachineStruct", fma=c.c_double, read=c.c_double, update
 
 @functools.cache
 def library() -> c.CDLL:
-    """The loaded library. Raises NativeError where it is missing, does not load, or has another interface version."""
+    """The loaded library. Raises NativeError if it is missing, does not load, or has another interface version."""
     path = Path(os.environ.get(LIBRARY_VARIABLE) or Path(__file__).with_name(_LIBRARY))
     if not path.exists():
         raise NativeError(f"the native library {path} is missing: build it with 'make setup', or install the extension's wheel")
@@ -96,7 +96,7 @@ def library() -> c.CDLL:
 
 
 def call_library(name: str, *arguments):
-    """Calls a function of the library that returns a status. Raises Cancelled, or NativeError with the library's sentence."""
+    """Calls a function of the library that returns a status. Raises Cancelled, or NativeError with the sentence of the library."""
     loaded = library()
     status = getattr(loaded, name)(*arguments)
     if status == _CANCELLED:
@@ -106,7 +106,7 @@ def call_library(name: str, *arguments):
 
 
 def check(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
-    """Address of `array`, or TypeError if it is not exactly what the library will read or write."""
+    """The address of `array`. Raises TypeError if it is not a C-contiguous array of exactly this shape and dtype."""
     if not isinstance(array, np.ndarray) or array.dtype != dtype or array.shape != shape or not array.flags.c_contiguous:
         found = f"{array.dtype}{array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
         raise TypeError(f"{name} is {found}; expected C-contiguous {np.dtype(dtype).name}{shape}")
@@ -114,6 +114,7 @@ def check(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
 
 
 def check_out(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
+    """As check(), for an array that the library writes. Raises TypeError also if it is read-only."""
     address = check(array, name, shape, dtype)
     if not array.flags.writeable:
         raise TypeError(f"{name} is read-only")
@@ -121,19 +122,19 @@ def check_out(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
 
 
 class Thresholds(NamedTuple):
-    """The constants of the model that this build of the library has; see svrgs_thresholds in svrgs.h."""
+    """Constants of the rasterizer in this build of the library; svrgs_thresholds in svrgs.h."""
 
-    near: float  # a Gaussian is drawn where near < z < far, z the depth of its centre
+    near: float  # a Gaussian is rendered if near < z < far; z is the depth of its centre
     far: float
     blur: float  # pixels^2, added to both variances of a projected Gaussian
-    frustum_margin: float  # share of half the image: x/z, y/z of the Jacobian are clamped this far outside it
+    frustum_margin: float  # share of half the image size; the Jacobian clamps x/z and y/z at this distance outside the image
     alpha_cut: float  # a Gaussian hits a pixel where alpha >= alpha_cut
     alpha_max: float  # alpha is clamped to this
-    stop: float  # colours stop where the transmittance would fall below this
-    compensation_floor: float  # of det(before blur) / det(after blur), in antialiased scenes
-    tile: int  # pixels a side
+    stop: float  # blending of colours stops before the transmittance would fall below this
+    compensation_floor: float  # smallest det(before blur) / det(after blur), in antialiased scenes
+    tile: int  # side of a square tile, pixels
     block_width: int  # pixels
-    block_height: int
+    block_height: int  # pixels
 
 
 ThresholdsStruct = _struct("ThresholdsStruct", **{name: {float: c.c_double, int: c.c_int32}[kind] for name, kind in get_type_hints(Thresholds).items()})
@@ -141,7 +142,7 @@ ThresholdsStruct = _struct("ThresholdsStruct", **{name: {float: c.c_double, int:
 
 @functools.cache
 def thresholds() -> Thresholds:
-    """The constants of the model, asked of the library."""
+    """The constants of the rasterizer, as the library reports them."""
     found = ThresholdsStruct()
     library().svrgs_get_thresholds(c.byref(found))
     return Thresholds(**{name: getattr(found, name) for name in Thresholds._fields})
@@ -149,7 +150,7 @@ def thresholds() -> Thresholds:
 
 @functools.cache
 def _names(which: int) -> tuple[str, ...]:
-    """Names of one of the library's enums, in its order; which: of enum svrgs_names."""
+    """Names of the values of one enum of the library, in its order. which: a value of enum svrgs_names."""
     ask, names = library().svrgs_name, []
     while name := ask(c.c_int32(which), c.c_int32(len(names))):
         names.append(name.decode())
@@ -157,46 +158,51 @@ def _names(which: int) -> tuple[str, ...]:
 
 
 def levels() -> dict[str, int]:
-    """SIMD levels, the fastest float level last but one; 'float64' is the last. {name: its number in the interface}."""
+    """SIMD levels as {name: number in the interface}, float levels from slow to fast, then 'float64'."""
     return {name: number for number, name in enumerate(_names(_LEVEL_NAMES))}
 
 
 def mask_kinds() -> dict[str, int]:
-    """Ways to form the spatial mask F and its gradient, see svrgs_mask_kind in svrgs.h. {name: its number in the interface}."""
+    """Forms of the spatial mask F and its gradient as {name: number in the interface}; svrgs_mask_kind in svrgs.h."""
     return {name: number for number, name in enumerate(_names(_MASK_KIND_NAMES))}
 
 
 def skips() -> dict[str, int]:
-    """Work that the rasterizer leaves out because it cannot change the result, see svrgs_skip in svrgs.h. {name: its bit}."""
+    """Work that the rasterizer skips because it cannot change the result, as {name: bit}; svrgs_skip in svrgs.h."""
     return {name: 1 << number for number, name in enumerate(_names(_SKIP_NAMES))}
 
 
 def stages() -> tuple[str, ...]:
-    """Parts of forward (the first four), of backward (two), loss and Adam, whose durations are measured."""
+    """Names of the stages whose durations are measured: four of forward (project, tiles, sort, blend), two of backward, loss, Adam."""
     return _names(_STAGE_NAMES)
 
 
 def best_level() -> str:
-    """Name of the fastest SIMD level this processor runs."""
+    """Name of the fastest float SIMD level that this processor supports."""
     return list(levels())[library().svrgs_best_level()]
 
 
 def supported_levels() -> list[str]:
-    """Names of every level this processor runs, 'float64' among them."""
+    """Names of all levels that this processor supports, 'float64' included."""
     return [name for name, code in levels().items() if library().svrgs_level_supported(code)]
 
 
 def peaks(level: str) -> dict[str, float]:
-    """What all threads reach together, measured: 'fma' (operations/s, 2 a lane), 'read' and 'update' (bytes/s from and to memory)."""
+    """Measured peak rates of all threads together at a level.
+
+    'fma': operations/s of fused multiply-adds, 2 operations per lane. 'read': bytes/s read from memory. 'update': bytes/s while
+    three streams are read and two of them written, as in Adam.
+    """
     machine = MachineStruct()
     call_library("svrgs_measure_machine", c.c_int32(levels()[level]), c.byref(machine))
     return {name: getattr(machine, name) for name, _ in MachineStruct._fields_}
 
 
 def set_threads(count: int):
-    """Size of the thread pool; 0: one per core that this process may use. Results do not depend on it."""
+    """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not depend on it."""
     library().svrgs_set_threads(c.c_int32(count))
 
 
 def threads() -> int:
+    """Size of the thread pool."""
     return library().svrgs_threads()

@@ -1,4 +1,7 @@
-"""Kinds of options: how the command line reads one, what a job folder may hold, and which range Blender offers."""
+"""Kinds of options, and options as fields of a dataclass.
+
+A kind says how the command line parses an option, which values a job folder may hold, and which range Blender offers.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +16,23 @@ from .errors import SceneError
 
 @dataclass(frozen=True)
 class Kind:
-    """type: of the value in Python; wanted: what a value must be, for messages; minimum, maximum: of Blender's property."""
+    """Kind of a value.
+
+    type: Python type of the value. wanted: description of valid values, for messages ('a number of dB above 0'). good: whether a
+    value of this type is valid. parse: makes the value of a word of the command line; None: the type does. minimum, maximum:
+    range of Blender's property. choices: the only valid values, if there are any.
+    """
 
     type: type
     wanted: str = ""
     good: Callable[[Any], bool] = lambda _: True
-    parse: Callable[[str], Any] | None = None  # from a word; None: the type itself
+    parse: Callable[[str], Any] | None = None
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple = ()
 
     def read(self, word: str) -> Any:
-        """The value of a word. Raises ValueError with a sentence."""
+        """Parses a word of the command line. Raises ValueError with one sentence if it is not valid."""
         try:
             value = (self.parse or self.type)(word)
         except ValueError:
@@ -34,7 +42,7 @@ class Kind:
         return value
 
     def fits(self, value: Any) -> bool:
-        """Whether a value from a file is of this kind."""
+        """Whether a value that was read from JSON is valid: finite numbers, bool only for flags, text for paths."""
         if self.type is float:
             right = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         elif self.type is Path:
@@ -49,6 +57,7 @@ def _colour(word: str) -> tuple[float, ...]:
 
 
 def _finite(low: float) -> Callable[[float], bool]:
+    """A test for finite numbers of at least `low`."""
     return lambda value: low <= value < math.inf
 
 
@@ -70,29 +79,32 @@ COLOUR = Kind(
 
 @dataclass(frozen=True)
 class Option:
-    """The metadata of one field of a dataclass of options."""
+    """Metadata of one field of a dataclass of options."""
 
     kind: Kind
-    help: str  # after its name: what it is, without the default
+    help: str  # help text without the default value
     metavar: str = ""
-    default_help: str = ""  # where the default is not one value
-    size: bool = False  # one of those that say how many Gaussians stay: at most one may be given
+    default_help: str = ""  # description of the default where it is not one value
+    size: bool = False  # sets the number of Gaussians that stay; at most one such option may be given
     required: bool = False
-    in_job: bool = False  # a job folder may hold it
+    in_job: bool = False  # allowed in a job folder
 
 
 def option(kind: Kind, default: Any, help_: str, **more) -> Any:
-    """A field of a dataclass of options."""
+    """A dataclass field with its default and its Option metadata; `more` are further fields of Option."""
     return field(default=default, metadata={"option": Option(kind, help_, **more)})
 
 
 def options_of(cls: type) -> dict[str, Option]:
-    """The options of a dataclass by name."""
+    """The options of a dataclass as {name: Option}, in the order of its fields."""
     return {name: f.metadata["option"] for name, f in cls.__dataclass_fields__.items() if "option" in f.metadata}
 
 
 def check_mapping(cls: type, values: object) -> dict[str, Any]:
-    """The options that a job folder holds, checked by name, type and range; paths become Path. Raises SceneError."""
+    """Checks the options of a job folder by name, type and range and returns them. Texts of path options become Path, empty ones None.
+
+    Raises SceneError with one sentence.
+    """
     if not isinstance(values, dict):
         raise SceneError("the job has no options")
     known, checked = options_of(cls), {}

@@ -1,4 +1,4 @@
-"""The images that one forward pass can give: their names, shapes, render passes, and how each is shown as a picture."""
+"""The images that one forward pass can compute: name, shape, render pass in Blender, and how each is shown as a picture."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Output:
-    """One image of a view, (height, width) or (height, width, channels).
+    """One image of a view, (H, W) or (H, W, channels).
 
-    render_pass: (name, channel letters, kind) of the pass in Blender, for images that become a pass of their own. shown: how an
-    8-bit picture shows it. 'plain': 0 to 1 as they are; 'mask_map': in the colours of the mask map; 'farthest': from 0, black, to
-    the largest value, white.
+    render_pass: (name, channel letters, type) of the render pass in Blender; None: the image is no render pass of its own.
+    shown: how an 8-bit picture shows the values. 'plain': 0 to 1 unchanged. 'mask_map': with the colour map of masks.
+    'farthest': grey, from black at 0 to white at the largest value.
     """
 
     name: str
-    channels: int = 0  # of a trailing axis; 0: there is none
-    integer: bool = False  # int32 instead of the rasterizer's real type
-    differentiable: bool = False  # a loss may have a gradient with respect to it
+    channels: int = 0  # length of the last axis; 0: the image is (H, W)
+    integer: bool = False  # int32 instead of the rasterizer's dtype
+    differentiable: bool = False  # backward() accepts the gradient of the loss with respect to it
     render_pass: tuple[str, str, str] | None = None
     shown: str = "plain"
 
 
-# In the order of svrgs_images (native/include/svrgs.h), which says what each image is.
+# In the order of the struct svrgs_images in native/include/svrgs.h, which defines each image.
 OUTPUTS: dict[str, Output] = {
     output.name: output
     for output in (

@@ -1,4 +1,4 @@
-"""A splat scene: the arrays 3DGS stores, raw (logits, logs), plus what the file said beside them."""
+"""A splat scene: the raw parameters that 3DGS stores (logits, logarithms), and the further contents of its file."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ SH_COEFFICIENTS = (1, 4, 9, 16)
 
 @dataclass(frozen=True)
 class Scene:
-    """N Gaussians as 3DGS stores them; float32, C-contiguous.
+    """N Gaussians as 3DGS stores them. All parameter arrays are float32 and C-contiguous.
 
-    Raw values: activated ones are exp(log_scales), sigmoid(opacity_logits), quats / |quats|.
-    Frame: that of the source file (COLMAP world for a trained scene); units: the source's.
+    The values are raw. The activated values are exp(log_scales), sigmoid(opacity_logits) and quats / |quats|.
+    Coordinate frame and unit of length are those of the source file (the COLMAP world for a trained scene).
+    Raises SceneError if an array has another shape, dtype or layout than stated.
     """
 
     means: np.ndarray  # (N, 3)
     log_scales: np.ndarray  # (N, 3)
-    quats: np.ndarray  # (N, 4) w x y z, any length > 0
+    quats: np.ndarray  # (N, 4) w x y z, of any length > 0
     opacity_logits: np.ndarray  # (N,)
-    sh: np.ndarray  # (N, K, 3), K = 1, 4, 9 or 16, coefficient-major
-    antialiased: bool = False  # trained with the 2-D low-pass compensation
-    attributes: dict[str, np.ndarray] = field(default_factory=dict)  # further per-Gaussian columns, (N,) each, kept as read
-    comments: tuple[str, ...] = ()  # header comments of the source file, kept on writing
-    property_order: tuple[str, ...] = ()  # column order of the source file; empty: the 3DGS order
+    sh: np.ndarray  # (N, K, 3), coefficient-major; K = 1, 4, 9 or 16 coefficients per channel
+    antialiased: bool = False  # trained with opacity compensated for the 2-D low-pass filter, "antialiased" in gsplat
+    attributes: dict[str, np.ndarray] = field(default_factory=dict)  # further columns of the file, (N,) each, as read
+    comments: tuple[str, ...] = ()  # header comments of the source file; written back
+    property_order: tuple[str, ...] = ()  # order of columns in the source file; empty: the order of 3DGS
 
     def __post_init__(self):
         n = len(self.means)
@@ -50,14 +51,16 @@ class Scene:
 
     @property
     def count(self) -> int:
+        """Number of Gaussians N."""
         return len(self.means)
 
     @property
     def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
         return SH_COEFFICIENTS.index(self.sh.shape[1])
 
     def select(self, index: np.ndarray) -> Scene:
-        """The Gaussians named by a boolean mask (N,) or an index array, in that order."""
+        """Returns the scene with the Gaussians that a boolean mask (N,) marks, or that an integer array lists, in this order."""
         pick = lambda a: np.ascontiguousarray(a[index])  # noqa: E731
         return replace(
             self,

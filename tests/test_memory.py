@@ -153,7 +153,7 @@ trial.step()
 tuned = memory.peak() - start
 model, statistics = trial.model, densify.Statistics(scene.count)
 statistics.total[::2] = 1
-before = memory._kernel_says("self/status", "VmRSS")
+before = memory._proc_bytes("self/status", "VmRSS")
 densify.densify(model, statistics, Densify(), 1.0, np.random.default_rng(0))
 grown = memory.peak() - before
 count, file_bytes = scene.count, int(sys.argv[2])
