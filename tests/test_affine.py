@@ -12,7 +12,7 @@ import scenes
 from reference.rasterize import view_colours
 from svrgs_addon.errors import SceneError
 from svrgs_addon.geometry.affine import stretch, transformed
-from svrgs_addon.geometry.rotations import quats_of, rotation_matrices
+from svrgs_addon.geometry.rotations import quats_from_matrices, rotation_matrices
 from svrgs_addon.geometry.sh_rotation import band_rotation, rotate_sh
 from svrgs_addon.native import Rasterizer, RenderOptions
 
@@ -55,7 +55,7 @@ def test_band_rotations_are_a_representation(degree):
 def test_quaternions_of_matrices_in_every_branch():
     quats = np.concatenate([np.eye(4), np.random.default_rng(0).normal(size=(200, 4)), [[1e-9, 1, 0, 0], [0, 1, 1, 0], [1, -1, -1, 1]]])
     R = rotation_matrices(quats)
-    np.testing.assert_allclose(rotation_matrices(quats_of(R)), R, atol=1e-14)
+    np.testing.assert_allclose(rotation_matrices(quats_from_matrices(R)), R, atol=1e-14)
 
 
 @pytest.mark.parametrize("mirror", [1, -1], ids=["rotation", "mirroring"])

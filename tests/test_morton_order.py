@@ -13,7 +13,7 @@ from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.model import PARAMETERS, Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify, Phase, Rates, recovery_phase
-from svrgs_addon.geometry.morton_order import BITS, morton_codes, morton_order, spread
+from svrgs_addon.geometry.morton_order import BITS, morton_codes, morton_order, spread_bits
 
 
 def cloud(n: int = 5_000, outliers: int = 0) -> np.ndarray:
@@ -86,7 +86,7 @@ def test_what_lies_in_one_place_keeps_its_order():
 def test_bits_are_spread_to_every_third_place():
     cells = np.array([0, 1, 2, 3, 2**BITS - 1, 0x155555, 0x0F0F0F], np.int64)
     expected = [int("".join(f"00{bit}" for bit in f"{cell:b}"), 2) for cell in cells.tolist()]
-    assert spread(cells).tolist() == expected
+    assert spread_bits(cells).tolist() == expected
 
 
 # --- in a run

@@ -1,1 +1,1 @@
-"""Coordinates: affine transforms, rotations of shapes and colours, merged scenes, Morton order."""
+"""Coordinates: affine transforms, rotations of Gaussians and of spherical harmonics, merged scenes, Morton order."""

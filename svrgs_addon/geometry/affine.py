@@ -1,4 +1,4 @@
-"""A scene in other coordinates: means, shapes and view-dependent colours under an affine matrix, computed in float64."""
+"""Affine transforms of a scene: means, covariances and view-dependent colours. Computed in float64."""
 
 from __future__ import annotations
 
@@ -8,30 +8,33 @@ import numpy as np
 
 from ..errors import SceneError
 from ..scene import Scene
-from .rotations import quat_product, quats_of, rotation_matrices
+from .rotations import quat_product, quats_from_matrices, rotation_matrices
 from .sh_rotation import rotate_sh
 
-UNIFORM = 1e-5  # relative difference of the axes' scales up to which they count as one: float32 matrices are no better
-BLOCK = 65_536
+UNIFORM = 1e-5  # scales of the axes count as equal up to this relative difference, the precision of float32 matrices
+BLOCK = 65_536  # Gaussians that are computed at a time
 
 
 def stretch(matrix: np.ndarray) -> float:
-    """Largest over smallest scale of a 4x4 matrix's axes; 1 where it keeps shapes. Raises SceneError where it flattens space."""
+    """Largest over smallest singular value of the linear part of a 4x4 matrix; 1 if it keeps shapes.
+
+    Raises SceneError if the matrix is singular or not finite.
+    """
     scales = np.linalg.svd(_linear(matrix), compute_uv=False)
     return float(scales[0] / scales[-1])
 
 
 def transformed(scene: Scene, matrix: np.ndarray) -> Scene:
-    """The scene with every point x at A x + t, of the affine 4x4 `matrix`; mirrorings too.
+    """The scene with every point x moved to A x + t; A and t are parts of the affine 4x4 `matrix`, which may mirror.
 
-    Exact but for the view dependence of colours where A stretches axes differently (see stretch): they turn with the
-    rotation nearest to A. Further attributes stay. Raises SceneError where A flattens space.
+    Means and covariances A Σ Aᵀ are exact. View-dependent colours are exact if A scales all axes alike (see stretch); else they are
+    rotated with the rotation nearest to A. Further attributes do not change. Raises SceneError if A is singular or not finite.
     """
     A, t = _linear(matrix), np.asarray(matrix, np.float64)[:3, 3]
     left, scales, right = np.linalg.svd(A)
     R, scale = left @ right, float(np.exp(np.log(scales).mean()))
     if scales[0] / scales[-1] - 1 <= UNIFORM:
-        q = quats_of((R * np.linalg.det(R))[None])[0]  # a Gaussian is its own mirror image: -R turns it as R does
+        q = quats_from_matrices((R * np.linalg.det(R))[None])[0]  # a Gaussian is its own mirror image, so -R rotates it as R does
         shapes = scene.log_scales + np.log(scale), quat_product(q, scene.quats.astype(np.float64))
     else:
         shapes = _stretched(scene, A)
@@ -45,6 +48,7 @@ def transformed(scene: Scene, matrix: np.ndarray) -> Scene:
 
 
 def _linear(matrix: np.ndarray) -> np.ndarray:
+    """The linear part A (3, 3) float64 of a 4x4 matrix. Raises SceneError if it is singular or not finite."""
     A = np.asarray(matrix, np.float64)[:3, :3]
     if not np.isfinite(A).all() or not abs(np.linalg.det(A)) > 1e-12 * max(np.linalg.norm(A), 1e-300) ** 3:
         raise SceneError("a scale of the object is zero or not finite, so its Gaussians have no shape in the world; set it to 1 first")
@@ -52,7 +56,10 @@ def _linear(matrix: np.ndarray) -> np.ndarray:
 
 
 def _stretched(scene: Scene, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Log-scales and quaternions of the covariances A Σ Aᵀ: from the singular values of A R S."""
+    """Log-scales (N, 3) and quaternions (N, 4), float64, of the covariances A Σ Aᵀ.
+
+    With Σ = R S S Rᵀ, they are the singular values and the left singular vectors of A R S.
+    """
     log_scales, quats = np.empty((scene.count, 3)), np.empty((scene.count, 4))
     for start in range(0, scene.count, BLOCK):
         part = slice(start, start + BLOCK)
@@ -63,5 +70,5 @@ def _stretched(scene: Scene, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         left[:, :, 2] *= np.linalg.det(left)[:, None]
         with np.errstate(divide="ignore"):
             log_scales[part] = np.log(sizes) + largest
-        quats[part] = quats_of(left)
+        quats[part] = quats_from_matrices(left)
     return np.maximum(log_scales, -80), quats

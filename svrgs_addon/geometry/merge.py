@@ -1,4 +1,4 @@
-"""Several scenes as one, for a picture that holds them all."""
+"""Merges several scenes into one, so that one render shows them all."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from ..scene import Scene
 
 
 def merged(scenes: Sequence[Scene]) -> Scene:
-    """All Gaussians of scenes in the same coordinates, one scene after the other; further attributes stay behind.
+    """All Gaussians of at least one scene in the same coordinates, in the order of the scenes. Further attributes are left out.
 
-    Lower SH degrees are padded with zeros. One pass knows one low-pass rule: the result counts as antialiased if all are.
+    SH coefficients of lower degrees are padded with zeros. The result is antialiased only if all scenes are, because one render
+    pass treats all Gaussians alike.
     """
     coefficients = max(scene.sh.shape[1] for scene in scenes)
     sh = [np.pad(scene.sh, ((0, 0), (0, coefficients - scene.sh.shape[1]), (0, 0))) for scene in scenes]

@@ -1,4 +1,4 @@
-"""Rotations as quaternions (w x y z) and as matrices, computed in float64."""
+"""Rotations as quaternions (w x y z) and as matrices. Computed in float64."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def rotation_matrices(quats: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) float64 of quaternions (N, 4) w x y z of any length > 0."""
+    """Rotation matrices (N, 3, 3) float64 of quaternions (N, 4), w x y z, of any length > 0."""
     w, x, y, z = (quats.astype(np.float64) / np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)).T
     rows = (
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -16,18 +16,18 @@ def rotation_matrices(quats: np.ndarray) -> np.ndarray:
     return np.stack(rows, 1).reshape(-1, 3, 3)
 
 
-def quats_of(R: np.ndarray) -> np.ndarray:
-    """(N, 4) float64 unit quaternions w x y z of rotation matrices (N, 3, 3)."""
+def quats_from_matrices(R: np.ndarray) -> np.ndarray:
+    """Unit quaternions (N, 4) float64, w x y z, of rotation matrices (N, 3, 3)."""
     m = np.moveaxis(R, 0, -1)
     t = np.stack([m[0, 0] + m[1, 1] + m[2, 2], m[0, 0] - m[1, 1] - m[2, 2], m[1, 1] - m[0, 0] - m[2, 2], m[2, 2] - m[0, 0] - m[1, 1]])
     a, b, c = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
     d, e, f = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
     candidates = np.stack([np.stack([t[0] + 1, a, b, c]), np.stack([a, t[1] + 1, d, e]), np.stack([b, d, t[2] + 1, f]), np.stack([c, e, f, t[3] + 1])])
-    best = candidates[t.argmax(axis=0), :, np.arange(R.shape[0])]  # the one without cancellation
+    best = candidates[t.argmax(axis=0), :, np.arange(R.shape[0])]  # the numerically stable one of four equivalent formulas
     return best / np.linalg.norm(best, axis=1, keepdims=True)
 
 
 def quat_product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Quaternion product of p (4,) and each of q (N, 4)."""
+    """Quaternion products (N, 4) of p (4,) with each row of q (N, 4): the rotation q, then p."""
     w, v = p[0], p[1:]
     return np.column_stack([w * q[:, 0] - q[:, 1:] @ v, w * q[:, 1:] + q[:, :1] * v + np.cross(v, q[:, 1:])])
