@@ -144,5 +144,5 @@ def test_what_is_updated_must_be_the_rendered_scene_in_shape():
     tensors = {name: (getattr(scene, name), scene.moments[name]) for name in ARRAYS}
     with pytest.raises(TypeError, match="moments of quats"):
         r.backward_update(scene.weights, tensors | {"quats": (scene.quats, scene.moments["quats"][:3])}, rates_of(scene), step=1)
-    with pytest.raises(ValueError, match="not kept: means"):
+    with pytest.raises(ValueError, match="not stored: means"):
         r.backward_update(scene.weights, tensors, rates_of(scene), step=1, wanted=("means",))

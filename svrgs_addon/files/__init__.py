@@ -1,1 +1,1 @@
-"""Bytes on disk: splat formats behind one registry, images, atomic writes."""
+"""Files: splat formats and their registry, images, .npz archives, atomic writes."""

@@ -1,6 +1,7 @@
-"""Atomic file writes: whatever happens, a path holds its old file or the complete new one, never a part.
+"""Atomic file writes: at any moment, a path holds its old file or the complete new one, never a part of it.
 
-A writer works on a hidden file beside the path and holds a lock on it; one without a lock was left by a writer that was killed.
+A writer fills a hidden temporary file in the same folder, holds a lock on it, and renames it at the end. A hidden file without a
+lock was left by a writer that was killed.
 """
 
 from __future__ import annotations
@@ -18,30 +19,30 @@ from ..errors import SceneError
 
 try:
     import fcntl
-except ImportError:  # Windows, which renames no open file: there what a killed writer left stays
+except ImportError:  # Windows cannot rename open files, so there is no lock, and files of killed writers are not removed
     fcntl = None
 
-FREE_SPACE_MARGIN = 1.1
+FREE_SPACE_MARGIN = 1.1  # free disk space needed per byte of a file
 REPLACE_ATTEMPTS = 20
 REPLACE_PAUSE_S = 0.05
-HIDDEN = ".svrgs-"  # how names of unfinished files begin
+HIDDEN_PREFIX = ".svrgs-"  # first characters of the names of temporary files
 
 
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike) -> Iterator[BinaryIO]:
-    """A binary file object whose content replaces `path` when the block ends without an error.
+    """Context manager that yields a binary file. Its content replaces `path` when the block ends without an error.
 
-    Missing parent folders are created. Raises SceneError if the file cannot be written; any error in the
-    block leaves the old file as it was.
+    Missing parent folders are created. After an error in the block, the old file is unchanged. Raises SceneError if the file
+    cannot be written.
     """
     with atomic_path(path) as temporary, open(temporary, "r+b") as file:
         yield file
 
 
-def start_storing(file: BinaryIO, size: int) -> None:
-    """Have the system store the last `size` bytes already while the next ones are made: the final fsync waits less.
+def start_writeback(file: BinaryIO, size: int) -> None:
+    """Asks the system to store the last `size` bytes of the file now, so that the final fsync takes less time.
 
-    Linux begins to write dirty pages when told that they are not needed, and drops only clean ones.
+    With POSIX_FADV_DONTNEED, Linux starts to write dirty pages; it drops only clean ones.
     """
     if hasattr(os, "posix_fadvise"):
         with contextlib.suppress(OSError):
@@ -50,11 +51,11 @@ def start_storing(file: BinaryIO, size: int) -> None:
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
-    """As atomic_write, for libraries that write by file name: yields a temporary name with the same suffix."""
-    target = Path(os.path.realpath(path))  # a link keeps pointing at the new file
+    """As atomic_write, for libraries that write by file name: yields the path of an empty temporary file with the same suffix."""
+    target = Path(os.path.realpath(path))  # if path is a symbolic link, its target is replaced
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with _hidden_beside(target) as temporary:
+        with _hidden_file_next_to(target) as temporary:
             yield temporary
             _sync(temporary, os.O_RDWR)
             _replace(temporary, target)
@@ -64,10 +65,10 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
 
 
 def check_writable(path: str | os.PathLike, needed_bytes: int = 0) -> None:
-    """Raise SceneError if a file of needed_bytes cannot be written at `path`; leaves nothing behind, and removes from its folder
-    what killed writers left there.
+    """Raises SceneError if a file of needed_bytes bytes cannot be written at `path`. Call it before long work starts.
 
-    Called before work starts. Folders that do not exist yet are judged by the nearest one that does.
+    It creates no file and no folder. If the folder of `path` does not exist yet, the nearest existing parent is checked. Temporary
+    files that killed writers left in that folder are removed.
     """
     target = Path(os.path.realpath(path))
     _check_target(path, target)
@@ -75,19 +76,19 @@ def check_writable(path: str | os.PathLike, needed_bytes: int = 0) -> None:
     if not os.path.isdir(folder):
         raise SceneError(f"{path}: cannot be written because {folder} is not a folder")
     try:
-        with _hidden_beside(folder / target.name):
+        with _hidden_file_next_to(folder / target.name):
             _remove_abandoned(folder)
         free = shutil.disk_usage(folder).free
     except OSError as error:
         raise SceneError(f"{path}: cannot be written into {folder} ({error.strerror or error})") from error
     if free < needed_bytes * FREE_SPACE_MARGIN:
-        raise SceneError(f"{path}: needs {needed_bytes / 1e6:.1f} MB, but only {free / 1e6:.1f} MB are free")
+        raise SceneError(f"{path}: needs {needed_bytes / 1e6:.1f} MB, but only {free / 1e6:.1f} MB are free; free disk space or choose another folder")
 
 
 def _check_target(path: str | os.PathLike, target: Path) -> None:
-    """Refuse a folder, a write-protected file, and a name the file system cannot hold."""
+    """Raises SceneError for a folder, a write-protected file, and a name that the file system does not allow."""
     if os.path.isdir(target):
-        raise SceneError(f"{path}: is a folder, not a file")
+        raise SceneError(f"{path}: is a folder; give the name of a file")
     try:
         target.lstat()
     except (FileNotFoundError, NotADirectoryError):
@@ -95,13 +96,15 @@ def _check_target(path: str | os.PathLike, target: Path) -> None:
     except OSError as error:
         raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
     if not os.access(target, os.W_OK):
-        raise SceneError(f"{path}: is write-protected")
+        raise SceneError(f"{path}: is write-protected; choose another file or allow writing to it")
 
 
 @contextlib.contextmanager
-def _hidden_beside(target: Path) -> Iterator[Path]:
-    """A new empty hidden file in the target's folder, locked, and removed in the end if it was not renamed: os.replace is atomic only
-    within one file system."""
+def _hidden_file_next_to(target: Path) -> Iterator[Path]:
+    """Yields a new empty hidden file that is locked; it is removed at the end if it was not renamed.
+
+    It is in the folder of the target, because os.replace is atomic only within one file system.
+    """
     temporary, file = _create_locked(target)
     try:
         yield temporary
@@ -112,29 +115,30 @@ def _hidden_beside(target: Path) -> Iterator[Path]:
 
 
 def _create_locked(target: Path) -> tuple[Path, BinaryIO]:
+    """Creates a hidden file in the folder of the target. Returns its path and the open file that holds the lock."""
     while True:
-        path = target.with_name(f"{HIDDEN}{secrets.token_hex(8)}{target.suffix}")
-        file = open(path, "xb")  # noqa: SIM115 (the lock lives as long as it)
+        path = target.with_name(f"{HIDDEN_PREFIX}{secrets.token_hex(8)}{target.suffix}")
+        file = open(path, "xb")  # noqa: SIM115 (the lock lasts until it is closed)
         if fcntl is None:
             file.close()
             return path, file
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(file, fcntl.LOCK_EX)
-        if os.fstat(file.fileno()).st_nlink:  # or else it was taken for abandoned before it was locked
+        if os.fstat(file.fileno()).st_nlink:  # not 0, so _remove_abandoned of another process did not delete it before it was locked
             return path, file
         file.close()
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Removes the hidden files that no writer holds any more, where the system can tell."""
-    for path in folder.glob(f"{HIDDEN}*") if fcntl else ():
+    """Removes hidden files in the folder that no writer has locked. Does nothing on systems without locks."""
+    for path in folder.glob(f"{HIDDEN_PREFIX}*") if fcntl else ():
         with contextlib.suppress(OSError), open(path, "r+b") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.unlink()
 
 
 def _sync(path: Path, flags: int) -> None:
-    """Push a file or folder to the disk: without it a power cut can leave an empty file under the final name."""
+    """fsync of a file or folder. Without it, a power failure could leave an empty file at the final path."""
     descriptor = os.open(path, flags)
     try:
         os.fsync(descriptor)
@@ -143,14 +147,14 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the rename itself durable. The new file is in place already, so a file system without it is tolerated."""
+    """Makes the rename durable (POSIX). Errors are ignored, because the new file is complete and some file systems cannot do this."""
     if os.name == "posix":
         with contextlib.suppress(OSError):
             _sync(folder, os.O_RDONLY)
 
 
 def _replace(temporary: Path, target: Path) -> None:
-    """os.replace; on Windows a virus scanner or viewer may hold the old file for a moment, so try again."""
+    """os.replace. On Windows it is repeated, because a virus scanner or viewer can keep the old file open for a moment."""
     for _ in range(REPLACE_ATTEMPTS if os.name == "nt" else 0):
         try:
             os.replace(temporary, target)

@@ -1,6 +1,6 @@
-"""Photographs and pictures through OpenImageIO, in the training colour space: display sRGB, 0 to 1.
+"""Reads and writes images with OpenImageIO, in the colour space of training: display sRGB, 0 to 1.
 
-OpenImageIO is imported inside functions only, so that commands that need no pictures start without it.
+OpenImageIO is imported inside functions only. So commands that use no images start faster and do not need it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from .atomic import atomic_path
 if TYPE_CHECKING:
     from OpenImageIO import ImageInput, ImageSpec
 
-MAX_SIDE = 16_384
-LINEAR_FORMATS = ("openexr", "hdr")  # their numbers are scene-linear; every other format holds display values
+MAX_SIDE = 16_384  # pixels
+LINEAR_FORMATS = ("openexr", "hdr")  # scene-linear formats; all others store display values
 PICTURE_SUFFIXES = (".png", ".exr")
 PNG_BEGIN, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 
-# EXIF orientation: (transpose first, flip rows, flip columns) that turn the stored pixels upright
+# EXIF orientation: (transpose, then flip rows, flip columns) that makes the stored pixels upright
 ORIENTATIONS = {
     1: (False, False, False), 2: (False, False, True), 3: (False, True, True), 4: (False, True, False),
     5: (True, False, False), 6: (True, False, True), 7: (True, True, True), 8: (True, True, False),
@@ -31,7 +31,7 @@ ORIENTATIONS = {
 
 
 def image_size(path: str | os.PathLike, upright: bool = True) -> tuple[int, int]:
-    """(width, height) in pixels, from the header alone; upright as in read_pixels. Raises FormatError."""
+    """(width, height) in pixels; reads only the header. upright: as in read_pixels. Raises FormatError."""
     source = _open(path)
     try:
         spec = source.spec()
@@ -42,41 +42,41 @@ def image_size(path: str | os.PathLike, upright: bool = True) -> tuple[int, int]
 
 
 def read_image(path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
-    """The upright image, (H, W, 3) float32 in 0..1, display sRGB. Raises FormatError."""
+    """Reads an image upright as (H, W, 3) float32 in 0..1, display sRGB; `background` as in read_pixels. Raises FormatError."""
     return to_float(read_pixels(path, background))
 
 
 def read_pixels(path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0), upright: bool = True) -> np.ndarray:
-    """The image, (H, W, 3), display sRGB: uint8 where the file has 8 bits, float32 in 0..1 elsewhere.
+    """Reads an image as (H, W, 3) display sRGB: uint8 if the file has 8 bits per channel, else float32 in 0..1.
 
-    Grey becomes RGB; alpha is composited over `background` (display sRGB, 0..1); scene-linear files are converted;
-    `upright` applies the EXIF orientation. Raises FormatError.
+    Grey is converted to RGB, scene-linear files to display sRGB. Transparent pixels are composited over `background` (display sRGB,
+    0..1). upright: applies the EXIF orientation. Raises FormatError.
     """
     source = _open(path)
     try:
         spec = source.spec()
         pixels = _read_channels(source, spec, path)
         colour = _composite(pixels, source, background)
-        return _turn(colour, _orientation(spec)) if upright else colour
+        return _make_upright(colour, _orientation(spec)) if upright else colour
     finally:
         source.close()
 
 
 def to_float(pixels: np.ndarray) -> np.ndarray:
-    """uint8 0..255 to float32 0..1; float32 passes unchanged."""
+    """Converts uint8 0..255 to float32 0..1; float32 is returned unchanged."""
     return pixels if pixels.dtype == np.float32 else pixels / np.float32(255)
 
 
 def to_bytes(pixels: np.ndarray) -> np.ndarray:
-    """float 0..1 to the nearest uint8, clipped; uint8 passes unchanged."""
+    """Converts floats 0..1 to the nearest uint8, with clipping; uint8 is returned unchanged."""
     return pixels if pixels.dtype == np.uint8 else np.rint(np.clip(pixels, 0, 1) * 255).astype(np.uint8)
 
 
 def write_image(path: str | os.PathLike, pixels: np.ndarray) -> None:
-    """Write a picture atomically: .png (8 bits, clipped, rounded) or .exr (float32, unclamped).
+    """Writes an image atomically as .png (8 bits, clipped and rounded) or .exr (float32, not clipped).
 
-    (H, W, 3) is colour, display sRGB, uint8 or float 0..1; in an EXR it becomes scene-linear, so read_image returns
-    it. (H, W) is data (mask, depth, alpha) and keeps its numbers. Raises SceneError.
+    pixels (H, W, 3) are colours in display sRGB, uint8 or float 0..1; an EXR stores them scene-linear, and read_image converts them
+    back. pixels (H, W) are data (mask, depth, alpha); an EXR stores them unchanged. Raises SceneError.
     """
     suffix = os.path.splitext(path)[1].lower()
     if suffix not in PICTURE_SUFFIXES:
@@ -91,18 +91,19 @@ def write_image(path: str | os.PathLike, pixels: np.ndarray) -> None:
 
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
-    """The sRGB transfer function undone, float32; continued as it stands above 1 and below 0."""
+    """Inverse of the sRGB transfer function, float32. The same formulas are used above 1 and below 0."""
     curve = ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4
     return np.where(values <= 0.04045, values / 12.92, curve).astype(np.float32)
 
 
 def linear_to_srgb(values: np.ndarray) -> np.ndarray:
-    """The sRGB transfer function, float32; continued as it stands above 1 and below 0."""
+    """The sRGB transfer function (IEC 61966-2-1), float32. The same formulas are used above 1 and below 0."""
     curve = 1.055 * np.maximum(values, 0) ** (1 / 2.4) - 0.055
     return np.where(values <= 0.0031308, values * 12.92, curve).astype(np.float32)
 
 
 def _library() -> ModuleType:
+    """OpenImageIO. Raises SceneError if it is not installed."""
     try:
         import OpenImageIO
     except ImportError as error:
@@ -111,35 +112,35 @@ def _library() -> ModuleType:
 
 
 def _open(path: str | os.PathLike) -> ImageInput:
-    """An open image whose header is within the limits."""
+    """Opens an image and checks the size in its header. Raises FormatError."""
     oiio = _library()
     config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)  # as stored: multiplied by alpha, 8 bits would lose colour
+    config.attribute("oiio:UnassociatedAlpha", 1)  # colours as stored; 8-bit colours multiplied by alpha would lose precision
     source = oiio.ImageInput.open(os.fspath(path), config)
     if source is None:
         raise FormatError(f"{path}: cannot be read as an image ({_first_line(oiio.geterror())})")
     spec = source.spec()
     if not (0 < spec.width <= MAX_SIDE and 0 < spec.height <= MAX_SIDE and spec.depth <= 1):
-        raise FormatError(f"{path}: has {spec.width} x {spec.height} pixels; the limit is {MAX_SIDE} a side")
+        raise FormatError(f"{path}: has {spec.width} x {spec.height} pixels; the limit is {MAX_SIDE} per side")
     return source
 
 
 def _read_channels(source: ImageInput, spec: ImageSpec, path: str | os.PathLike) -> np.ndarray:
-    """The first four channels at most, (H, W, C), uint8 or float32 as stored."""
+    """Reads at most the first four channels, (H, W, C): uint8 if the file has 8 bits, else float32. Raises FormatError."""
     oiio = _library()
     kind = oiio.UINT8 if spec.format == oiio.TypeDesc("uint8") else oiio.FLOAT
     pixels = source.read_image(0, 0, 0, min(spec.nchannels, 4), kind)
     error = source.geterror()
-    # A JPEG cut short is returned with grey below the cut and only this note; other notes on it are harmless.
+    # OpenImageIO returns a truncated JPEG with grey rows and only this warning. Other warnings are harmless.
     if pixels is None or "Premature end" in error:
         raise FormatError(f"{path}: cannot be read as an image ({_first_line(error)})")
     if pixels.dtype != np.uint8 and np.isnan(pixels).any():
-        raise FormatError(f"{path}: has pixels that are not numbers")
+        raise FormatError(f"{path}: has pixels that are not numbers (NaN); export the image again")
     return pixels
 
 
 def _composite(pixels: np.ndarray, source: ImageInput, background: tuple[float, float, float]) -> np.ndarray:
-    """Colour over background, (H, W, 3), in display space, where Gaussians are blended too."""
+    """Composites colours over the background in display sRGB, in which Gaussians are blended too. (H, W, 3), uint8 or float32."""
     alpha_channel = source.spec().alpha_channel
     linear = source.format_name() in LINEAR_FORMATS
     colour = pixels[:, :, :3] if pixels.shape[2] >= 3 else pixels[:, :, :1].repeat(3, axis=2)
@@ -156,16 +157,17 @@ def _composite(pixels: np.ndarray, source: ImageInput, background: tuple[float, 
 
 
 def _is_associated(source: ImageInput) -> bool:
-    """Whether colours are multiplied by alpha. WebP's never are, on our request, though its reader does not say so."""
+    """Whether colours are multiplied by alpha. In WebP they are not, because _open() asks for that, but its reader does not report it."""
     return source.format_name() != "webp" and not source.spec().get_int_attribute("oiio:UnassociatedAlpha", 0)
 
 
 def _orientation(spec: ImageSpec) -> int:
+    """EXIF orientation 1 to 8; 1 if there is none or it is invalid."""
     value = spec.get_int_attribute("Orientation", 1)
     return value if value in ORIENTATIONS else 1
 
 
-def _turn(image: np.ndarray, orientation: int) -> np.ndarray:
+def _make_upright(image: np.ndarray, orientation: int) -> np.ndarray:
     transpose, flip_rows, flip_columns = ORIENTATIONS[orientation]
     image = image.swapaxes(0, 1) if transpose else image
     return np.ascontiguousarray(image[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1])
@@ -174,19 +176,19 @@ def _turn(image: np.ndarray, orientation: int) -> np.ndarray:
 def _write(temporary: os.PathLike, path: str | os.PathLike, pixels: np.ndarray) -> None:
     oiio = _library()
     height, width, channels = (*pixels.shape, 1)[:3]
-    pixels = np.ascontiguousarray(pixels).reshape(height, width, channels)  # of two axes it would make channels
+    pixels = np.ascontiguousarray(pixels).reshape(height, width, channels)  # OpenImageIO takes the last of two axes for channels
     spec = oiio.ImageSpec(width, height, channels, "uint8" if pixels.dtype == np.uint8 else "float")
     output = oiio.ImageOutput.create(os.fspath(temporary))
     good = output is not None and output.open(os.fspath(temporary), spec) and output.write_image(pixels)
     if not (good and output.close()):
         reason = (output.geterror() if output is not None else "") or oiio.geterror()
         raise SceneError(f"{path}: cannot be written ({_first_line(reason)})")
-    if not _holds(temporary, pixels):
-        raise SceneError(f"{path}: cannot be written (the disk took only part of it)")
+    if not _stored_correctly(temporary, pixels):
+        raise SceneError(f"{path}: cannot be written (the file on disk is not complete; is the disk full?)")
 
 
-def _holds(path: str | os.PathLike, pixels: np.ndarray) -> bool:
-    """Whether the file holds these pixels and ends as it should: OpenImageIO's writers do not tell of a full disk."""
+def _stored_correctly(path: str | os.PathLike, pixels: np.ndarray) -> bool:
+    """Whether the file has exactly these pixels and, for a PNG, its end marker. OpenImageIO does not report a full disk."""
     with open(path, "rb") as file:
         if file.read(len(PNG_BEGIN)) == PNG_BEGIN and not file.read().endswith(PNG_END):
             return False

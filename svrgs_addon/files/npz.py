@@ -1,4 +1,4 @@
-"""Named arrays in one .npz file, which replaces the old one as a whole."""
+"""Writes named arrays into one .npz file, atomically."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from .atomic import atomic_write
 
 
 def write_arrays(path: str | os.PathLike, arrays: dict[str, np.ndarray]) -> None:
-    """np.savez, but where it cannot be written the archive ends here: NumPy's would end when it is forgotten, with a stack trace on
-    the terminal. Raises SceneError.
+    """As np.savez, but atomic. Raises SceneError if the file cannot be written.
+
+    The archive is always closed here. After an error, np.savez leaves that to the garbage collector, which prints a stack trace.
     """
     with atomic_write(path) as file, zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():

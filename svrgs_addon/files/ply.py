@@ -1,7 +1,7 @@
-"""3DGS PLY: reads and writes splats as the reference implementation stores them.
+"""The PLY format of 3DGS, as its reference implementation writes it.
 
-A binary-little-endian file read and written unchanged keeps every byte: further vertex properties, their order and
-types, and header comments travel with the Scene. Data is kept raw: see finite.py for repair.
+A binary-little-endian file that is read and written without changes keeps every byte: the Scene carries further vertex properties,
+their order and types, and the comments of the header. Values are raw, as stored; repair.py repairs them.
 """
 
 from __future__ import annotations
@@ -18,43 +18,43 @@ import numpy as np
 
 from ..errors import FormatError, SceneError
 from ..scene import SH_COEFFICIENTS, Scene
-from .atomic import atomic_write, check_writable, start_storing
+from .atomic import atomic_write, check_writable, start_writeback
 from .ply_body import MAX_ASCII_BYTES, Body, blocks, empty_arrays, named_columns
 from .ply_header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, parse_header
 from .splat_format import SplatFormat
 
-MAX_COUNT = 20_000_000
-NORMALS = ("nx", "ny", "nz")  # 3DGS writes them, always zero
+MAX_COUNT = 20_000_000  # Gaussians
+NORMALS = ("nx", "ny", "nz")  # 3DGS writes these properties; they are always 0
 MIP_COMMENT = "SplatRenderMode: mip"
-MIP_PATTERN = re.compile(r"\s*(SplatRenderMode:\s*mip|antialiased\s+1)\s*", re.IGNORECASE)  # Brush; Postshot
+MIP_PATTERN = re.compile(r"\s*(SplatRenderMode:\s*mip|antialiased\s+1)\s*", re.IGNORECASE)  # written by Brush; by Postshot
 MODE_PATTERN = re.compile(r"\s*(SplatRenderMode:|antialiased\s).*", re.IGNORECASE)
 
 log = logging.getLogger(__name__)
 
 
 def read_ply(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Scene:
-    """Read a 3DGS PLY of SH degree 0-3: binary of either byte order, or small ASCII. Frame and units: the file's.
+    """Reads a 3DGS PLY of SH degree 0 to 3: binary in either byte order, or ASCII up to 64 MiB.
 
-    Values are kept as stored, non-finite ones included. Elements after the vertices are not kept (logged).
-    Raises FormatError, naming the file and the reason.
+    Values are as stored, non-finite ones included; coordinate frame and units are those of the file. Elements after the vertices
+    are ignored, with a warning in the log. max_count: largest number of Gaussians. Raises FormatError, which names the file.
     """
     with _opened(path, max_count) as body:
         return body.whole()
 
 
 def read_ply_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
-    """As read_ply, a few thousand Gaussians at a time and in file order, without ever holding all of them.
+    """As read_ply, in parts of a few thousand Gaussians in file order, so that little memory is needed (ASCII: one part).
 
-    The next part overwrites the arrays of the one before. There is at least one, which is empty if the file is.
+    Each part overwrites the arrays of the previous one. There is at least one part; it is empty if the file has no Gaussian.
     """
     with _opened(path, max_count) as body:
         yield from body.parts()
 
 
 def write_ply(path: str | os.PathLike, scene: Scene) -> None:
-    """Write a binary-little-endian 3DGS PLY atomically, columns in scene.property_order or else in the 3DGS order.
+    """Writes a binary-little-endian 3DGS PLY atomically. Columns are in scene.property_order, or in the order of 3DGS if it is empty.
 
-    Raises SceneError if the file cannot be written or an attribute does not fit into a PLY.
+    Raises SceneError if the file cannot be written, or if a PLY cannot store an attribute or comment.
     """
     columns = _file_columns(scene)
     header, dtype = _layout(scene, columns)
@@ -65,36 +65,37 @@ def write_ply(path: str | os.PathLike, scene: Scene) -> None:
             for name, column in columns.items():
                 rows[name] = column[part]
             file.write(rows.view(np.uint8))
-            start_storing(file, rows.nbytes)
+            start_writeback(file, rows.nbytes)
 
 
 def file_size(scene: Scene) -> int:
-    """Bytes of the file write_ply would make."""
+    """Size in bytes of the file that write_ply would make."""
     header, dtype = _layout(scene, _file_columns(scene))
     return len(header) + scene.count * dtype.itemsize
 
 
 def _layout(scene: Scene, columns: dict[str, np.ndarray]) -> tuple[bytes, np.dtype]:
-    """Header, and one Gaussian's row behind it."""
+    """The header, and the dtype of one row (one Gaussian) of the body."""
     properties = [(name, column.dtype.str[1:]) for name, column in columns.items()]
     return format_header(_file_comments(scene), scene.count, properties), np.dtype([(name, "<" + code) for name, code in properties])
 
 
 @contextlib.contextmanager
 def _opened(path: str | os.PathLike, max_count: int) -> Iterator[Body]:
-    """The file with its header checked. What is wrong with it, then or in the block, becomes a FormatError that names it."""
+    """Yields the body of a file whose header was checked. Errors of the header and of the block become FormatErrors that name the file."""
     try:
         if not Path(path).is_file():
             raise FormatError("is not a file")
         with open(path, "rb") as file:
-            yield _checked(file, path, max_count)
+            yield _checked_body(file, path, max_count)
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from None
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
-def _checked(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Body:
+def _checked_body(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Body:
+    """Checks header and size. The file is then at its first Gaussian. Raises FormatError (without the name of the file)."""
     header = parse_header(file.read(MAX_HEADER_BYTES))
     vertex = _vertex_element(header)
     coefficients = _check_properties(vertex)
@@ -103,28 +104,28 @@ def _checked(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Body:
     _check_size(header, vertex, os.fstat(file.fileno()).st_size)
     if len(header.elements) > 1:
         others = ", ".join(element.name for element in header.elements[1:])
-        log.warning("%s: elements after the Gaussians are not kept: %s", path, others)
+        log.warning("%s: elements after the Gaussians are ignored: %s", path, others)
     file.seek(header.size)
-    return Body(file, header, coefficients, _says_mip(header.comments))
+    return Body(file, header, coefficients, _is_mip(header.comments))
 
 
 def _vertex_element(header: Header) -> Element:
-    """The element of the Gaussians, which must be the first."""
+    """The vertex element, which holds the Gaussians and must be the first. Raises FormatError."""
     names = [element.name for element in header.elements]
     if "vertex" not in names:
-        raise FormatError("has no vertex element")
+        raise FormatError("has no vertex element, so it is not a 3DGS splat")
     vertex = header.elements[names.index("vertex")]
     if "chunk" in names or any(name.startswith("packed_") for name, _ in vertex.properties):
-        raise FormatError("is a PlayCanvas compressed PLY, which is not read; convert it to a plain 3DGS PLY first")
+        raise FormatError("is a PlayCanvas compressed PLY, which is not supported; convert it to a plain 3DGS PLY first")
     if names[0] != "vertex":
-        raise FormatError(f"has the element {names[0]} before its vertices, which is not read")
+        raise FormatError(f"has the element {names[0]} before its vertices, which is not supported; export it with the vertices first")
     if vertex.list_property:
-        raise FormatError(f"has the list property {vertex.list_property} on its vertices; a splat file has none")
+        raise FormatError(f"has the list property {vertex.list_property} on its vertices, so it is not a 3DGS splat")
     return vertex
 
 
 def _check_properties(vertex: Element) -> int:
-    """Check the 3DGS properties by name and type; returns K, the SH coefficients per channel."""
+    """Checks names and types of the 3DGS properties. Returns K, the number of SH coefficients per channel. Raises FormatError."""
     types = dict(vertex.properties)
     rest = [name for name in types if name.startswith("f_rest_")]
     coefficients = 1 + len(rest) // 3
@@ -139,27 +140,27 @@ def _check_properties(vertex: Element) -> int:
 
 
 def _check_size(header: Header, vertex: Element, file_size: int) -> None:
-    """Hold the declared count against the bytes that exist, before anything is allocated for it."""
+    """Compares the declared count with the size of the file in bytes, before memory is allocated. Raises FormatError."""
     available = file_size - header.size
     if header.encoding == "ascii":
         if available > MAX_ASCII_BYTES:
             raise FormatError(f"is an ASCII PLY of more than {MAX_ASCII_BYTES // 2**20} MiB; convert it to binary first")
-        if available + 1 < 2 * vertex.count * len(vertex.properties):  # a digit and a separator for each value
-            raise FormatError(f"is truncated: {vertex.count} Gaussians cannot fit into {available} bytes of text")
+        if available + 1 < 2 * vertex.count * len(vertex.properties):  # at least one digit and one separator per value
+            raise FormatError(f"is truncated: {vertex.count} Gaussians cannot fit into {available} bytes of text; copy or export the file again")
         return
     needed = vertex.count * sum(int(code[1]) for _, code in vertex.properties)
     if available < needed:
-        raise FormatError(f"is truncated: its header announces {needed} bytes of Gaussians, {available} are there")
+        raise FormatError(f"is truncated: its header declares {needed} bytes of Gaussians, but there are {available}; copy or export the file again")
     if available > needed and len(header.elements) == 1:
-        raise FormatError(f"has {available - needed} bytes more than its header announces")
+        raise FormatError(f"has {available - needed} bytes more than its header declares; copy or export the file again")
 
 
 def _file_columns(scene: Scene) -> dict[str, np.ndarray]:
-    """Every column to write, by property name and in file order."""
+    """All columns to write as {property name: (N,) array} in file order. Raises SceneError for an attribute that a PLY cannot store."""
     columns = named_columns(vars(scene))
     for name, column in scene.attributes.items():
         if name in columns or not re.fullmatch("[!-~]+", name) or column.dtype.str[1:] not in TYPE_NAMES:
-            raise SceneError(f"attribute {name!r} of type {column.dtype} cannot be stored in a PLY")
+            raise SceneError(f"attribute {name!r} of type {column.dtype} cannot be stored in a PLY; remove or rename it first")
     columns |= scene.attributes
     order = scene.property_order
     if not order:
@@ -170,17 +171,20 @@ def _file_columns(scene: Scene) -> dict[str, np.ndarray]:
 
 
 def _file_comments(scene: Scene) -> list[str]:
-    """The comments as read, with the antialiasing mark put right if the flag has changed since."""
+    """The comments to write: those that were read, with the antialiasing comment corrected if the flag has changed.
+
+    Raises SceneError for a comment that a PLY cannot store.
+    """
     comments = list(scene.comments)
-    if scene.antialiased != _says_mip(comments):
+    if scene.antialiased != _is_mip(comments):
         comments = [text for text in comments if not MODE_PATTERN.fullmatch(text)]
         comments += [MIP_COMMENT] * scene.antialiased
     if any("\n" in text or not text.isascii() for text in comments):
-        raise SceneError("a comment of the scene is not one line of ASCII, so it cannot be stored in a PLY")
+        raise SceneError("a comment of the scene is not one line of ASCII, so it cannot be stored in a PLY; remove it first")
     return comments
 
 
-def _says_mip(comments: Iterable[str]) -> bool:
+def _is_mip(comments: Iterable[str]) -> bool:
     return any(MIP_PATTERN.fullmatch(text) for text in comments)
 
 

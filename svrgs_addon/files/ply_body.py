@@ -1,4 +1,4 @@
-"""The Gaussians of a PLY: which column is which array, and how their bytes become arrays, a cache-sized block at a time."""
+"""The body of a 3DGS PLY: the array of each property, and the conversion of rows to arrays in blocks that fit into the cache."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ..scene import Scene
 from .ply_header import ENCODINGS, Header
 
 MAX_ASCII_BYTES = 64 * 2**20
-BLOCK_ROWS = 4096  # rows converted at a time: about 1 MB, which stays in the cache
+BLOCK_ROWS = 4096  # rows per block, about 1 MB; it stays in the cache
 
 
 def empty_arrays(count: int, coefficients: int) -> dict[str, np.ndarray]:
-    """The arrays of a Scene of `count` Gaussians with K SH coefficients per channel, their values not set."""
+    """Uninitialised arrays of a Scene, by name, for `count` Gaussians with `coefficients` (K) SH coefficients per channel."""
     shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (coefficients, 3)}
     return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
 
 
 def named_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Property name: (N,) view into the arrays of a Scene, in the 3DGS order. f_rest is channel-major in the file."""
+    """The columns {property name: (N,) view of the arrays of a Scene} in the order of 3DGS. In the file, f_rest is channel-major."""
     sh = arrays["sh"]
     rest = sh.shape[1] - 1
     columns = {name: arrays["means"][:, i] for i, name in enumerate("xyz")}
@@ -38,7 +38,7 @@ def named_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def blocks(count: int, dtype: np.dtype) -> Iterator[tuple[np.ndarray, slice]]:
-    """One reused buffer of rows, and the part of the columns it stands for."""
+    """Yields (buffer, slice) for each block of rows: a structured or plain buffer that is reused, and its part of the columns."""
     buffer = np.empty(min(count, BLOCK_ROWS), dtype)
     for start in range(0, count, BLOCK_ROWS):
         part = slice(start, min(start + BLOCK_ROWS, count))
@@ -47,21 +47,22 @@ def blocks(count: int, dtype: np.dtype) -> Iterator[tuple[np.ndarray, slice]]:
 
 @dataclass(frozen=True)
 class Body:
-    """A checked file, open at its first Gaussian; to be read once."""
+    """A PLY whose header was checked. The file is at its first Gaussian and can be read once."""
 
     file: BinaryIO
     header: Header
-    coefficients: int  # K
+    coefficients: int  # K, SH coefficients per channel
     antialiased: bool
 
     @property
     def count(self) -> int:
+        """Number of Gaussians."""
         return self.header.elements[0].count
 
     def whole(self) -> Scene:
-        """Every Gaussian."""
+        """Reads all Gaussians. Raises FormatError (without the name of the file)."""
         scene = self._empty_scene(self.count)
-        with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 become infinite, as documented: raw
+        with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond the range of float32 become infinite
             if self.header.encoding == "ascii":
                 self._convert_text(scene)
                 return scene
@@ -70,7 +71,10 @@ class Body:
         return scene
 
     def parts(self) -> Iterator[Scene]:
-        """Every Gaussian, BLOCK_ROWS at a time (ASCII: all at once), in arrays that the next part overwrites; at least one part."""
+        """Yields all Gaussians in parts of BLOCK_ROWS (ASCII: in one part). Each part overwrites the arrays of the previous one.
+
+        There is at least one part. Raises FormatError (without the name of the file).
+        """
         if self.header.encoding == "ascii" or not self.count:
             yield self.whole()
             return
@@ -83,7 +87,7 @@ class Body:
             yield scene
 
     def _empty_scene(self, count: int) -> Scene:
-        attributes = {name: np.empty(count, code) for name, code in self._further}
+        attributes = {name: np.empty(count, code) for name, code in self._extra_properties}
         return Scene(
             **empty_arrays(count, self.coefficients), antialiased=self.antialiased, attributes=attributes,
             comments=self.header.comments, property_order=tuple(self._types),
@@ -91,17 +95,18 @@ class Body:
 
     @cached_property
     def _types(self) -> dict[str, str]:
-        """Every property's type with its byte order, in file order."""
+        """NumPy type of each property, with byte order, in file order."""
         order = ENCODINGS[self.header.encoding]
         return {name: order + code for name, code in self.header.elements[0].properties}
 
     @cached_property
-    def _order(self) -> dict[str, int]:
+    def _column_index(self) -> dict[str, int]:
+        """Position of each property in a row of the file."""
         return {name: i for i, name in enumerate(self._types)}
 
     @cached_property
-    def _further(self) -> list[tuple[str, str]]:
-        """Properties that a Scene has no array for, with their type in memory."""
+    def _extra_properties(self) -> list[tuple[str, str]]:
+        """(name, NumPy type code) of the properties that become attributes of the Scene."""
         known = named_columns(empty_arrays(0, self.coefficients))
         return [(name, code) for name, code in self.header.elements[0].properties if name not in known]
 
@@ -110,54 +115,56 @@ class Body:
         return all(np.dtype(kind) == np.float32 for kind in self._types.values())
 
     @cached_property
-    def _places(self) -> dict[str, np.ndarray]:
-        """Where in a row of the file the values of one Gaussian's arrays lie, in the order of memory."""
+    def _row_positions(self) -> dict[str, np.ndarray]:
+        """For each array of a Scene: the positions of its values in a row of the file, in the order of memory."""
         places = empty_arrays(1, self.coefficients)
         for name, column in named_columns(places).items():
-            column[0] = self._order[name]
+            column[0] = self._column_index[name]
         return {name: array.ravel().astype(np.intp) for name, array in places.items()}
 
     def _blocks(self) -> Iterator[tuple[np.ndarray, slice]]:
-        """The rows of a binary file: (n, properties) float32 where all are, else structured."""
+        """Yields (rows, slice) of a binary file; rows are (n, properties) float32 if all properties are, else structured."""
         floats = np.dtype((np.float32, len(self._types)))
         dtype = floats if self._all_float32 else np.dtype(list(self._types.items()))
         for rows, part in blocks(self.count, dtype):
             if self.file.readinto(rows.view(np.uint8)) != rows.nbytes:
-                raise FormatError("became shorter while it was read")
+                raise FormatError("became shorter while it was read; try again when no program writes it")
             yield rows, part
 
     def _convert(self, rows: np.ndarray, scene: Scene, part: slice):
-        """Set `part` of the scene from the rows of the file."""
+        """Copies rows of the file to the slice `part` of the scene."""
         if not self._all_float32:
             for name, column in _columns(scene).items():
                 column[part] = rows[name]
             return
-        for name, places in self._places.items():  # an array gathers its values row by row: twice as fast as by column
+        for name, places in self._row_positions.items():  # one gather per array: twice as fast as one copy per column
             np.take(rows, places, axis=1, out=getattr(scene, name)[part].reshape(len(rows), -1), mode="clip")
         for name, column in scene.attributes.items():
-            column[part] = rows[:, self._order[name]]
+            column[part] = rows[:, self._column_index[name]]
 
     def _convert_text(self, scene: Scene):
+        """Reads the numbers of an ASCII file into the scene. Raises FormatError."""
         columns, wanted = _columns(scene), self.count * len(self._types)
         left = os.fstat(self.file.fileno()).st_size - self.file.tell()
-        values = _parse_numbers(self.file.read(min(left, MAX_ASCII_BYTES)))[:wanted]  # read(n) takes n bytes of memory, however short the file
+        values = _parse_numbers(self.file.read(min(left, MAX_ASCII_BYTES)))[:wanted]  # read(n) allocates n bytes even if the file is shorter
         if len(values) != wanted:
-            raise FormatError(f"does not hold {self.count} lines of {len(columns)} numbers after its header")
+            raise FormatError(f"does not hold {self.count} lines of {len(columns)} numbers after its header; copy or export the file again")
         for name, column in zip(self._types, values.reshape(-1, len(columns)).T, strict=True):
             columns[name][:] = column
             if columns[name].dtype.kind in "iu" and not np.array_equal(columns[name], column):
-                raise FormatError(f"has a value of {name} that does not fit its type")
+                raise FormatError(f"has a value of {name} that does not fit its type; export the file again")
 
 
 def _columns(scene: Scene) -> dict[str, np.ndarray]:
+    """All columns of a scene by property name, attributes included."""
     return named_columns(vars(scene)) | scene.attributes
 
 
 def _parse_numbers(text: bytes) -> np.ndarray:
-    """Numbers between white space, float64; NumPy stops at the first that is none, with a warning or an error."""
+    """Numbers separated by white space, float64. Raises FormatError at other text, for which NumPy gives a warning or an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         try:
             return np.fromstring(text, dtype=np.float64, sep=" ")
         except (ValueError, DeprecationWarning):
-            raise FormatError("holds text that is not a number after its header") from None
+            raise FormatError("has text that is not a number after its header; export the file again") from None

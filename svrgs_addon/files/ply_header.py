@@ -1,4 +1,4 @@
-"""The PLY header, parsed without trust: every limit is checked before a byte of the body is touched."""
+"""Parses PLY headers of untrusted files: all limits are checked before the body is read."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from ..errors import FormatError
 MAX_HEADER_BYTES = 64 * 1024
 MAX_HEADER_LINES = 1000
 
-ENCODINGS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}  # name: NumPy byte order
+ENCODINGS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}  # {name: NumPy byte order}
 TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2",
     "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-TYPE_NAMES = {code: name for name, code in reversed(TYPES.items())}  # NumPy code: the short name, as 3DGS writes it
+TYPE_NAMES = {code: name for name, code in reversed(TYPES.items())}  # {NumPy code: the short name, which 3DGS writes}
 
 
 @dataclass
 class Element:
-    """One element of the header; properties in file order as (name, NumPy type code)."""
+    """One element of the header. properties: (name, NumPy type code) in file order."""
 
     name: str
     count: int
     properties: list[tuple[str, str]] = field(default_factory=list)
-    list_property: str = ""  # the first list property; such an element has no fixed stride
+    list_property: str = ""  # name of the first list property, or ""; with one, the rows of the element differ in size
 
 
 @dataclass(frozen=True)
 class Header:
-    """A parsed header; size counts its bytes, end_header line included."""
+    """A parsed header. size: its size in bytes, the end_header line included."""
 
     encoding: str
     elements: tuple[Element, ...]
@@ -41,7 +41,7 @@ class Header:
 
 
 def parse_header(data: bytes) -> Header:
-    """Parse the first MAX_HEADER_BYTES of a file. Raises FormatError (without the file's name)."""
+    """Parses a header from the first MAX_HEADER_BYTES bytes of a file. Raises FormatError (without the name of the file)."""
     lines, size = _split_lines(data)
     encodings, elements, comments = [], [], []
     for line in lines:
@@ -55,14 +55,14 @@ def parse_header(data: bytes) -> Header:
         elif keyword == "property":
             _add_property(rest.split(), elements)
         elif keyword != "obj_info":
-            raise FormatError(f"has a header line that is not understood: {line[:60]!r}")
+            raise FormatError(f"has a header line that is not understood: {line[:60]!r}; export the file again")
     if len(encodings) != 1:
-        raise FormatError("needs exactly one format line in its header")
+        raise FormatError("needs exactly one format line in its header; export the file again")
     return Header(encodings[0], tuple(elements), tuple(comments), size)
 
 
 def format_header(comments: list[str], count: int, properties: list[tuple[str, str]]) -> bytes:
-    """A binary-little-endian header with one vertex element; properties as (name, NumPy type code)."""
+    """A binary-little-endian header with one vertex element of `count` rows. properties: (name, NumPy type code)."""
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [f"comment {text}" for text in comments]
     lines += [f"element vertex {count}"]
@@ -71,9 +71,9 @@ def format_header(comments: list[str], count: int, properties: list[tuple[str, s
 
 
 def _split_lines(data: bytes) -> tuple[list[str], int]:
-    """The header lines between 'ply' and 'end_header', and the header's size in bytes."""
+    """The lines between 'ply' and 'end_header', and the size of the header in bytes. Raises FormatError."""
     if not re.match(rb"ply\r?\n", data):
-        raise FormatError("is not a PLY file")
+        raise FormatError("is not a PLY file; give a 3DGS .ply")
     end = re.search(rb"\nend_header\r?\n", data[:MAX_HEADER_BYTES])
     if end is None:
         raise FormatError(f"has no end of header within {MAX_HEADER_BYTES // 1024} KiB; it is truncated or not a PLY file")
@@ -102,7 +102,7 @@ def _parse_element(words: list[str], elements: list[Element]) -> Element:
 
 
 def _add_property(words: list[str], elements: list[Element]) -> None:
-    """Append a property to the last element."""
+    """Adds a property to the last element. Raises FormatError."""
     if not elements:
         raise FormatError("declares a property before any element")
     element = elements[-1]

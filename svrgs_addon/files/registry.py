@@ -1,6 +1,7 @@
-"""Splat files of every format. Menus, drag and drop, batches, `svrgs info` and the readers ask this registry.
+"""The registry of splat formats, and reading and writing of splat files in any of them.
 
-A new format is a module with a SplatFormat and one line in FORMATS.
+Menus, drag and drop, batches and `svrgs info` use this registry. A new format is one module with a SplatFormat, and one line in
+FORMATS.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from . import ply
 from .repair import clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
-FORMATS: tuple[SplatFormat, ...] = (ply.FORMAT,)  # the first is the one that is written where none is named
-SNIFFED_BYTES = 512
+FORMATS: tuple[SplatFormat, ...] = (ply.FORMAT,)  # the first one is written where no format is named
+SNIFFED_BYTES = 512  # bytes at the start of a file that decide between formats with the same suffix
 
 
 @dataclass(frozen=True)
 class Loaded:
-    """A scene fit for rendering, and how many Gaussians were dropped or mended to make it so."""
+    """A repaired scene, which can be rendered, and the numbers of Gaussians that were dropped and clamped (repair.py)."""
 
     scene: Scene
     dropped: int
@@ -33,17 +34,17 @@ class Loaded:
 
 
 def suffixes(written: bool = False) -> tuple[str, ...]:
-    """The suffixes of all formats, or of those that can be written, with the dot."""
+    """Suffixes with the dot, of all formats or only of those that can be written."""
     return tuple(suffix for splat_format in FORMATS if splat_format.write or not written for suffix in splat_format.suffixes)
 
 
 def labels(written: bool = False) -> tuple[str, ...]:
-    """What menus call the formats: 'LABEL (.suffix)'."""
+    """Names of the formats in menus: 'LABEL (.suffix)'. written: only formats that can be written."""
     return tuple(f"{found.label} ({'/'.join(found.suffixes)})" for found in FORMATS if found.write or not written)
 
 
 def format_to_write(path: str | Path) -> SplatFormat:
-    """The format that a file of this name is written in. Raises SceneError."""
+    """The format for writing a file with this name, by its suffix. Raises SceneError if no format has it."""
     for splat_format in FORMATS:
         if splat_format.write and _ends_with(Path(path), splat_format):
             return splat_format
@@ -51,16 +52,19 @@ def format_to_write(path: str | Path) -> SplatFormat:
 
 
 def format_to_read(path: str | Path) -> SplatFormat:
-    """The format of a file: by its suffix, and where several share it by its first bytes. Raises FormatError, SceneError."""
+    """The format of an existing file: by its suffix, and by its first bytes if several formats have this suffix.
+
+    Raises SceneError for a missing file or a folder, FormatError for an unknown suffix.
+    """
     path = Path(path)
     if not path.exists():
-        raise SceneError(f"{path}: there is no such file")
+        raise SceneError(f"{path}: there is no such file; check the path")
     if path.is_dir():
         raise SceneError(f"{path}: is a folder, or holds several splats: name the {' or '.join(suffixes())} to use")
     fitting = [splat_format for splat_format in FORMATS if _ends_with(path, splat_format)]
     if not fitting:
         raise FormatError(f"{path}: '{path.suffix}' files are not read; give a 3DGS {' or '.join(suffixes())}")
-    if len(fitting) == 1:  # its reader says what is wrong with the file
+    if len(fitting) == 1:  # no need to look into it: the reader reports what is wrong with the file
         return fitting[0]
     with open(path, "rb") as file:
         head = file.read(SNIFFED_BYTES)
@@ -72,48 +76,52 @@ def _ends_with(path: Path, splat_format: SplatFormat) -> bool:
 
 
 def read_scene(path: str | Path) -> Scene:
-    """The scene as stored in the file. Raises FormatError; SceneError too where memory would not hold it."""
+    """Reads the scene with values as stored. Raises FormatError, or SceneError if the file is missing or memory does not suffice."""
     splat_format = format_to_read(path)
     memory.refuse_excess(f"{path}: reading it", memory.reading(Path(path).stat().st_size))
     return splat_format.read(Path(path))
 
 
 def check_readable(path: str | Path):
-    """Reads the header and a few thousand Gaussians at most. Raises FormatError, SceneError."""
+    """Checks a file by reading its header and at most a few thousand Gaussians. Raises FormatError, SceneError."""
     next(format_to_read(path).read_parts(Path(path)))
 
 
 def load_scene(path: str | Path) -> Loaded:
-    """read_scene, without Gaussians that are not finite and with extreme values clamped; both are logged."""
+    """Reads a scene and repairs it: drops Gaussians that are not finite and clamps extreme values (repair.py). Both are logged.
+
+    Raises FormatError, or SceneError also if no Gaussian is left.
+    """
     scene, dropped = drop_nonfinite(read_scene(path))
     scene, clamped = clamp_extremes(scene)
     if dropped or clamped:
         logging.warning("%s: %d Gaussians with values that are not finite were dropped, %d with extreme values were clamped", path, dropped, clamped)
     if not scene.count:
-        raise SceneError(f"{path}: has no usable Gaussian")
+        raise SceneError(f"{path}: has no usable Gaussian; export the scene again")
     return Loaded(scene, dropped, clamped)
 
 
 def write_scene(path: str | Path, scene: Scene):
-    """Writes the scene atomically, in the format of the suffix. Raises SceneError."""
+    """Writes the scene atomically, in the format of the suffix of `path`. Raises SceneError."""
     format_to_write(path).write(Path(path), scene)
 
 
 def file_size(scene: Scene) -> int:
-    """Bytes of the scene in the first format."""
+    """Size in bytes of the scene in the first format of FORMATS."""
     return FORMATS[0].size(scene)
 
 
 def invisible(scene: Scene) -> np.ndarray:
-    """(N,) bool: opacity below the rasterizer's alpha cut, so that no pixel shows the Gaussian."""
+    """Marks Gaussians with an opacity below the rasterizer's alpha cut (1/255), (N,) bool. No pixel shows them."""
     cut = thresholds().alpha_cut
     return scene.opacity_logits < np.float32(np.log(cut / (1 - cut)))
 
 
 def describe(path: str | Path) -> dict:
-    """What is in a file: keys count, sh_degree, format, bytes, invisible, nonfinite, antialiased, bounds, attributes.
+    """Summary of a splat file; reads a few thousand Gaussians at a time. Raises FormatError, SceneError.
 
-    Never holds more than a few thousand of its Gaussians.
+    Keys: count, sh_degree, format, bytes (size of the file), invisible (number of usable Gaussians with an opacity below 1/255),
+    nonfinite (number of unusable Gaussians), antialiased, bounds ([min xyz, max xyz] of the means, or None), attributes (names).
     """
     count = faint = bad = 0
     corners = []

@@ -1,8 +1,8 @@
-"""Explicit repair of a scene after reading. Readers keep data as stored; callers repair, and report the counts.
+"""Repair of a scene after reading. Readers return values as stored; callers repair the scene and report the counts.
 
-An infinite value is not always damage: an opacity logit of +inf is an alpha of exactly 1 (an 8-bit 255 read back
-through the logit), -inf an alpha of 0, and a log-scale of -inf a perfectly flat Gaussian. clamp_extremes makes these
-finite without changing the picture; drop_nonfinite removes what has no meaning.
+Some infinite values have a meaning: an opacity logit of +inf is an opacity of exactly 1 (an 8-bit 255 that was converted to a
+logit), -inf is an opacity of 0, and a log-scale of -inf is a perfectly flat Gaussian. clamp_extremes makes these values finite
+without changing the picture. drop_nonfinite removes Gaussians whose values have no meaning.
 """
 
 from __future__ import annotations
@@ -13,41 +13,44 @@ import numpy as np
 
 from ..scene import Scene
 
-LOGIT_OF_ONE = 10.0  # alpha 0.99995: drawn like 1, since alpha is cut at 0.99, yet its gradient is not zero
+LOGIT_OF_ONE = 10.0  # opacity 0.99995: rendered like 1, because alpha is clamped at 0.99, but its gradient is not zero
 MAX_ABS_LOG_SCALE = 30.0
-MIN_QUAT = 1e-8  # a shorter quaternion names no rotation
+MIN_QUAT = 1e-8  # a quaternion without a component above this defines no rotation
 
 
 def unusable(scene: Scene) -> np.ndarray:
-    """(N,) bool: Gaussians that nothing can draw.
+    """Marks the Gaussians that cannot be rendered, (N,) bool.
 
-    NaN anywhere, an infinite mean, quaternion, SH coefficient or size, or a quaternion of no length.
+    These have a NaN, an infinite mean, quaternion or SH coefficient, a log-scale of +inf, or a quaternion of length 0.
     """
     good = ~np.isnan(scene.opacity_logits)
-    good &= _rows(scene.log_scales < np.inf)  # false for NaN too
+    good &= _all_in_row(scene.log_scales < np.inf)  # false for NaN too
     good &= np.abs(np.ascontiguousarray(scene.quats.T)).max(axis=0) > MIN_QUAT
     for array in (scene.means, scene.quats, scene.sh.reshape(scene.count, 3 * scene.sh.shape[1])):
-        good &= _rows(np.isfinite(array))
+        good &= _all_in_row(np.isfinite(array))
     return ~good
 
 
-def _rows(flags: np.ndarray) -> np.ndarray | np.bool_:
-    """flags.all(axis=1), or one True for all rows: NumPy is slow on short rows, and most scenes are sound."""
+def _all_in_row(flags: np.ndarray) -> np.ndarray | np.bool_:
+    """flags.all(axis=1), or a single True if all flags are true.
+
+    NumPy is slow on short rows, and most scenes have no bad values.
+    """
     everywhere = flags.all()
     return everywhere if everywhere else flags.all(axis=1)
 
 
 def drop_nonfinite(scene: Scene) -> tuple[Scene, int]:
-    """The scene without its unusable Gaussians, and how many they were."""
+    """Returns the scene without its unusable Gaussians, and their number."""
     bad = unusable(scene)
     count = int(bad.sum())
     return (scene.select(~bad) if count else scene), count
 
 
 def clamp_extremes(scene: Scene) -> tuple[Scene, int]:
-    """The scene with infinite opacity logits made ±10 and log-scales clamped to ±30, and how many Gaussians changed.
+    """Replaces infinite opacity logits by ±10 and clamps log-scales to ±30. Returns the scene and the number of changed Gaussians.
 
-    NaN stays NaN. Finite logits stay as they are.
+    NaN stays NaN. Finite logits do not change.
     """
     infinite = np.isinf(scene.opacity_logits)
     extreme = (np.abs(scene.log_scales) > MAX_ABS_LOG_SCALE).any(axis=1)

@@ -1,4 +1,4 @@
-"""What the registry knows of a splat format."""
+"""The description of a splat format for the registry."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from ..scene import Scene
 
 @dataclass(frozen=True)
 class SplatFormat:
-    """One format; read and read_parts raise FormatError, write raises SceneError, each with one sentence that names the file."""
+    """One splat format.
 
-    name: str  # in `svrgs info`
-    label: str  # in menus
+    read and read_parts raise FormatError, write raises SceneError, each with one sentence that names the file.
+    """
+
+    name: str  # shown by `svrgs info`
+    label: str  # shown in menus
     suffixes: tuple[str, ...]  # lower case, with the dot
     sniff: Callable[[bytes], bool]  # whether a file that begins with these bytes may be of this format
-    read: Callable[[Path], Scene]  # the scene as stored, not repaired
-    read_parts: Callable[[Path], Iterator[Scene]]  # the same, a few thousand Gaussians at a time; each part overwrites the last
+    read: Callable[[Path], Scene]  # the scene with values as stored, not repaired
+    read_parts: Callable[[Path], Iterator[Scene]]  # the same in parts of a few thousand Gaussians; each part overwrites the arrays of the previous one
     write: Callable[[Path, Scene], None] | None = None  # atomic; None: the format is read only
-    size: Callable[[Scene], int] | None = None  # bytes of the file that write would make
+    size: Callable[[Scene], int] | None = None  # size in bytes of the file that write would make
