@@ -91,7 +91,7 @@ def run_job(request: dict) -> dict:
     profile.disable()
     result |= {
         "base_memory_bytes": base,
-        "image_bytes": sum(image.nbytes for image in dataset._kept.values()),
+        "image_bytes": sum(image.nbytes for image in dataset._cache.values()),
         "largest_count": max(*counts, result.get("before", result)["count"]),
         "native_seconds": dict(sorted(native.items(), key=lambda item: -item[1])),
         "stage_seconds": stages(profile) if request["profile"] else {},

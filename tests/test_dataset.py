@@ -368,7 +368,7 @@ def test_cameras_of_absurd_size_are_refused(tmp_path):
     path = tmp_path / "sparse/0/cameras.bin"
     data = path.read_bytes()
     path.write_bytes(data[:16] + struct.pack("<Q", 2**50) + data[24:])
-    with pytest.raises(FormatError, match="the limit is 16384 a side"):
+    with pytest.raises(FormatError, match="the limit is 16384 per side"):
         load_dataset(tmp_path, cameras_only=True)
 
 

@@ -1,1 +1,1 @@
-"""Conventions of Blender, without bpy: attribute layout, activation, lens, processes of its Python."""
+"""Conventions of Blender, without bpy: attribute layout, activations, cameras, child processes of its Python."""

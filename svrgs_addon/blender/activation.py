@@ -1,30 +1,30 @@
-"""Raw values of 3DGS files <-> the activated ones Blender's splats hold: scale, opacity, unit quaternion.
+"""Converts raw values of 3DGS files to the activated values in Blender's splats and back: scale, opacity, unit quaternion.
 
-float32 cannot undo an exponential bit by bit, so the raw value is kept beside the activated one, and holds as long as it
-still stands for it.
+float32 cannot invert an exponential exactly. So Blender's splats also hold the raw value. It is used again while its activation
+still equals the activated value, up to TOLERANCE; after an edit, or without a raw value, the activated value is inverted.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-SAME = 2e-6  # relative difference of activated values below which the raw ones beside them hold; two machines' exp differ less
+TOLERANCE = 2e-6  # relative difference of activated values; exp differs less between two machines
 
 
 def scales(log_scales: np.ndarray) -> np.ndarray:
-    """exp, float32; infinite where too large for one."""
+    """Scales exp(log_scales), float32, in units of length of the scene; values beyond the range of float32 become infinite."""
     with np.errstate(over="ignore"):
         return np.exp(log_scales)
 
 
 def opacities(opacity_logits: np.ndarray) -> np.ndarray:
-    """Sigmoid, float32."""
+    """Opacities sigmoid(opacity_logits) in 0..1, float32."""
     with np.errstate(over="ignore"):
         return 1 / (1 + np.exp(-opacity_logits))
 
 
 def rotations(quats: np.ndarray) -> np.ndarray:
-    """(N, 4) quaternions of length 1, float32; those without length become the identity."""
+    """Unit quaternions (N, 4) float32, w x y z; quaternions of length 0 become the identity."""
     lengths = np.sqrt(np.einsum("ij,ij->i", quats, quats, dtype=np.float64))
     with np.errstate(divide="ignore", invalid="ignore"):
         unit = (quats / lengths[:, None]).astype(np.float32)
@@ -33,27 +33,29 @@ def rotations(quats: np.ndarray) -> np.ndarray:
 
 
 def raw_scales(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
-    """Log-scales (N, 3) float32 of scales; exactly `kept` wherever that still stands for them."""
+    """Log-scales (N, 3) float32 of scales; equal to `kept` where exp(kept) still equals the scale. kept: raw values (N, 3) or None."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return _restore(np.log(values), kept, lambda raw: _same(scales(raw), values))
 
 
 def raw_opacities(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
-    """Opacity logits (N,) float32 of opacities; exactly `kept` wherever that still stands for them."""
+    """Opacity logits (N,) float32 of opacities; equal to `kept` where sigmoid(kept) still equals the opacity. kept: (N,) or None."""
     wide = values.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         return _restore((np.log(wide) - np.log1p(-wide)).astype(np.float32), kept, lambda raw: _same(opacities(raw), values))
 
 
 def raw_rotations(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
-    """Quaternions (N, 4) float32 of any length; exactly `kept` wherever they still stand for `values`."""
-    return _restore(values, kept, lambda raw: (np.abs(rotations(raw) - values) <= SAME).all(axis=1, keepdims=True))
+    """Quaternions (N, 4) float32 of any length; equal to `kept` where kept / |kept| still equals the row of `values`."""
+    return _restore(values, kept, lambda raw: (np.abs(rotations(raw) - values) <= TOLERANCE).all(axis=1, keepdims=True))
 
 
 def _restore(computed: np.ndarray, kept: np.ndarray | None, holds) -> np.ndarray:
+    """`kept` where holds(kept), else `computed`."""
     return computed if kept is None else np.where(holds(kept), kept, computed)
 
 
 def _same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Whether values are equal up to TOLERANCE, also if both are infinite; bool."""
     with np.errstate(invalid="ignore"):
-        return (a == b) | (np.abs(a - b) <= SAME * np.abs(b))
+        return (a == b) | (np.abs(a - b) <= TOLERANCE * np.abs(b))

@@ -1,7 +1,14 @@
-"""A scene as point attributes in the layout of Blender 5.3's own splats, and back. No bpy in here: names, kinds and arrays.
+"""Converts a scene to point attributes in the layout of Blender 5.3's own splats, and back. No bpy: names, types and arrays.
 
-What that layout cannot hold bit by bit lies beside it: raw values under names of our own (they hold as long as they stand for
-the activated ones, see activation.py), and as notes what the file said beside its numbers.
+Blender's attributes hold activated values, from which float32 cannot restore every bit of a file. So a splat also has:
+
+- raw values, as attributes svrgs:log_scale, svrgs:quaternion, svrgs:opacity_logit. They count while their activation still equals
+  Blender's attribute. After an edit, or without raw values (a splat that Blender imported), the activated values are inverted
+  (activation.py).
+- each further column of the file, as an attribute of its own.
+- types, order and comments of the file, as a property of the data-block: a JSON text (notes_of).
+
+So a splat that was not edited is exported byte for byte.
 """
 
 from __future__ import annotations
@@ -19,14 +26,21 @@ POSITION, SCALE, ROTATION, BASE, SH = "position", "scale", "rotation", "radiance
 RAW_SCALE, RAW_ROTATION, RAW_OPACITY = "svrgs:log_scale", "svrgs:quaternion", "svrgs:opacity_logit"
 REQUIRED = (SCALE, ROTATION, BASE)
 RESERVED = re.compile(r"(position|scale|rotation|radius|removed|material_index|id)$|[.]|radiance:|svrgs:|ply:")
-NAME_LIMIT = 60  # bytes of a name; Blender 4.2 allows 63
-STORED_AS = {"f4": ("FLOAT", "f4"), "f8": ("INT32_2D", "i4"), "u4": ("INT", "i4")}  # the same bits; smaller integers: INT
+NAME_LIMIT = 60  # bytes of an attribute name; Blender 4.2 allows 63
+STORED_AS = {
+    "f4": ("FLOAT", "f4"),
+    "f8": ("INT32_2D", "i4"),
+    "u4": ("INT", "i4"),
+}  # types that keep their bits: (data type in Blender, NumPy code there); smaller integers are stored as INT
 
-Get = Callable[[str], np.ndarray | None]
+Get = Callable[[str], np.ndarray | None]  # the values of an attribute by name, None if there is none
 
 
 def to_attributes(scene: Scene) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(name, Blender's data type, values with one row a Gaussian) of every attribute; FLOAT_COLOR may be FLOAT4 where Blender has it."""
+    """Yields (name, Blender's data type, values with one row per Gaussian) of each attribute.
+
+    FLOAT_COLOR may be replaced by FLOAT4 in versions of Blender that have it.
+    """
     yield POSITION, "FLOAT_VECTOR", scene.means
     yield SCALE, "FLOAT_VECTOR", activation.scales(scene.log_scales)
     yield ROTATION, "QUATERNION", activation.rotations(scene.quats)
@@ -36,45 +50,50 @@ def to_attributes(scene: Scene) -> Iterator[tuple[str, str, np.ndarray]]:
     yield RAW_SCALE, "FLOAT_VECTOR", scene.log_scales
     yield RAW_ROTATION, "QUATERNION", scene.quats
     yield RAW_OPACITY, "FLOAT", scene.opacity_logits
-    for name, (attribute, code) in _further(scene).items():
+    for name, (attribute, code) in _extra_columns(scene).items():
         kind, same_bits = STORED_AS.get(code, ("INT", ""))
         column = scene.attributes[name]
         yield attribute, kind, column.view(same_bits) if same_bits else column.astype(np.int32)
 
 
 def notes_of(scene: Scene) -> str:
-    """JSON to be kept with the attributes."""
-    return json.dumps({"antialiased": scene.antialiased, "comments": scene.comments, "order": scene.property_order, "further": _further(scene)})
+    """Types, order and comments of the file and the antialiased flag, as JSON. The data-block keeps this text as a property."""
+    return json.dumps({"antialiased": scene.antialiased, "comments": scene.comments, "order": scene.property_order, "further": _extra_columns(scene)})
 
 
 def from_attributes(get: Get, float_names: list[str], notes: str) -> Scene:
-    """The scene of attributes named and shaped as by to_attributes; get: values by name, None where there are none.
+    """The scene of attributes with the names and shapes of to_attributes.
 
-    notes: of notes_of, or "" for a splat that Blender imported; then float_names, further attributes of one number, are kept.
-    SH bands that are not complete, and those above degree 3, are left out.
+    get: values of an attribute by name, or None. notes: the text of notes_of, or "" for a splat that Blender imported. In that
+    case, the attributes float_names, which have one number per Gaussian, become further columns if a PLY can store their names.
+    Incomplete SH degrees and degrees above 3 are left out.
     """
     base = get(BASE)
-    said = json.loads(notes or "{}")
+    file_facts = json.loads(notes or "{}")
     return Scene(
         means=get(POSITION),
         log_scales=activation.raw_scales(get(SCALE), get(RAW_SCALE)),
         quats=activation.raw_rotations(get(ROTATION), get(RAW_ROTATION)),
         opacity_logits=activation.raw_opacities(base[:, 3], get(RAW_OPACITY)),
         sh=_harmonics(get, base),
-        antialiased=said.get("antialiased", False),
-        attributes=_columns(get, said["further"]) if said else {name: get(name) for name in float_names if _can_be_in_a_file(name)},
-        comments=tuple(said.get("comments", ())),
-        property_order=tuple(said.get("order", ())),
+        antialiased=file_facts.get("antialiased", False),
+        attributes=_columns(get, file_facts["further"]) if file_facts else {name: get(name) for name in float_names if _is_free_ply_name(name)},
+        comments=tuple(file_facts.get("comments", ())),
+        property_order=tuple(file_facts.get("order", ())),
     )
 
 
-def _further(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Name in the file: name of the attribute, and type in the file."""
+def _extra_columns(scene: Scene) -> dict[str, tuple[str, str]]:
+    """Further columns as {name in the file: (name of the attribute, NumPy type code in the file)}.
+
+    Names that are too long or reserved become ply:0, ply:1, ...
+    """
     free = lambda name: len(name.encode()) <= NAME_LIMIT and not RESERVED.match(name)  # noqa: E731
     return {name: (name if free(name) else f"ply:{i}", column.dtype.str[1:]) for i, (name, column) in enumerate(scene.attributes.items())}
 
 
 def _harmonics(get: Get, base: np.ndarray) -> np.ndarray:
+    """SH coefficients (N, K, 3) float32 of all complete degrees up to 3."""
     rest = []
     while len(rest) + 1 < max(SH_COEFFICIENTS) and (values := get(f"{SH}{len(rest)}")) is not None:
         rest.append(values)
@@ -83,7 +102,7 @@ def _harmonics(get: Get, base: np.ndarray) -> np.ndarray:
 
 
 def _columns(get: Get, further: dict) -> dict[str, np.ndarray]:
-    """Columns of the file that are no Gaussian's, as they were; those deleted since are left out."""
+    """Further columns with their types in the file. Columns whose attribute was deleted are left out."""
     columns = {}
     for name, (attribute, code) in further.items():
         values = get(attribute)
@@ -92,5 +111,6 @@ def _columns(get: Get, further: dict) -> dict[str, np.ndarray]:
     return columns
 
 
-def _can_be_in_a_file(name: str) -> bool:
+def _is_free_ply_name(name: str) -> bool:
+    """Whether a PLY can store a property with this name, and the name is not reserved."""
     return bool(re.fullmatch("[!-~]+", name)) and not RESERVED.match(name)

@@ -1,7 +1,8 @@
-"""A COLMAP dataset for Blender: pinhole cameras, photographs that fit them, sparse points. Read in a child: pycolmap cannot be
-imported into every Blender.
+"""A COLMAP dataset for Blender: pinhole cameras, undistorted photographs, sparse points.
 
-Child: `python -m svrgs_addon.blender.posed_photos`, {folder, images, undistorted, out} as JSON on stdin; {} or {"error": sentence} on stdout.
+It is read in a child process, because pycolmap cannot be imported into every Blender. The child process is
+`python -m svrgs_addon.blender.posed_photos`. It gets {folder, images, undistorted, out} as JSON on stdin, writes the dataset to the
+file `out`, and prints {} or {"error": sentence} on stdout.
 """
 
 from __future__ import annotations
@@ -22,28 +23,29 @@ from . import subprocess_python
 
 @dataclass(frozen=True)
 class PosedPhotos:
-    """Views in image-name order, COLMAP's world."""
+    """Views in the order of image names, and sparse points, in the COLMAP world."""
 
     cameras: list[Camera]
-    files: list[Path | None]  # photographs as the pinholes see them; None where there is none
+    files: list[Path | None]  # photographs of the pinhole cameras; None: there is none
     points: np.ndarray  # (P, 3) float32
-    point_colors: np.ndarray  # (P, 3) uint8
+    point_colors: np.ndarray  # (P, 3) uint8, RGB
     warning: str = ""
 
     @property
     def extent(self) -> float:
-        """Diagonal of the box around all cameras."""
+        """Diagonal of the bounding box of all camera positions, in world units."""
         return float(np.linalg.norm(np.ptp([camera.position for camera in self.cameras], axis=0)))
 
 
 def read_in_child(folder: Path, images: str = "", undistorted: Path | None = None) -> PosedPhotos:
-    """The dataset in `folder`. undistorted: where photographs of lenses with distortion are written as their pinholes see them, which
-    takes its time; None: these have no file.
+    """Reads the dataset in `folder` in a child process. images: name or path of the image folder, "" for the default.
 
-    Without photographs there are cameras alone, and a warning. Raises SceneError.
+    undistorted: folder for undistorted copies of photographs that have distortion; writing them takes time. None: views with
+    distortion have no file. If the photographs cannot be found or read, the result has only cameras and points, and a warning.
+    Raises SceneError.
     """
-    with tempfile.TemporaryDirectory() as aside:
-        out = Path(aside) / "photos.npz"
+    with tempfile.TemporaryDirectory() as temp_dir:
+        out = Path(temp_dir) / "photos.npz"
         request = {"folder": str(folder), "images": images, "undistorted": str(undistorted or ""), "out": str(out)}
         status, result = subprocess_python.run([], "svrgs_addon.blender.posed_photos", request)
         if status or not out.exists():
@@ -52,21 +54,21 @@ def read_in_child(folder: Path, images: str = "", undistorted: Path | None = Non
 
 
 def read(folder: Path, images: str, undistorted: Path | None) -> PosedPhotos:
-    """As read_in_child, in this process."""
+    """As read_in_child, but in this process. Raises SceneError, FormatError."""
     from ..photographs.dataset import load_dataset
 
     warning = ""
     try:
         dataset = load_dataset(folder, images or None)
     except SplatError as error:
-        dataset = load_dataset(folder, cameras_only=True)  # if the model is at fault, this fails as well
-        warning = f"{error}; the cameras came without photographs"
-    files = [_fitting(dataset, i, undistorted) for i in range(len(dataset.photos))] or [None] * len(dataset.cameras)
+        dataset = load_dataset(folder, cameras_only=True)  # this fails too if the model is the cause
+        warning = f"{error}; the cameras were loaded without photographs"
+    files = [_pinhole_photo(dataset, i, undistorted) for i in range(len(dataset.photos))] or [None] * len(dataset.cameras)
     return PosedPhotos(dataset.cameras, files, dataset.points, dataset.point_colors, warning)
 
 
-def _fitting(dataset, index: int, undistorted: Path | None) -> Path | None:
-    """The photograph's file, or the file of it undistorted, which is written unless a newer one is there."""
+def _pinhole_photo(dataset, index: int, undistorted: Path | None) -> Path | None:
+    """The photograph, or its undistorted copy, which is written if it is missing or older than the photograph."""
     from ..files.images import write_image
 
     photo = dataset.photos[index]
@@ -81,6 +83,7 @@ def _fitting(dataset, index: int, undistorted: Path | None) -> Path | None:
 
 
 def _pack(path: Path, photos: PosedPhotos):
+    """Writes the dataset to an .npz file for the parent process."""
     cameras = photos.cameras
     np.savez(
         path, viewmats=[c.viewmat for c in cameras], Ks=[c.K for c in cameras], sizes=[(c.width, c.height) for c in cameras],
@@ -90,6 +93,7 @@ def _pack(path: Path, photos: PosedPhotos):
 
 
 def _unpack(path: Path) -> PosedPhotos:
+    """Reads the file of _pack."""
     with np.load(path) as data:
         views = zip(data["viewmats"], data["Ks"], data["sizes"], data["names"], strict=True)
         cameras = [Camera(viewmat, K, int(size[0]), int(size[1]), str(name)) for viewmat, K, size, name in views]
@@ -98,6 +102,7 @@ def _unpack(path: Path) -> PosedPhotos:
 
 
 def main() -> int:
+    """The child process. Returns its exit status."""
     request, result = json.load(sys.stdin), {}
 
     def work() -> int:

@@ -1,4 +1,7 @@
-"""Processes of the Python that runs this one, Blender's too: a library that clashes with Blender's own, or a crash, cannot take Blender down."""
+"""Child processes of the Python that runs this process, in Blender those of Blender's own Python.
+
+Work that could end the process runs here: libraries that conflict with those of Blender, or a crash, cannot end Blender.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-PACKAGES = ("numpy", "OpenImageIO", "pycolmap")  # wherever this process would find them, the child does
+PACKAGES = ("numpy", "OpenImageIO", "pycolmap")  # the child process finds them where this process does
 
 
 def run(words: list[str], module: str = "svrgs_addon", request: dict | None = None, capture: bool = True) -> tuple[int, dict]:
-    """Runs `python -m MODULE WORDS…`; returns (exit status, the JSON object of its last line on stdout, or {}).
+    """Runs `python -m MODULE WORDS…` and waits for it. Returns (exit status, JSON object in the last line of its stdout).
 
-    request: sent as JSON on stdin. capture: else stdout is this process's, and the object {}. Where no JSON comes and the
-    status is not 0, the object is {"error": last line on stderr}.
+    request: sent as JSON to its stdin. If there is no JSON, the object is {"error": last line of stderr} for an exit status that is
+    not 0, else {}. capture=False: the child process uses stdout and stderr of this process, and the object is {}.
     """
     pipe = subprocess.PIPE if capture else None
     done = subprocess.run(
@@ -27,18 +30,18 @@ def run(words: list[str], module: str = "svrgs_addon", request: dict | None = No
     try:
         return done.returncode, json.loads(done.stdout.splitlines()[-1])
     except (IndexError, ValueError):
-        said = [line for line in done.stderr.splitlines() if line.strip()]
-        reason = said[-1].removeprefix("svrgs: ") if said else f"the process ended without a result (exit status {done.returncode})"
+        error_lines = [line for line in done.stderr.splitlines() if line.strip()]
+        reason = error_lines[-1].removeprefix("svrgs: ") if error_lines else f"the process ended without a result (exit status {done.returncode})"
         return done.returncode, {"error": reason} if done.returncode else {}
 
 
 def environment() -> dict[str, str]:
-    """This process's environment, in which a child finds this package and the PACKAGES."""
-    found = [str(Path(__file__).parents[2])]
+    """The environment variables of this process, with a PYTHONPATH on which a child process finds this package and PACKAGES."""
+    paths = [str(Path(__file__).parents[2])]
     for name in PACKAGES:
         spec = importlib.util.find_spec(name)
         if spec is not None and spec.submodule_search_locations:
-            found.append(str(Path(next(iter(spec.submodule_search_locations))).parent))
+            paths.append(str(Path(next(iter(spec.submodule_search_locations))).parent))
     if os.environ.get("PYTHONPATH"):
-        found.append(os.environ["PYTHONPATH"])
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(found))}
+        paths.append(os.environ["PYTHONPATH"])
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}

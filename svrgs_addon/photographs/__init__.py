@@ -1,1 +1,1 @@
-"""Posed photographs: COLMAP models, datasets, camera lists."""
+"""Posed photographs: COLMAP models, datasets, cameras.json."""

@@ -1,4 +1,4 @@
-"""The cameras.json that 3DGS training writes: views without photographs."""
+"""Reads the cameras.json that 3DGS training writes: a list of views without photographs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..files.images import MAX_SIDE
 from .colmap import check_name
 
 MAX_BYTES = 64 * 2**20
-MAX_SKEW = 1e-3  # by which a rotation may miss being one
+MAX_ROTATION_ERROR = 1e-3  # largest entry of |Rᵀ R - I|
 
 
 def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
-    """The cameras of a 3DGS cameras.json, in file order; the principal point is the image centre, as in 3DGS.
+    """The cameras of a 3DGS cameras.json in file order. The principal point is the image centre, as in 3DGS.
 
-    Entries: img_name, width, height, position (3), rotation (camera to world, 3x3), fy, fx. With "orthographic": true, which 3DGS does
-    not know, fx and fy are pixels per unit of length. Raises FormatError.
+    Keys of an entry: img_name; width, height, fx, fy (pixels); position (3, world); rotation (3x3, camera to world). The key
+    "orthographic": true is an extension of this project; fx and fy are then pixels per unit of length. Raises FormatError.
     """
     entries = _read_entries(path)
     cameras = []
@@ -35,20 +35,22 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
 
 
 def _read_entries(path: str | os.PathLike) -> list:
+    """The entries of the file, unchecked. Raises FormatError if it is not a JSON list with at least one entry."""
     try:
         if os.path.getsize(path) > MAX_BYTES:
-            raise FormatError(f"{path}: is larger than {MAX_BYTES // 2**20} MiB, too large for a cameras.json")
+            raise FormatError(f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it is not a cameras.json of 3DGS")
         entries = json.loads(Path(path).read_bytes())
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (ValueError, RecursionError):
-        raise FormatError(f"{path}: is not JSON") from None
+        raise FormatError(f"{path}: is not JSON; give a cameras.json of 3DGS") from None
     if not isinstance(entries, list) or not entries:
-        raise FormatError(f"{path}: holds no list of cameras")
+        raise FormatError(f"{path}: holds no list of cameras; give a cameras.json of 3DGS")
     return entries
 
 
 def _camera(entry: dict) -> Camera:
+    """The camera of one entry. Raises FormatError, KeyError, TypeError, ValueError or OverflowError if it is not usable."""
     if not isinstance(entry, dict):
         raise FormatError("not an object")
     name = str(entry["img_name"])
@@ -59,8 +61,8 @@ def _camera(entry: dict) -> Camera:
     rotation = np.array(entry["rotation"], np.float64).reshape(3, 3)  # camera to world
     if not (np.isfinite([fx, fy, *position]).all() and fx > 0 and fy > 0):
         raise FormatError("its focal length or position is not usable")
-    if not np.abs(rotation).max() < 2 or not np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_SKEW or np.linalg.det(rotation) < 0:
-        raise FormatError("its rotation is not a rotation")
+    if not np.abs(rotation).max() < 2 or not np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_ROTATION_ERROR or np.linalg.det(rotation) < 0:
+        raise FormatError("its rotation is not a rotation matrix")
     orthographic = entry.get("orthographic", False)
     if type(orthographic) is not bool:
         raise FormatError(f"orthographic is {orthographic!r}; true or false is expected")
@@ -72,6 +74,7 @@ def _camera(entry: dict) -> Camera:
 
 
 def _side(value: object) -> int:
+    """Checks the width or height of an image, in pixels. Raises FormatError."""
     if type(value) is not int or not 0 < value <= MAX_SIDE:
         raise FormatError(f"an image side is {value}; 1 to {MAX_SIDE} is expected")
     return value

@@ -1,8 +1,8 @@
-"""COLMAP sparse models through pycolmap: finding, checking, reading, and turning every camera into a pinhole.
+"""Finds, checks and reads COLMAP sparse models with pycolmap, and makes a pinhole camera of every camera.
 
-pycolmap is imported inside functions only. It trusts the counts in binary files (a cut points3D.bin makes it loop for
-ever), so these are held against the bytes that exist before it sees them; and it sees no file but those three, since
-poses stand in `images` and rigs and frames add nothing a pinhole view needs.
+pycolmap is imported inside functions only. It trusts the counts in binary files: a truncated points3D.bin makes it loop for ever.
+So the counts are compared with the size of the files first. pycolmap then reads only cameras, images and points3D: the poses are
+in `images`, and the files of rigs and frames are not needed for pinhole views.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ if TYPE_CHECKING:
     import pycolmap
 
 MODEL_FILES = ("cameras", "images", "points3D")
-MODEL_FOLDERS = (".", "sparse/0", "0", "sparse")  # below the folder given
-ROUNDING_PX = 1.0  # by which a scaled photograph's sides may miss the exact ratio
+MODEL_FOLDERS = (".", "sparse/0", "0", "sparse")  # searched below the given folder, in this order
+ROUNDING_PX = 1.0  # tolerance of each side of a scaled photograph
 
 
 @dataclass(frozen=True)
 class View:
     """One registered photograph."""
 
-    name: str  # '/' between folders
+    name: str  # image name, with '/' between folders
     viewmat: np.ndarray  # (4, 4) float64, world to camera
-    camera: pycolmap.Camera  # of any model, at the size of the photograph COLMAP saw
+    camera: pycolmap.Camera  # of any camera model; its size is that of the photograph in COLMAP
 
 
 @dataclass(frozen=True)
 class Model:
-    """A sparse model: views in name order; points (P, 3) float32 world; point_colors (P, 3) uint8 RGB."""
+    """A sparse model. views: in name order. points: (P, 3) float32, world. point_colors: (P, 3) uint8, RGB."""
 
     views: list[View]
     points: np.ndarray
@@ -55,7 +55,7 @@ class Model:
 
 
 def find_model(folder: Path) -> Path:
-    """The folder of the model's three files: `folder` itself or below. Raises SceneError."""
+    """The folder with the three files of the model: `folder` or one of MODEL_FOLDERS below it. Raises SceneError."""
     for below in MODEL_FOLDERS:
         if _has_files(folder / below, ".bin") or _has_files(folder / below, ".txt"):
             return folder / below
@@ -63,31 +63,31 @@ def find_model(folder: Path) -> Path:
 
 
 def read_model(folder: Path) -> Model:
-    """Read the model in `folder`, binary if it is there, else text. Raises FormatError."""
+    """Reads the model in `folder`: the binary files if they exist, else the text files. Raises FormatError."""
     library = import_pycolmap()
     suffix = ".bin" if _has_files(folder, ".bin") else ".txt"
     try:
         if suffix == ".bin":
             for name, skip in zip(MODEL_FILES, (_skip_camera, _skip_image, _skip_point), strict=True):
                 _check_records(folder / f"{name}.bin", skip)
-        with tempfile.TemporaryDirectory() as alone:
+        with tempfile.TemporaryDirectory() as temp_dir:
             for name in MODEL_FILES:
-                _lend(folder / f"{name}{suffix}", Path(alone))
-            return _convert(library.Reconstruction(alone))
+                _link_or_copy(folder / f"{name}{suffix}", Path(temp_dir))
+            return _convert(library.Reconstruction(temp_dir))
     except FormatError as error:
         raise FormatError(f"{folder}: {error}") from None
     except OSError as error:
         raise FormatError(f"{folder}: cannot be read ({error.strerror or error})") from error
     except (ValueError, LookupError, RuntimeError, MemoryError) as error:
-        reason = str(error).partition("\n")[0].rpartition("] ")[2]  # without pycolmap's source line
+        reason = str(error).partition("\n")[0].rpartition("] ")[2]  # without the position in pycolmap's source code
         raise FormatError(f"{folder}: is not a COLMAP model that can be read ({reason})") from error
 
 
 def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolmap.Camera | None]:
-    """The view as a pinhole for its photograph of width x height, and the distorted camera at that size, if it is one.
+    """The pinhole camera of a view for a photograph of width x height pixels, and its distorted camera at that size or None.
 
-    A distorted view's pinhole has the size and K that undistort_image gives. Raises SceneError where sizes disagree or
-    the model cannot be undistorted.
+    The pinhole of a distorted view has the size and K of the image that undistort_image returns. Raises SceneError if the
+    photograph has another aspect ratio than the camera, or if no pinhole can be made of the camera model.
     """
     _check_aspect(view, width, height)
     if not (np.isfinite(view.camera.params).all() and np.isfinite(view.viewmat).all()):
@@ -95,47 +95,47 @@ def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolma
     kinds = import_pycolmap().CameraModelId
     if view.camera.model in (kinds.PINHOLE, kinds.SIMPLE_PINHOLE):
         full = Camera(view.viewmat, view.camera.calibration_matrix(), view.camera.width, view.camera.height, view.name)
-        return _checked(full.resized(width, height)), None
+        return _checked_camera(full.resized(width, height)), None
     if not view.camera.is_perspective():
-        raise SceneError(
-            f"{view.name}: its camera model is {view.camera.model_name}, a panorama that no pinhole image can hold; cut it into perspective views first"
-        )
+        raise SceneError(f"{view.name}: its camera model is {view.camera.model_name}, a panorama, which is not supported; cut it into perspective views first")
     size = view.camera.width, view.camera.height
     distorted, flat = _undistort_camera(view.camera.model_name, size, tuple(view.camera.params), (width, height))
-    return _checked(Camera(view.viewmat, flat.calibration_matrix(), flat.width, flat.height, view.name)), distorted
+    return _checked_camera(Camera(view.viewmat, flat.calibration_matrix(), flat.width, flat.height, view.name)), distorted
 
 
 def undistort_image(pixels: np.ndarray, distorted: pycolmap.Camera) -> np.ndarray:
-    """(H, W, 3) uint8 photograph of the distorted camera, resampled (bilinear) as its pinhole sees it."""
+    """Resamples a photograph (H, W, 3) uint8 of the distorted camera (bilinear) to the image (H', W', 3) of its pinhole camera."""
     library = import_pycolmap()
     bitmap = library.Bitmap.from_array(pixels)
     return library.undistort_image(library.UndistortCameraOptions(), bitmap, distorted)[0].to_array()
 
 
 def check_name(name: str) -> None:
-    """Refuse an image name that leads out of the image folder. Raises FormatError."""
+    """Raises FormatError if an image name leads out of the image folder, on POSIX or on Windows."""
     for path in (PurePosixPath(name), PureWindowsPath(name)):
         if not path.name or path.anchor or ".." in path.parts:
             raise FormatError(f"image name {name!r} does not stay inside the image folder")
 
 
 def import_pycolmap() -> ModuleType:
+    """pycolmap. Raises SceneError if it is not installed. The handler of SIGTERM stays as it was."""
     before = None if "pycolmap" in sys.modules else signal.getsignal(signal.SIGTERM)
     try:
         import pycolmap
     except ImportError as error:
         raise SceneError(f"reading COLMAP models needs the package pycolmap: run {sys.executable} -m pip install pycolmap") from error
     if before is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, before)  # the import put one there that prints a stack trace
+        signal.signal(signal.SIGTERM, before)  # the import installs a handler that prints a stack trace
     return pycolmap
 
 
 def _has_files(folder: Path, suffix: str) -> bool:
+    """Whether the folder has all three files of a model with this suffix."""
     return all(os.path.isfile(folder / f"{name}{suffix}") for name in MODEL_FILES)
 
 
-def _lend(file: Path, folder: Path) -> None:
-    """Make the file appear in the folder: by a link, or by a copy where links are not allowed."""
+def _link_or_copy(file: Path, folder: Path) -> None:
+    """Makes a link to the file in the folder, or a copy if links are not allowed."""
     try:
         os.symlink(os.path.abspath(file), folder / file.name)
     except OSError:
@@ -143,11 +143,12 @@ def _lend(file: Path, folder: Path) -> None:
 
 
 def _convert(reconstruction: pycolmap.Reconstruction) -> Model:
+    """The model with the images that have a pose. Raises FormatError."""
     images = [image for image in reconstruction.images.values() if image.has_pose]
     points = [point for _, point in sorted(reconstruction.points3D.items())]
     positions = np.array([point.xyz for point in points], np.float64).reshape(-1, 3)
     if not (np.abs(positions) < np.finfo(np.float32).max).all():
-        raise FormatError("has a 3-D point that is not at a finite place")
+        raise FormatError("has a 3-D point that is not at a finite place; run COLMAP's mapper again")
     return Model(
         views=[_view(image) for image in sorted(images, key=lambda image: image.name)],
         points=positions.astype(np.float32),
@@ -156,26 +157,27 @@ def _convert(reconstruction: pycolmap.Reconstruction) -> Model:
 
 
 def _view(image: pycolmap.Image) -> View:
+    """The view of an image with a pose. Raises FormatError for a name or an image size that is not allowed."""
     check_name(image.name)
     width, height = image.camera.width, image.camera.height
-    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):  # undistorting walks along the border
-        raise FormatError(f"the camera of {image.name} is {width} x {height}; the limit is {MAX_SIDE} a side")
+    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):  # undistorting visits every border pixel
+        raise FormatError(f"the camera of {image.name} is {width} x {height}; the limit is {MAX_SIDE} per side")
     viewmat = np.eye(4)
     viewmat[:3] = image.cam_from_world().matrix()
     return View(image.name, viewmat, copy.copy(image.camera))
 
 
-@functools.lru_cache(maxsize=256)  # the views of a dataset share few cameras
+@functools.lru_cache(maxsize=256)  # most views of a dataset share a camera
 def _undistort_camera(model: str, size: tuple[int, int], params: tuple[float, ...], scaled: tuple[int, int]) -> tuple[pycolmap.Camera, pycolmap.Camera]:
-    """The distorted camera at the scaled (width, height), and the pinhole COLMAP makes of it."""
+    """The distorted camera at the scaled (width, height) in pixels, and the pinhole camera that COLMAP makes of it."""
     library = import_pycolmap()
     distorted = library.Camera(model=model, width=size[0], height=size[1], params=params)
     distorted.rescale(*scaled)
     return distorted, library.undistort_camera(library.UndistortCameraOptions(), distorted)
 
 
-def _checked(camera: Camera) -> Camera:
-    """Refuse what no image could be drawn with."""
+def _checked_camera(camera: Camera) -> Camera:
+    """Returns the camera. Raises SceneError if its pose or intrinsics are not finite or a focal length is not positive."""
     finite = np.isfinite(camera.K).all() and np.isfinite(camera.viewmat).all()
     if not (finite and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
         raise SceneError(f"{camera.name}: its camera has a focal length or pose that is not usable")
@@ -183,7 +185,7 @@ def _checked(camera: Camera) -> Camera:
 
 
 def _check_aspect(view: View, width: int, height: int) -> None:
-    """Both sides must be the camera's at one scale, up to rounding; else the photograph is not this model's."""
+    """Raises SceneError if the photograph is not a scaled copy of the camera's image, up to ROUNDING_PX per side."""
     sides = ((width, view.camera.width), (height, view.camera.height))
     smallest = max((side - ROUNDING_PX) / full for side, full in sides)
     largest = min((side + ROUNDING_PX) / full for side, full in sides)
@@ -194,7 +196,7 @@ def _check_aspect(view: View, width: int, height: int) -> None:
 
 
 def _check_records(path: Path, skip: Callable[[bytes, int], int]) -> None:
-    """Walk over the records a binary file announces. Raises FormatError where they outrun its bytes."""
+    """Visits all records that a binary file declares. Raises FormatError if they need more bytes than the file has."""
     data = path.read_bytes()
     try:
         (count,) = struct.unpack_from("<Q", data)
@@ -205,11 +207,11 @@ def _check_records(path: Path, skip: Callable[[bytes, int], int]) -> None:
     except (struct.error, ValueError, OverflowError):
         whole = False
     if not whole:
-        raise FormatError(f"{path.name} is truncated or not a COLMAP file")
+        raise FormatError(f"{path.name} is truncated or not a COLMAP file; copy the model again")
 
 
 def _skip_camera(data: bytes, start: int) -> int:
-    """id, model, width, height, then parameters by model."""
+    """End of a record: id, camera model, width, height, then the parameters of the model."""
     _, model, _, _ = struct.unpack_from("<IiQQ", data, start)
     library = import_pycolmap()
     params = library.Camera.create_from_model_id(0, library.CameraModelId(model), 1.0, 1, 1).params
@@ -217,13 +219,13 @@ def _skip_camera(data: bytes, start: int) -> int:
 
 
 def _skip_image(data: bytes, start: int) -> int:
-    """id, pose, camera id, name ending in zero, then (x, y, point id) for each keypoint."""
+    """End of a record: id, pose, camera id, zero-terminated name, then (x, y, point id) of each keypoint."""
     end = data.index(b"\0", start + 64) + 1
     (count,) = struct.unpack_from("<Q", data, end)
     return end + 8 + 24 * count
 
 
 def _skip_point(data: bytes, start: int) -> int:
-    """id, xyz, rgb, error, then (image id, keypoint) for each observation."""
+    """End of a record: id, xyz, rgb, error, then (image id, keypoint) of each observation."""
     (count,) = struct.unpack_from("<Q", data, start + 43)
     return start + 51 + 8 * count

@@ -1,6 +1,6 @@
-"""Posed photographs with their sparse points: what fine-tuning and evaluation look at.
+"""A COLMAP dataset for fine-tuning and evaluation: posed photographs and sparse points.
 
-Images are read when asked for, kept while they fit into a memory budget, and can be read ahead in the background.
+Photographs are read on demand, cached up to a memory budget, and can be read ahead in background threads.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 
 __all__ = ["Dataset", "load_cameras_json", "load_dataset"]
 
-HOLDOUT = 8  # every 8th image in name order is for testing, as in 3DGS
-EXTENT_MARGIN = 1.1
-MEMORY_BUDGET = 4 * 2**30
-READ_AHEAD = 3
+HOLDOUT = 8  # every 8th image in name order is a test view, as in 3DGS
+EXTENT_MARGIN = 1.1  # as in 3DGS
+MEMORY_BUDGET = 4 * 2**30  # bytes of cached photographs
+READ_AHEAD = 3  # photographs
 READER_THREADS = 2
-MISSING_SHOWN = 3
+MISSING_SHOWN = 3  # names of missing photographs in a message
 
 
 @dataclass(frozen=True)
 class Photo:
-    """Where a view's photograph is, and the distorted camera that took it, if it is not a pinhole's."""
+    """The file of a view's photograph, and its camera if it has distortion (None: a pinhole camera)."""
 
     path: Path
     distorted: pycolmap.Camera | None
@@ -46,70 +46,79 @@ class Photo:
 
 @dataclass
 class Dataset:
-    """Views in image-name order, after undistortion and scaling, and the sparse points in world coordinates."""
+    """Views in the order of image names, with pinhole cameras for the undistorted and scaled photographs, and sparse points.
+
+    Coordinates are those of the COLMAP world.
+    """
 
     cameras: list[Camera]
     points: np.ndarray  # (P, 3) float32
     point_colors: np.ndarray  # (P, 3) uint8
     train_indices: list[int]
     test_indices: list[int]
-    photos: list[Photo] = field(default_factory=list)  # one a camera; empty where only cameras were asked for
-    background: tuple[float, float, float] = (0, 0, 0)  # display sRGB, below transparent pixels
-    memory_budget: int = MEMORY_BUDGET  # bytes
-    _kept: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
+    photos: list[Photo] = field(default_factory=list)  # one per camera; empty if only cameras were loaded
+    background: tuple[float, float, float] = (0, 0, 0)  # display sRGB 0..1, behind transparent pixels
+    memory_budget: int = MEMORY_BUDGET  # bytes of cached photographs
+    _cache: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
     def extent(self) -> float:
-        """1.1 times the largest distance of a training camera from their mean, world units; of all if none trains."""
+        """Scene extent of 3DGS in world units: 1.1 times the largest distance of a training camera from their mean position.
+
+        Without training cameras, all cameras count.
+        """
         centres = np.array([self.cameras[i].position for i in self.train_indices or range(len(self.cameras))])
         return float(EXTENT_MARGIN * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
 
     def image(self, index: int) -> np.ndarray:
-        """The photograph of cameras[index], (H, W, 3) display sRGB, read-only: uint8, or float32 in 0..1 where the file
-        has more than 8 bits and needed no undistortion. Raises FormatError, SceneError.
+        """The photograph of cameras[index], (H, W, 3) display sRGB, read-only.
+
+        It is uint8, or float32 in 0..1 if the file has more than 8 bits per channel and was not undistorted. Raises FormatError,
+        SceneError.
         """
         with self._lock:
-            image = self._kept.get(index)
+            image = self._cache.get(index)
         return self._read(index) if image is None else image
 
     def stream(self, order: Iterable, read: Callable | None = None, ahead: int = READ_AHEAD) -> Iterator[tuple]:
-        """(item, read(item)) for each item of `order`, which may be endless; threads read `ahead` of them in advance.
+        """Yields (item, read(item)) for each item of `order`, which may be endless. Threads read `ahead` items in advance.
 
-        read: by default image(), of indices. What comes out does not depend on the threads' timing. Close the iterator, or
-        use it up, to end them.
+        read: image() by default; items are then indices. The result does not depend on the timing of the threads. They end when
+        the iterator is exhausted or closed.
         """
         read = read or self.image
         order = iter(order)
         pool = ThreadPoolExecutor(READER_THREADS)
         try:
-            waiting = deque((item, pool.submit(read, item)) for item in itertools.islice(order, max(1, ahead)))
-            while waiting:
-                item, result = waiting.popleft()
-                waiting.extend((item, pool.submit(read, item)) for item in itertools.islice(order, 1))
+            pending = deque((item, pool.submit(read, item)) for item in itertools.islice(order, max(1, ahead)))
+            while pending:
+                item, result = pending.popleft()
+                pending.extend((item, pool.submit(read, item)) for item in itertools.islice(order, 1))
                 yield item, result.result()
         finally:
             pool.shutdown(cancel_futures=True)
 
     def _read(self, index: int) -> np.ndarray:
+        """Reads, undistorts and caches a photograph. Raises FormatError, SceneError."""
         if not self.photos:
             raise SceneError("the dataset was loaded without its photographs")
         photo, camera = self.photos[index], self.cameras[index]
-        image = read_pixels(photo.path, self.background, upright=False)  # COLMAP's pixels are those stored
+        image = read_pixels(photo.path, self.background, upright=False)  # COLMAP ignores the EXIF orientation
         if photo.distorted is not None:
             image = undistort_image(to_bytes(image), photo.distorted)
         if image.shape != (camera.height, camera.width, 3):
-            raise SceneError(f"{photo.path}: its size has changed since the dataset was loaded")
+            raise SceneError(f"{photo.path}: its size has changed since the dataset was loaded; start again")
         image.flags.writeable = False
-        self._keep(index, image)
+        self._cache_image(index, image)
         return image
 
-    def _keep(self, index: int, image: np.ndarray) -> None:
-        """Keep the image if it still fits. The first ones stay: in a random order no other choice serves better."""
+    def _cache_image(self, index: int, image: np.ndarray) -> None:
+        """Caches the image if it fits into the budget. Images are never replaced: in a random order, no other rule gives more hits."""
         with self._lock:
-            used = sum(kept.nbytes for kept in self._kept.values())
+            used = sum(cached.nbytes for cached in self._cache.values())
             if used + image.nbytes <= self.memory_budget:
-                self._kept[index] = image
+                self._cache[index] = image
 
 
 def load_dataset(
@@ -122,19 +131,20 @@ def load_dataset(
     need_points: bool = False,
     memory_budget: int = MEMORY_BUDGET,
 ) -> Dataset:
-    """Load a COLMAP dataset: its root, its `sparse`, `sparse/0`, or the folder of the model's files.
+    """Loads a COLMAP dataset. folder: its root, its `sparse` or `sparse/0`, or the folder of the model's files.
 
-    images: the image folder ("images", "images_4", ...), inside the dataset or a path; intrinsics follow the real size
-    of each photograph. holdout: every how many-th view is for testing; 0 for none. cameras_only: look at no photograph,
-    cameras keep the model's size. Raises SceneError, FormatError.
+    images: name of the image folder in the dataset ("images", "images_4", ...), or a path; default "images". Intrinsics are
+    scaled to the size of each photograph. holdout: every holdout-th view in name order is a test view; 0: none. background:
+    display sRGB 0..1, behind transparent pixels. cameras_only: no photograph is opened; cameras have the size in the model.
+    need_points: refuse a model without points. memory_budget: bytes of cached photographs. Raises SceneError, FormatError.
     """
     folder = Path(folder)
     location = find_model(folder)
     model = read_model(location)
     if not model.views:
-        raise SceneError(f"{location}: has no view with a pose")
+        raise SceneError(f"{location}: has no view with a pose; run COLMAP's mapper again")
     if need_points and not len(model.points):
-        raise SceneError(f"{location}: has no 3-D points to start from")
+        raise SceneError(f"{location}: has no 3-D points to start from; run COLMAP's mapper again")
     if cameras_only:
         cameras, photos = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views], []
     else:
@@ -145,17 +155,17 @@ def load_dataset(
 
 
 def _image_folder(folder: Path, location: Path, images: str) -> Path:
-    """The first folder of that name, from the model's folder up to the dataset's root; else the path itself."""
+    """The first folder with this name from the given folder up to the root of the dataset, else the path `images`. Raises SceneError."""
     here = Path(os.path.abspath(folder))
     above = here.parents[:2] if folder == location or here.name == "sparse" else ()
     for candidate in [*(base / images for base in (here, *above)), Path(images)]:
         if os.path.isdir(candidate):
             return candidate
-    raise SceneError(f"{folder}: has no image folder {images}")
+    raise SceneError(f"{folder}: has no image folder {images}; give the name or path of the folder with the photographs")
 
 
 def _fit_photos(views: list[View], folder: Path) -> tuple[list[Camera], list[Photo]]:
-    """A pinhole camera of the photograph's size for every view, and where its photograph is."""
+    """The pinhole camera of each view at the size of its photograph, and the photographs. Raises SceneError, FormatError."""
     missing = [view.name for view in views if not os.path.isfile(folder / view.name)]
     if missing:
         shown = ", ".join(missing[:MISSING_SHOWN]) + (", ..." if len(missing) > MISSING_SHOWN else "")

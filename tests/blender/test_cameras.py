@@ -234,7 +234,8 @@ def test_cameras_come_without_photographs_and_say_so(tmp_path, capfd):
     (tmp_path / "sparse").symlink_to(DATA / "tiny/sparse")
     bpy.ops.svrgs.import_colmap(directory=str(tmp_path))
     assert len(cameras()) == 12 and not any(obj.data.background_images for obj in cameras())
-    assert "has no image folder images; the cameras came without photographs" in capfd.readouterr().out
+    out = capfd.readouterr().out
+    assert "has no image folder images; give the name" in out and "; the cameras were loaded without photographs" in out
 
 
 def test_a_folder_without_a_model_is_refused(tmp_path):
