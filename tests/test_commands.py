@@ -438,7 +438,7 @@ REFUSED = [  # what is broken, the command, what the sentence says
     *((no_views, command, ("no view with a pose",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
     *((panorama, command, ("EQUIRECTANGULAR",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
     *((truncated_splat, command, ("scene.ply", "is truncated")) for command in ("info {data}/scene.ply", PRUNE, EVAL, RENDER, COMPARE)),
-    *((splat_elsewhere, command, ("scene.ply", "none of its Gaussians lies near")) for command in (PRUNE, EVAL, COMPARE)),
+    *((splat_elsewhere, command, ("scene.ply", "none of its Gaussians is near")) for command in (PRUNE, EVAL, COMPARE)),
     *((empty_splat, command, ("scene.ply", "no usable Gaussian")) for command in (PRUNE, EVAL, RENDER, COMPARE)),
     *((broken_photograph, command, ("00.png", "cannot be read as an image")) for command in (PRUNE, EVAL)),
     (one_view, PRUNE, ("--holdout 0",)),

@@ -54,7 +54,7 @@ def test_a_flat_surface_hides_what_lies_behind_it(scene):
     for name in ("rgb", "alpha", "mask", "hits"):
         np.testing.assert_allclose(image_of(picture, name), expected[name], atol=2e-5, rtol=1e-5)
     np.testing.assert_allclose(picture.depth, expected["depth"] + (1 - expected["alpha"]) * z, rtol=1e-5)
-    assert (picture.covered == 1).all()
+    assert (picture.coverage == 1).all()
 
 
 def test_a_slope_hides_at_every_pixel_what_lies_behind_it_there(scene):
@@ -64,7 +64,7 @@ def test_a_slope_hides_at_every_pixel_what_lies_behind_it_there(scene):
     picture, whole = composite(Rasterizer(), scene, CAMERA, surface=slope), composite(Rasterizer(), scene, CAMERA)
     for name in ("rgb", "alpha", "mask", "hits", "depth"):
         np.testing.assert_array_equal(image_of(picture, name)[:, 48:], image_of(whole, name)[:, 48:])
-    assert (picture.images["hits"][:, 0] == 0).all() and (picture.covered[:, :48] == 1).all()
+    assert (picture.images["hits"][:, 0] == 0).all() and (picture.coverage[:, :48] == 1).all()
     for column in (12, 25, 40):
         flat = composite(Rasterizer(), scene, CAMERA, surface=plane(slope.depth[0, column]))
         for name in ("rgb", "alpha", "mask", "hits", "depth"):
@@ -73,7 +73,7 @@ def test_a_slope_hides_at_every_pixel_what_lies_behind_it_there(scene):
 
 def test_nothing_at_all_is_far_away():
     picture = composite(Rasterizer(), scenes.empty_scene(), CAMERA)
-    assert (picture.depth == FAR).all() and not picture.covered.any()
+    assert (picture.depth == FAR).all() and not picture.coverage.any()
 
 
 def test_a_drawing_nobody_wants_any_more_stops(scene):

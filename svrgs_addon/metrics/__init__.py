@@ -1,7 +1,8 @@
-"""How alike two pictures are: PSNR, SSIM, FLIP (NumPy only) and LPIPS (needs torch and a weight file).
+"""Image metrics: PSNR, SSIM, FLIP (NumPy only) and LPIPS (needs torch and a weight file).
 
-Every metric takes two (H, W, 3) arrays, display sRGB in [0, 1], and uses the values as given: clamp a render first, and
-round it to 8 bits where a figure must be comparable with published ones (3DGS measures saved PNG files).
+Each metric takes two arrays (H, W, 3), display sRGB in [0, 1], and raises SceneError if their shapes differ or a value is not finite.
+Values are used as given. So a render must be clamped first, and rounded to 8 bits where results are compared with published ones,
+because 3DGS measures saved PNG files (evaluate.py does both).
 """
 
 from .flip import flip, flip_map

@@ -1,4 +1,4 @@
-"""What the metrics share: the check of their two images, and a one-dimensional filter. Knows no metric."""
+"""Functions that all metrics use: the check of two images, and separable filters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ..errors import SceneError
 
 
 def image_pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both images as float32 (H, W, 3); SceneError where shapes differ or a value is not finite."""
+    """Both images as float32 (H, W, 3). Raises SceneError if their shapes differ or a value is not finite."""
     a, b = np.asarray(a, np.float32), np.asarray(b, np.float32)
     if a.shape != b.shape or a.ndim != 3 or a.shape[2] != 3 or a.size == 0:
         raise SceneError(f"cannot compare images of shapes {a.shape} and {b.shape}; both must be (H, W, 3)")
@@ -18,9 +18,9 @@ def image_pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def filter_axis(planes: np.ndarray, taps: np.ndarray, axis: int, mode: str) -> np.ndarray:
-    """Correlate with an odd number of taps along one axis; same shape and dtype as `planes`.
+    """Correlates `planes` with an odd number of taps along one axis. Shape and dtype stay the same.
 
-    `mode` is how numpy.pad continues the image past its border ('edge', 'constant').
+    mode: padding at the border, as in numpy.pad ('edge', 'constant').
     """
     radius = len(taps) // 2
     widths = [(radius, radius) if i == axis % planes.ndim else (0, 0) for i in range(planes.ndim)]
@@ -35,6 +35,6 @@ def filter_axis(planes: np.ndarray, taps: np.ndarray, axis: int, mode: str) -> n
 
 
 def filter_separable(planes: np.ndarray, taps_y: np.ndarray, taps_x: np.ndarray, mode: str) -> np.ndarray:
-    """Correlate the last two axes (y, x) of `planes` with the outer product of two odd filters; same shape."""
+    """Correlates the last two axes (y, x) of `planes` with the outer product of two filters of odd length. The shape stays the same."""
     taps_y, taps_x = taps_y.astype(planes.dtype), taps_x.astype(planes.dtype)
     return filter_axis(filter_axis(planes, taps_y, -2, mode), taps_x, -1, mode)

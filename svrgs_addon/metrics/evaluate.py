@@ -1,4 +1,4 @@
-"""Quality of a scene against photographs: PSNR, SSIM, FLIP, LPIPS, and how long a frame takes."""
+"""Quality of a scene compared with photographs: PSNR, SSIM, FLIP, LPIPS; and the time per frame."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from ..photographs.dataset import Dataset
 from ..scene import Scene
 from . import flip, psnr, ssim
 
-VISIBLE_CAMERAS = 32  # at most so many cameras are asked whether they see the scene
-VISIBLE_POINTS = 100_000
-VISIBLE_REACH = 100.0  # times the distance of the outermost camera from the cameras' mean
+# Limits of refuse_unseen.
+VISIBLE_CAMERAS = 32  # approximate number of cameras that are checked, evenly spaced in the list
+VISIBLE_POINTS = 100_000  # approximate number of Gaussians that are checked
+VISIBLE_REACH = 100.0  # largest z, as a multiple of the largest distance of a camera from the mean of the cameras
 
 
 def shown(rgb: np.ndarray) -> np.ndarray:
-    """A rendered image as a viewer's 8 bits hold it: clamped and rounded, (H, W, 3) float32 in 0..1.
+    """A rendered image (H, W, 3), clamped to 0..1 and rounded to multiples of 1/255, float32.
 
-    The published protocol measures saved 8-bit files.
+    Published results are measured on saved 8-bit files.
     """
     image = np.clip(rgb, 0, 1).astype(np.float32, copy=False)
     image *= 255
@@ -35,19 +36,20 @@ def shown(rgb: np.ndarray) -> np.ndarray:
 
 
 def render_options(scene: Scene, background=(0.0, 0.0, 0.0), mask_kind: str = "none") -> RenderOptions:
+    """Options to render the scene as it was trained. background: display sRGB 0..1. mask_kind: form of F, see RenderOptions."""
     return RenderOptions(antialiased=scene.antialiased, background=background, mask_kind=mask_kind)
 
 
 def split_indices(dataset: Dataset, split: str) -> Sequence[int]:
-    """Views of 'test', 'train' or 'all'. Raises SceneError if there are none."""
+    """Indices of the views of split 'test', 'train' or 'all'. Raises SceneError if there are none."""
     chosen = {"test": dataset.test_indices, "train": dataset.train_indices, "all": range(len(dataset.cameras))}[split]
     if not len(chosen):
-        raise SceneError(f"the dataset has no {split} views")
+        raise SceneError(f"the dataset has no {split} views; choose another split")
     return chosen
 
 
 def mean_psnr(model, dataset: Dataset, indices: Sequence[int], rasterizer: Rasterizer, options: RenderOptions, masks=None) -> float:
-    """Mean PSNR in dB over the given views; model: anything with a scene's arrays."""
+    """Mean PSNR in dB over the given views. model: an object with the arrays of Scene. masks: (N,) uint8, None: all 1."""
     values = []
     for i in indices:
         rgb = rasterizer.forward(model, dataset.cameras[i], options, masks)["rgb"]
@@ -56,7 +58,11 @@ def mean_psnr(model, dataset: Dataset, indices: Sequence[int], rasterizer: Raste
 
 
 def evaluate(scene: Scene, dataset: Dataset, indices: Sequence[int], rasterizer: Rasterizer, lpips: Callable | None = None) -> dict:
-    """Means over the views: psnr (dB), ssim, lpips (None without `lpips`), flip; count; ms_per_frame, the median."""
+    """Renders the views and compares them with the photographs.
+
+    Returns means over the views: psnr (dB), ssim, flip, lpips (None without `lpips`); and count (Gaussians), ms_per_frame (median
+    duration of a forward pass in milliseconds).
+    """
     options = render_options(scene, dataset.background)
     rows, seconds = [], []
     for i in indices:
@@ -78,9 +84,12 @@ def evaluate(scene: Scene, dataset: Dataset, indices: Sequence[int], rasterizer:
 
 
 def refuse_unseen(scene: Scene, cameras: Sequence[Camera], name: str):
-    """Raises SceneError if no camera has a single Gaussian's centre in view and not absurdly far: the files do not belong together."""
+    """Raises SceneError if no camera sees the centre of a Gaussian within VISIBLE_REACH: scene and cameras do not belong together.
+
+    name: name of the scene's file, for the message.
+    """
     centres = np.array([camera.position for camera in cameras])
-    reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf  # one camera tells no scale
+    reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf  # a single camera gives no scale
     points = scene.means[:: max(1, scene.count // VISIBLE_POINTS)].astype(np.float64)
     for camera in cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]:
         local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
@@ -88,4 +97,4 @@ def refuse_unseen(scene: Scene, cameras: Sequence[Camera], name: str):
         inside = (z > 0) & (z < reach) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
         if inside.any():
             return
-    raise SceneError(f"{name}: none of its Gaussians lies near and in view of any camera; is it in the frame of this COLMAP model?")
+    raise SceneError(f"{name}: none of its Gaussians is near a camera and in view of it; use the COLMAP model of this scene")

@@ -1,11 +1,11 @@
-"""LPIPS v0.1 with the VGG16 backbone (Zhang et al. 2018), from one weight file that the user gives.
+"""LPIPS v0.1 with the VGG16 backbone (Zhang et al. 2018). The user gives one weight file.
 
-The weights are not shipped. Where the lpips package is installed, this writes a file that is read here:
+The weights are not part of this project. With the package lpips installed, this line writes a weight file:
 
     torch.save(lpips.LPIPS(net="vgg").state_dict(), "lpips_vgg.pt")
 
-Keys, all float, in a `.pt`/`.pth` state dict or a `.npz` of arrays (others in the file are ignored):
-    backbone  features.I.weight, features.I.bias   as torchvision's vgg16, or net.sliceS.I.weight … as the lpips package
+The file is a state dict (.pt, .pth) or arrays (.npz). It must have these keys, all with floats; other keys are ignored:
+    backbone  features.I.weight, features.I.bias   as in torchvision's vgg16; or net.sliceS.I.weight … as in the package lpips
     heads     linK.model.1.weight, K = 0 … 4       or lins.K.model.1.weight; shape (1, C, 1, 1)
 """
 
@@ -24,7 +24,7 @@ import numpy as np
 from ..errors import FormatError, SceneError
 from .arrays import image_pair
 
-# VGG16 up to relu5_3: (index in torchvision's `features`, output channels) per convolution, one row per tap.
+# VGG16 up to relu5_3: (index in torchvision's `features`, output channels) of each convolution, one row per stage.
 STAGES = (
     ((0, 64), (2, 64)),
     ((5, 128), (7, 128)),
@@ -32,9 +32,9 @@ STAGES = (
     ((17, 512), (19, 512), (21, 512)),
     ((24, 512), (26, 512), (28, 512)),
 )
-SHIFT = (-0.030, -0.088, -0.188)  # the scaling layer: ImageNet's statistics, moved to inputs in [-1, 1]
+SHIFT = (-0.030, -0.088, -0.188)  # the scaling layer (x - SHIFT) / SCALE: mean and deviation of ImageNet for inputs in [-1, 1]
 SCALE = (0.458, 0.448, 0.450)
-SMALLEST = 2 ** (len(STAGES) - 1)  # four halvings
+MIN_SIDE = 2 ** (len(STAGES) - 1)  # pixels; the network halves the image four times
 UNREADABLE = (
     pickle.UnpicklingError,
     zipfile.BadZipFile,
@@ -42,8 +42,8 @@ UNREADABLE = (
     OSError,
     EOFError,
     RuntimeError,
-)  # of both libraries
-UNREADABLE += (TypeError, ValueError, KeyError, AttributeError)  # what they raise on malformed content
+)  # of NumPy and torch
+UNREADABLE += (TypeError, ValueError, KeyError, AttributeError)  # which they raise for malformed content
 SUFFIXES = (".npz", ".pt", ".pth")
 KEY_PATTERNS = (
     (re.compile(r"net\.slice\d\.(\d+)\.(weight|bias)"), r"features.\1.\2"),
@@ -52,29 +52,29 @@ KEY_PATTERNS = (
 
 
 class Lpips:
-    """The loaded network; call it with two images."""
+    """The network with loaded weights. Call it with two images."""
 
     def __init__(self, weights: dict[str, Any]):
-        """weights: torch float32 tensors by the first of the key names above, complete and of the right shapes."""
+        """weights: all tensors, torch float32, by the first of the two key names above."""
         self._weights = weights
 
     def __call__(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Distance ≥ 0 of two (H, W, 3) images, H and W at least SMALLEST; 0 for equal ones, lower is better.
+        """LPIPS distance >= 0 of two images (H, W, 3) in [0, 1], H and W at least MIN_SIDE; lower is better, 0: equal images.
 
-        The values go in as they are, in [0, 1], as the scripts of 3DGS and its followers do, so that figures compare
-        with theirs. The network was meant for [-1, 1]: its authors' own call gives other figures.
+        Values in [0, 1] are the direct input of the network, as in the scripts of 3DGS and later work, so that results can be compared.
+        The network was made for inputs in [-1, 1], so the call in its authors' README gives other results. Raises SceneError.
         """
         import torch
 
         a, b = image_pair(a, b)
-        if min(a.shape[:2]) < SMALLEST:
-            raise SceneError(f"LPIPS needs images of at least {SMALLEST} x {SMALLEST} pixels, not {a.shape[1]} x {a.shape[0]}")
+        if min(a.shape[:2]) < MIN_SIDE:
+            raise SceneError(f"LPIPS needs images of at least {MIN_SIDE} x {MIN_SIDE} pixels, not {a.shape[1]} x {a.shape[0]}")
         batch = torch.from_numpy(np.stack([a, b])).permute(0, 3, 1, 2).contiguous()
         with torch.no_grad():
-            return sum(self._stage_distance(k, taps) for k, taps in enumerate(self._taps(batch)))
+            return sum(self._stage_distance(k, activations) for k, activations in enumerate(self._stage_activations(batch)))
 
-    def _taps(self, batch):
-        """The activations (2, C, h, w) after the last ReLU of each stage."""
+    def _stage_activations(self, batch):
+        """Yields the activations (2, C, h, w) after the last ReLU of each stage."""
         import torch
         from torch.nn.functional import conv2d, max_pool2d
 
@@ -87,19 +87,19 @@ class Lpips:
                 x = conv2d(x, weight, bias, padding=1).relu_()
             yield x
 
-    def _stage_distance(self, k: int, taps) -> float:
-        """Squared difference of unit feature vectors, weighted per channel, mean over pixels (equation 1)."""
-        unit = taps / (taps.norm(dim=1, keepdim=True) + 1e-10)
+    def _stage_distance(self, k: int, activations) -> float:
+        """Squared difference of normalised feature vectors, weighted per channel, mean over pixels (equation 1 of the paper)."""
+        unit = activations / (activations.norm(dim=1, keepdim=True) + 1e-10)
         squared = (unit[0] - unit[1]).square()
         head = self._weights[f"lin{k}.model.1.weight"].view(-1, 1, 1)
         return float((head * squared).sum(dim=0).mean())
 
 
 def load_lpips(path: str | Path | None) -> tuple[Lpips | None, str]:
-    """The network from a weight file, or None and the reason why there is none, for the report to print.
+    """Loads the network from a weight file. Returns (network, ""), or (None, reason), which a report can print.
 
-    Returns (network, "") or (None, reason): no path, no such file, or torch is not installed. A file that is there but
-    is not a complete set of LPIPS-VGG16 weights raises FormatError. Pickled code in a file is never run.
+    Reasons are: no path, no such file, torch is not installed. Raises FormatError if the file exists but is not a complete set of
+    LPIPS-VGG16 weights. Pickled code in the file is never run.
     """
     if path is None:
         return None, "no LPIPS weight file was given"
@@ -113,7 +113,7 @@ def load_lpips(path: str | Path | None) -> tuple[Lpips | None, str]:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Everything in the file by its own key, unchecked; torch tensors where the file is sound."""
+    """The content of the file by its own keys, unchecked. Raises FormatError if it cannot be read."""
     import torch
 
     if path.suffix not in SUFFIXES:
@@ -131,6 +131,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _plain_key(key: str) -> str:
+    """The first of the two names of a key (see above); other keys are returned unchanged."""
     for pattern, plain in KEY_PATTERNS:
         if pattern.fullmatch(str(key)):
             return pattern.sub(plain, key)
@@ -138,7 +139,7 @@ def _plain_key(key: str) -> str:
 
 
 def _expected() -> dict[str, tuple[int, ...]]:
-    """Shape by key of every array the network needs."""
+    """{key: shape} of all arrays that the network needs."""
     shapes, channels = {}, 3
     for k, stage in enumerate(STAGES):
         for index, out in stage:
@@ -150,14 +151,15 @@ def _expected() -> dict[str, tuple[int, ...]]:
 
 
 def _checked(found: dict[str, Any], key: str, shape: tuple[int, ...], path: Path):
+    """The tensor of a key as float32. Raises FormatError if it is missing, has another shape or type, or is not finite."""
     import torch
 
     if key not in found:
-        raise FormatError(f"{path} lacks {key}; it is not a complete set of LPIPS-VGG16 weights")
+        raise FormatError(f"{path} lacks {key}, so it is not a complete set of LPIPS-VGG16 weights; write the file again")
     tensor = found[key]
     if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point() or tuple(tensor.shape) != shape:
         kind = f"{tensor.dtype}{tuple(tensor.shape)}" if isinstance(tensor, torch.Tensor) else type(tensor).__name__
         raise FormatError(f"{path}: {key} is {kind}; expected floats of shape {shape}")
     if not tensor.isfinite().all():
-        raise FormatError(f"{path}: {key} holds NaN or infinite values")
+        raise FormatError(f"{path}: {key} holds NaN or infinite values; write the file again")
     return tensor.float()

@@ -1,4 +1,4 @@
-"""Peak signal-to-noise ratio of one image."""
+"""Peak signal-to-noise ratio of two images."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from .arrays import image_pair
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    """10 log10(1 / mean squared difference) in dB, the mean over all pixels and channels.
+    """PSNR in dB: 10 log10(1 / MSE), with the mean squared error over all pixels and channels.
 
-    a, b: (H, W, 3) in [0, 1]. Equal images give math.inf, which JSON cannot hold: write null and print ∞.
+    a, b: (H, W, 3) in [0, 1]. Equal images give math.inf. JSON has no infinity, so store null and print ∞. Raises SceneError.
     """
     a, b = image_pair(a, b)
     difference = (a - b).ravel()
-    error = float(np.einsum("i,i", difference, difference, dtype=np.float64)) / difference.size  # summed in doubles, without an image of them
+    error = float(np.einsum("i,i", difference, difference, dtype=np.float64)) / difference.size  # float64 sum without a float64 copy of the image
     return math.inf if error == 0.0 else 10.0 * math.log10(1.0 / error)

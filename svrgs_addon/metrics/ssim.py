@@ -1,4 +1,4 @@
-"""Structural similarity (Wang et al. 2004) in the form that 3DGS reports."""
+"""Structural similarity, SSIM (Wang et al. 2004), in the form that 3DGS reports."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from .arrays import filter_separable, image_pair
 
 C1 = 0.01**2  # (K1 L)², L = 1
 C2 = 0.03**2
-WINDOW, SIGMA = 11, 1.5
+WINDOW, SIGMA = 11, 1.5  # pixels
 
 
 def ssim(a: np.ndarray, b: np.ndarray) -> float:
-    """Mean over pixels and channels, in [-1, 1]; 1 for equal images.
+    """Mean SSIM over pixels and channels, in [-1, 1]; higher is better, 1: equal images.
 
-    a, b: (H, W, 3) in [0, 1]. Gaussian window 11 x 11, σ 1.5, per channel; beyond the border the images are zero.
+    a, b: (H, W, 3) in [0, 1]. Each channel is filtered with a Gaussian window of 11 x 11 pixels and σ = 1.5 pixels. The images are
+    padded with zeros. Raises SceneError.
     """
     a, b = image_pair(a, b)
     x = np.arange(WINDOW) - WINDOW // 2
@@ -24,7 +25,8 @@ def ssim(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _channel_mean(a: np.ndarray, b: np.ndarray, taps: np.ndarray) -> float:
-    # The two variances are only ever needed as their sum, so four windowed means do instead of five.
+    """Mean SSIM of one channel (H, W)."""
+    # Only the sum of the two variances is needed, so four filtered images are enough instead of five.
     moments = np.stack([a, b, a * a + b * b, a * b])
     mean_a, mean_b, mean_squares, mean_product = filter_separable(moments, taps, taps, "constant")
     product, squares = mean_a * mean_b, mean_a**2 + mean_b**2

@@ -1,1 +1,1 @@
-"""Complete pictures: compositing with meshes, passes, live views, quads, colour maps."""
+"""Complete pictures: compositing with meshes, render passes, live views, quads, colour maps."""

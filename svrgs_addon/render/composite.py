@@ -1,7 +1,8 @@
-"""One complete picture of Gaussians and meshes: colours, and every output that is a render pass.
+"""A complete picture of Gaussians and meshes: colours, and every output that is a render pass.
 
-A mesh is a depth per pixel (mesh_depth.py). A pixel takes the Gaussians whose centre lies before it; behind them it shows the colour of
-the mesh, lit from the camera, without shadows.
+A mesh is given as a depth per pixel (mesh_depth.py, or the depth buffer of a viewport). The rasterizer takes it as depth limit: a
+pixel blends only Gaussians whose centre is in front of the mesh. Behind them it shows the base colour of the mesh, lit from the
+camera. The mesh casts and receives no light from Gaussians, and no shadows.
 """
 
 from __future__ import annotations
@@ -19,32 +20,36 @@ from ..outputs import OUTPUTS
 from ..scene import Scene
 from .mesh_depth import Surface
 
-FAR = 1e10  # depth where there is nothing, as Blender's own engines have it
-POLL = 0.05  # seconds between two questions whether to stop
+FAR = 1e10  # depth of empty pixels, as in Blender's own engines
+POLL_SECONDS = 0.05  # between two calls of wanted()
 PASS_OUTPUTS = tuple(output.name for output in OUTPUTS.values() if output.render_pass)
 
 
 @dataclass(frozen=True)
 class Composite:
-    """What a camera sees."""
+    """The picture of one camera."""
 
-    rgb: np.ndarray  # (H, W, 3) float32 display sRGB, blended over background and meshes, not clamped
-    covered: np.ndarray  # (H, W) float32: alpha of Gaussians and meshes
-    images: dict[str, np.ndarray]  # (H, W) float32 of each output with a render pass, by name
+    rgb: np.ndarray  # (H, W, 3) float32 display sRGB, over background and meshes, not clamped
+    coverage: np.ndarray  # (H, W) float32, alpha of Gaussians and meshes together
+    images: dict[str, np.ndarray]  # {name: (H, W) float32} of the outputs that are render passes
 
     @property
     def depth(self) -> np.ndarray:
-        """(H, W): mean along the camera's z axis of all that is seen, meshes too; FAR where nothing is."""
+        """(H, W) float32: mean camera z of Gaussians and meshes, weighted by their contribution to the pixel; FAR where the pixel is empty."""
         return self.images["depth"]
 
     @property
     def alpha(self) -> np.ndarray:
-        """(H, W): of the Gaussians alone."""
+        """(H, W) float32: alpha of the Gaussians alone."""
         return self.images["alpha"]
 
 
 def composite(rasterizer: Rasterizer, scene: Scene, camera: Camera, background=(0.0, 0.0, 0.0), surface: Surface | None = None) -> Composite:
-    """Gaussians are hidden at every pixel where the surface lies before their centre. Raises Cancelled once rasterizer.cancel[0] is set."""
+    """Renders Gaussians over meshes and a background.
+
+    background: display sRGB. surface: meshes as the camera sees them; None: there are none. Scene and camera have the same world.
+    Raises Cancelled when rasterizer.cancel[0] is set.
+    """
     options = RenderOptions(antialiased=scene.antialiased, mask_kind="svr", background=tuple(background))
     if surface is None or not (solid := np.isfinite(surface.depth)).any():
         images = rasterizer.forward(scene, camera, options, outputs=("rgb", *PASS_OUTPUTS))
@@ -58,20 +63,23 @@ def composite(rasterizer: Rasterizer, scene: Scene, camera: Camera, background=(
 
 
 def composite_while(wanted: Callable[[], bool], rasterizer: Rasterizer, *arguments) -> Composite | None:
-    """draw(rasterizer, *arguments) in a thread, while this one asks now and then whether it is still wanted; None if not."""
+    """Calls composite(rasterizer, *arguments) in another thread. Returns its result, or None if wanted() became false.
+
+    The calling thread calls wanted() every POLL_SECONDS. Errors of composite() are raised again.
+    """
     result: list = []
 
     def work():
         try:
             result.append(composite(rasterizer, *arguments))
-        except BaseException as error:  # noqa: BLE001 - raised again in the thread that waits
+        except BaseException as error:  # noqa: BLE001 - raised again in the waiting thread
             result.append(error)
 
     rasterizer.cancel[0] = 0
     thread = threading.Thread(target=work, name="svrgs-draw")
     thread.start()
     while thread.is_alive():
-        thread.join(POLL)
+        thread.join(POLL_SECONDS)
         if not wanted():
             rasterizer.cancel[0] = 1
     if isinstance(result[0], Cancelled):
@@ -81,7 +89,8 @@ def composite_while(wanted: Callable[[], bool], rasterizer: Rasterizer, *argumen
     return result[0]
 
 
-def _composite(images: dict, covered: np.ndarray) -> Composite:
-    depth = np.divide(images["depth"], covered, out=np.full_like(covered, FAR), where=covered > 0)
+def _composite(images: dict, coverage: np.ndarray) -> Composite:
+    """Makes a Composite of the outputs of the rasterizer; divides the summed depth by the coverage."""
+    depth = np.divide(images["depth"], coverage, out=np.full_like(coverage, FAR), where=coverage > 0)
     passes = {name: images[name].astype(np.float32, copy=False) for name in PASS_OUTPUTS}
-    return Composite(images["rgb"], covered, passes | {"depth": depth})
+    return Composite(images["rgb"], coverage, passes | {"depth": depth})

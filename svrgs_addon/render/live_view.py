@@ -1,4 +1,8 @@
-"""Pictures of a view that may move on before they are done: a coarse one at once, the exact one when it rests."""
+"""Pictures of a view that moves, for the Rendered mode of Blender's viewport. No bpy.
+
+One thread draws the newest view: first coarse (every 4th pixel in x and y), then exact. The main thread takes finished pictures and
+never waits.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +13,24 @@ from dataclasses import dataclass
 from ..errors import Cancelled
 from ..native import Rasterizer
 
-COARSE = 4  # x 4 pixels in one of a coarse picture
+COARSE = 4  # a pixel of the coarse picture covers 4 x 4 pixels of the view
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What a request came to."""
+    """The result of a request, or its error."""
 
-    key: object  # of the request
-    reduction: int  # COARSE, or 1: exact
+    key: object  # key of the request
+    reduction: int  # 1: exact; else a pixel covers reduction x reduction pixels of the view
     result: object = None
     error: Exception | None = None
 
 
 class LiveView:
-    """One thread that draws the newest request; the main thread asks for pictures and never waits.
+    """A thread that draws the newest request. The main thread requests views and takes pictures; it never waits.
 
-    draw: (rasterizer, job, reduction) to what a picture holds; it runs in that thread and must stop with Cancelled once
-    rasterizer.cancel[0] is set. reductions: of the pictures of a request, the last one being 1.
+    draw: called in the thread as draw(rasterizer, job, reduction); its result becomes Picture.result. It must raise Cancelled when
+    rasterizer.cancel[0] is set. reductions: the pictures that are drawn for each request, in this order; the last one is 1.
     """
 
     def __init__(self, draw: Callable[[Rasterizer, object, int], object], reductions: tuple[int, ...] = (COARSE, 1)):
@@ -42,7 +46,10 @@ class LiveView:
         self._thread.start()
 
     def request(self, key: object, job: object):
-        """Asks for a view; the exact picture of another one is given up, a coarse one still shown. Equal keys: the same picture."""
+        """Requests a view. Requests with equal keys have the same picture, so a repeated one is ignored.
+
+        An exact picture of an older view is cancelled. A coarse one is finished and shown.
+        """
         with self._changed:
             if self._wanted is not None and self._wanted[0] == key:
                 return
@@ -52,19 +59,19 @@ class LiveView:
             self._changed.notify_all()
 
     def picture(self) -> Picture | None:
-        """The newest one; None before the first."""
+        """The newest finished picture; None before the first one."""
         with self._changed:
             return self._picture
 
     @property
     def busy(self) -> bool:
-        """Whether a better picture of what was asked for last is to come."""
+        """Whether the exact picture of the newest request, or its error, is still missing."""
         with self._changed:
             done = self._picture
             return self._wanted is not None and not (done is not None and done.key == self._wanted[0] and done.reduction == 1)
 
     def close(self):
-        """Ends the thread, and waits for that."""
+        """Cancels the running picture, ends the thread and waits until it has ended."""
         with self._changed:
             self._closed = True
             self._rasterizer.cancel[0] = 1
@@ -72,6 +79,7 @@ class LiveView:
         self._thread.join()
 
     def _run(self):
+        """The thread: waits for a new request and draws its pictures, until close()."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._closed or (self._wanted is not None and self._wanted[0] != self._started))
@@ -84,7 +92,7 @@ class LiveView:
                     break
 
     def _attempt(self, key, job, reduction: int) -> bool:
-        """Draws; False if the view has moved on meanwhile, or nothing can be drawn."""
+        """Draws one picture. Returns False if there is a newer request or drawing failed; the other pictures are then skipped."""
         with self._changed:
             if reduction == 1 and self._wanted[0] != key:
                 return False
@@ -93,7 +101,7 @@ class LiveView:
             picture = Picture(key, reduction, self._draw(self._rasterizer, job, reduction))
         except Cancelled:
             return False
-        except Exception as error:  # noqa: BLE001 - whatever it is, the viewport says so instead of stopping for ever
+        except Exception as error:  # noqa: BLE001 - the viewport shows every error; the thread must not end
             picture = Picture(key, 1, error=error)
         with self._changed:
             self._picture = picture

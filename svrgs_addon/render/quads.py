@@ -1,4 +1,8 @@
-"""Gaussians as a graphics card draws them: one blended quad each, in order of depth."""
+"""Gaussians as quads for the graphics card: one blended quad per Gaussian, sorted by depth.
+
+The Solid and Material Preview modes of Blender's viewport draw some of the Gaussians in this way while a view moves. When it stops,
+the exact picture of the native renderer replaces them.
+"""
 
 from __future__ import annotations
 
@@ -13,22 +17,22 @@ from ..geometry.sh_rotation import band
 from ..scene import SH_C0, Scene
 from .color_maps import colored
 
-BLOCK = 65_536
-SEED = 1
-TOP = 99.0  # percentile of the numbers that gets the brightest colour
+BLOCK = 65_536  # Gaussians that are computed at a time
+SEED = 1  # of the random order
+TOP_PERCENTILE = 99.0  # values from this percentile on have the last colour of the map
 
 
 @dataclass(frozen=True)
 class Quads:
-    """Some Gaussians of a scene in random order: any first part of them stands for the whole."""
+    """n Gaussians of a scene in random order, so that the first k of them are a random sample of the scene."""
 
-    rows: np.ndarray  # (n,) int64: the row of the scene each comes from
+    rows: np.ndarray  # (n,) int64, their rows in the scene
     means: np.ndarray  # (n, 3) float32
-    geometry: np.ndarray  # (n, 3, 4) float32: mean, opacity; covariance xx xy xz, 0; yy yz zz, 0
+    geometry: np.ndarray  # (n, 3, 4) float32, rows: mean, opacity (0..1); covariance xx xy xz, 0; yy yz zz, 0
 
 
 def quads(scene: Scene, count: int) -> Quads:
-    """At most `count` Gaussians."""
+    """The quads of at most `count` random Gaussians. Coordinates are those of the scene."""
     rows = np.random.default_rng(SEED).permutation(scene.count)[:count]
     geometry = np.zeros((len(rows), 3, 4), np.float32)
     for start in range(0, len(rows), BLOCK):
@@ -42,20 +46,26 @@ def quads(scene: Scene, count: int) -> Quads:
 
 
 def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
-    """The scene in colours of numbers, given part by part (N_i,); as it is where a part has none."""
+    """The scene in colours of a value per Gaussian, with the colour map inferno.
+
+    values: arrays (N_i,) of its parts, joined in order. If one is None, the scene is returned unchanged.
+    """
     if any(part is None for part in values):
         return scene
     joined = np.concatenate(values)
-    return recolored(scene, colored(joined, float(np.percentile(joined, TOP)) if len(joined) else 1.0))
+    return recolored(scene, colored(joined, float(np.percentile(joined, TOP_PERCENTILE)) if len(joined) else 1.0))
 
 
 def recolored(scene: Scene, rgb: np.ndarray) -> Scene:
-    """The scene with colours (N, 3), display sRGB in [0, 1], that do not depend on the direction."""
+    """The scene with colours (N, 3), display sRGB in [0, 1], that do not depend on the view direction (SH degree 0)."""
     return replace(scene, sh=np.ascontiguousarray(((rgb - 0.5) / SH_C0)[:, None], np.float32))
 
 
 def colors(scene: Scene, rows: np.ndarray, camera: Camera) -> np.ndarray:
-    """(N, 3) float32 display colours of these rows as a camera in the scene's coordinates sees them."""
+    """Display sRGB colours (n, 3) float32, >= 0, of some rows of the scene as a camera sees them.
+
+    rows: (n,) int. camera: in the coordinates of the scene. colour = max(0, 0.5 + sum of SH), as in 3DGS.
+    """
     result = np.empty((len(rows), 3), np.float32)
     for start in range(0, len(rows), BLOCK):
         part = rows[start : start + BLOCK]
