@@ -12,7 +12,7 @@ from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.files.registry import file_size
 from ..svrgs_addon.metrics import flip, psnr, ssim
-from ..svrgs_addon.metrics.evaluate import render_options, shown
+from ..svrgs_addon.metrics.evaluate import render_options, rounded_to_8_bits
 from ..svrgs_addon.native import Rasterizer
 from ..svrgs_addon.report.pictures import contact_sheet, difference_image, to_uint8
 from ..svrgs_addon.scene import Scene
@@ -43,7 +43,7 @@ class Pair:
     def pictures(self, camera, background):
         """Both as a viewer's 8 bits hold them; camera in Blender's world."""
         views = [(part.scene, part.seen_by(camera)) for part in self.placed]
-        return [shown(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views]
+        return [rounded_to_8_bits(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views]
 
 
 def shown_scene(pruned: bpy.types.Object) -> Scene:

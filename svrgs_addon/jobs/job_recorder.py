@@ -13,7 +13,7 @@ from ..files.images import write_image
 from ..files.registry import load_scene, read_scene, write_scene
 from ..finetune import loop, masks
 from ..finetune.run import Run
-from ..metrics.evaluate import render_options, shown
+from ..metrics.evaluate import render_options, rounded_to_8_bits
 from ..native import Rasterizer, RenderOptions
 from ..scene import Scene
 from .job_folder import METRICS, ROW, JobFolder
@@ -96,7 +96,7 @@ class JobRecorder:
         kept = masks.most_probable(run.model).astype(np.uint8) if run.model.learns_masks else None
         options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
         name = f"previews/{iteration:07d}.png"
-        write_image(self.folder / name, shown(run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]))
+        write_image(self.folder / name, rounded_to_8_bits(run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]))
         self.listener.tell("PREVIEW", path=name)
 
     def _write_metrics(self):

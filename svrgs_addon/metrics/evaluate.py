@@ -23,7 +23,7 @@ VISIBLE_POINTS = 100_000  # approximate number of Gaussians that are checked
 VISIBLE_REACH = 100.0  # largest z, as a multiple of the largest distance of a camera from the mean of the cameras
 
 
-def shown(rgb: np.ndarray) -> np.ndarray:
+def rounded_to_8_bits(rgb: np.ndarray) -> np.ndarray:
     """A rendered image (H, W, 3), clamped to 0..1 and rounded to multiples of 1/255, float32.
 
     Published results are measured on saved 8-bit files.
@@ -53,7 +53,7 @@ def mean_psnr(model, dataset: Dataset, indices: Sequence[int], rasterizer: Raste
     values = []
     for i in indices:
         rgb = rasterizer.forward(model, dataset.cameras[i], options, masks)["rgb"]
-        values.append(psnr(shown(rgb), to_float(dataset.image(i))))
+        values.append(psnr(rounded_to_8_bits(rgb), to_float(dataset.image(i))))
     return statistics.fmean(values)
 
 
@@ -70,7 +70,7 @@ def evaluate(scene: Scene, dataset: Dataset, indices: Sequence[int], rasterizer:
         started = time.perf_counter()
         rgb = rasterizer.forward(scene, dataset.cameras[i], options)["rgb"]
         seconds.append(time.perf_counter() - started)
-        image = shown(rgb)
+        image = rounded_to_8_bits(rgb)
         rows.append((psnr(image, photo), ssim(image, photo), lpips(image, photo) if lpips else math.nan, flip(image, photo)))
     means = np.mean(rows, axis=0)
     return {

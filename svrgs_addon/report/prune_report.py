@@ -12,7 +12,7 @@ from .. import __version__
 from ..files.images import to_float
 from ..finetune.run import Run
 from ..metrics import psnr
-from ..metrics.evaluate import render_options, shown
+from ..metrics.evaluate import render_options, rounded_to_8_bits
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..scene import Scene
@@ -70,7 +70,7 @@ def report_pictures(scene: Scene, dataset: Dataset) -> list[tuple[np.ndarray, np
     """Colours (H, W, 3) as shown and spatial mask (H, W) of each view of the report."""
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background, "svr")
     renders = [rasterizer.forward(scene, dataset.cameras[i], options, outputs=("rgb", "mask")) for i in report_indices(dataset)]
-    return [(shown(images["rgb"]), images["mask"]) for images in renders]
+    return [(rounded_to_8_bits(images["rgb"]), images["mask"]) for images in renders]
 
 
 def report_views(before: list, after: list, dataset: Dataset) -> Iterator[View]:
