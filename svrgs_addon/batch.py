@@ -14,6 +14,7 @@ from pathlib import Path
 
 
 def main() -> int:
+    """Starts the child process and waits for it. Returns its exit status."""
     words = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
     if words[:1] == ["prune"]:
         words = [*words, "--batch"]

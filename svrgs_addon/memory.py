@@ -101,6 +101,7 @@ def _pixels(cameras: Sequence[Camera]) -> int:
 
 
 def _gigabytes(value: int) -> str:
+    """Bytes as text in GB, or in MB below 0.1 GB."""
     return f"{value / 1e9:.1f} GB" if value >= 1e8 else f"{value / 1e6:.1f} MB"
 
 

@@ -292,6 +292,7 @@ class Rasterizer:
         return grads_in, grads, GradsStruct(**{name: g.ctypes.data for name, g in grads.items()})
 
     def _scene(self, scene, masks):
+        """The struct of a scene whose arrays were checked. The arrays are kept alive until the next view."""
         arrays = {name: getattr(scene, name) for name in PARAMETERS}
         n, k = len(arrays["means"]), np.shape(arrays["sh"])[1] if np.ndim(arrays["sh"]) == 3 else 1
         self._shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3)}
@@ -302,6 +303,7 @@ class Rasterizer:
         return SceneStruct(count=n, sh_coefficients=k, **pointers)
 
     def _images(self, camera: Camera, outputs):
+        """New arrays for the outputs by name, and the struct of their addresses."""
         images = {}
         for name in outputs:
             dtype = np.int32 if name in COUNTS else self.dtype

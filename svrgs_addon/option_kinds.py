@@ -53,6 +53,7 @@ class Kind:
 
 
 def _colour(word: str) -> tuple[float, ...]:
+    """Parses numbers with commas between them."""
     return tuple(float(part) for part in word.split(","))
 
 

@@ -45,6 +45,7 @@ class Scene:
                 raise SceneError(f"attribute {name} has shape {column.shape}; expected ({n},)")
 
     def _check(self, name: str, shape: tuple[int, ...]):
+        """Raises SceneError if an array is not C-contiguous float32 of this shape."""
         array = getattr(self, name)
         if array.shape != shape or array.dtype != np.float32 or not array.flags.c_contiguous:
             raise SceneError(f"{name} is {array.dtype}{array.shape}; expected C-contiguous float32{shape}")

@@ -168,12 +168,14 @@ def _orientation(spec: ImageSpec) -> int:
 
 
 def _make_upright(image: np.ndarray, orientation: int) -> np.ndarray:
+    """Applies an EXIF orientation to stored pixels (H, W, 3)."""
     transpose, flip_rows, flip_columns = ORIENTATIONS[orientation]
     image = image.swapaxes(0, 1) if transpose else image
     return np.ascontiguousarray(image[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1])
 
 
 def _write(temporary: os.PathLike, path: str | os.PathLike, pixels: np.ndarray) -> None:
+    """Writes pixels to the temporary file and checks it. Raises SceneError, which names `path`."""
     oiio = _library()
     height, width, channels = (*pixels.shape, 1)[:3]
     pixels = np.ascontiguousarray(pixels).reshape(height, width, channels)  # OpenImageIO takes the last of two axes for channels
@@ -198,4 +200,5 @@ def _stored_correctly(path: str | os.PathLike, pixels: np.ndarray) -> bool:
 
 
 def _first_line(message: str) -> str:
+    """The first line of a message of OpenImageIO, for a message of one line."""
     return (message.strip().splitlines() or ["no reason given"])[0]

@@ -185,6 +185,7 @@ def _file_comments(scene: Scene) -> list[str]:
 
 
 def _is_mip(comments: Iterable[str]) -> bool:
+    """Whether a comment marks the scene as antialiased."""
     return any(MIP_PATTERN.fullmatch(text) for text in comments)
 
 

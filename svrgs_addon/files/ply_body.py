@@ -87,6 +87,7 @@ class Body:
             yield scene
 
     def _empty_scene(self, count: int) -> Scene:
+        """A scene of `count` Gaussians with uninitialised arrays, and with the comments and property order of the file."""
         attributes = {name: np.empty(count, code) for name, code in self._extra_properties}
         return Scene(
             **empty_arrays(count, self.coefficients), antialiased=self.antialiased, attributes=attributes,

@@ -87,6 +87,7 @@ def _split_lines(data: bytes) -> tuple[list[str], int]:
 
 
 def _parse_encoding(text: str) -> str:
+    """The encoding in a format line. Raises FormatError."""
     encoding, _, version = text.strip().partition(" ")
     if encoding not in ENCODINGS or version.strip() != "1.0":
         raise FormatError(f"has an unknown format: {text[:60]!r}")
@@ -94,6 +95,7 @@ def _parse_encoding(text: str) -> str:
 
 
 def _parse_element(words: list[str], elements: list[Element]) -> Element:
+    """The element of an element line. Raises FormatError, also if its name is not new."""
     if len(words) != 2 or not re.fullmatch(r"[0-9]{1,10}", words[1]):
         raise FormatError(f"has an element line that is not a name and a count: {' '.join(words)[:60]!r}")
     if any(element.name == words[0] for element in elements):

@@ -64,7 +64,7 @@ def format_to_read(path: str | Path) -> SplatFormat:
     fitting = [splat_format for splat_format in FORMATS if _ends_with(path, splat_format)]
     if not fitting:
         raise FormatError(f"{path}: '{path.suffix}' files are not read; give a 3DGS {' or '.join(suffixes())}")
-    if len(fitting) == 1:  # no need to look into it: the reader reports what is wrong with the file
+    if len(fitting) == 1:  # no need to read its first bytes; the reader reports errors
         return fitting[0]
     with open(path, "rb") as file:
         head = file.read(SNIFFED_BYTES)
@@ -72,6 +72,7 @@ def format_to_read(path: str | Path) -> SplatFormat:
 
 
 def _ends_with(path: Path, splat_format: SplatFormat) -> bool:
+    """Whether the name has a suffix of the format, in upper or lower case."""
     return path.name.lower().endswith(splat_format.suffixes)
 
 

@@ -1,8 +1,8 @@
 """A complete picture of Gaussians and meshes: colours, and every output that is a render pass.
 
 A mesh is given as a depth per pixel (mesh_depth.py, or the depth buffer of a viewport). The rasterizer takes it as depth limit: a
-pixel blends only Gaussians whose centre is in front of the mesh. Behind them it shows the base colour of the mesh, lit from the
-camera. The mesh casts and receives no light from Gaussians, and no shadows.
+pixel blends only Gaussians whose centre is in front of the mesh. Behind these Gaussians, the pixel shows the base colour of the
+mesh, lit from the camera. There are no shadows, and mesh and Gaussians do not light each other.
 """
 
 from __future__ import annotations
