@@ -43,7 +43,8 @@ pip=("$python" -m pip install -qq --disable-pip-version-check) # -qq: errors onl
 "${pip[@]}" --no-deps --editable .
 
 if ! "$python" -c "import importlib.util, sys; sys.exit(importlib.util.find_spec('bpy') is None)"; then
-    echo "there is no Blender module (bpy) for $("$python" --version): tests that need Blender are skipped, and make demo needs Python 3.11 or 3.13"
+    echo "there is no Blender module (bpy) for $("$python" --version), only for 3.11 and 3.13:" \
+        "make test skips what needs Blender, make demo and make zip do not work"
 elif ! "$python" -c "import bpy" >/dev/null 2>&1; then
     install_debian "${blender_libraries[@]}"
     quietly "$python" -c "import bpy"
