@@ -27,13 +27,16 @@ install_debian() {
         quietly "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@"
 }
 
-if ! "$venv/bin/python" -c "" 2>/dev/null; then
+if ! "$venv/bin/python" -m pip --version >/dev/null 2>&1; then
     if [ -z "$python" ]; then
         echo "no Python 3.11, 3.12 or 3.13 found; name one with: make PYTHON=/path/to/python3.11" >&2
         exit 1
     fi
     echo "creating $venv with $("$python" --version)"
-    "$python" -m venv "$venv" >/dev/null 2>&1 || { install_debian "$(basename "$python")-venv" && quietly "$python" -m venv "$venv"; }
+    if ! "$python" -m venv "$venv" >/dev/null 2>&1; then
+        install_debian "$(basename "$python")-venv"
+        quietly "$python" -m venv "$venv"
+    fi
 fi
 python=$venv/bin/python
 
