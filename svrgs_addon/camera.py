@@ -48,7 +48,7 @@ class Camera:
 
         Lengths of the new camera, depths among them, are 1 / s of this one's.
         """
-        viewmat = self.viewmat @ np.asarray(matrix, np.float64)
+        viewmat: np.ndarray = self.viewmat @ np.asarray(matrix, np.float64)
         scale = abs(np.linalg.det(viewmat[:3, :3])) ** (1 / 3)
         viewmat[:3] /= scale
         return replace(self, viewmat=viewmat, K=self.K @ np.diag([scale, scale, 1.0]) if self.orthographic else self.K)

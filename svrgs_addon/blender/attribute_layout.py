@@ -53,19 +53,25 @@ def from_attributes(get: Get, float_names: list[str], notes: str) -> Scene:
     notes: of notes_of, or "" for a splat that Blender imported; then float_names, further attributes of one number, are kept.
     SH bands that are not complete, and those above degree 3, are left out.
     """
-    base = get(BASE)
+    position, scale, rotation, base = (_required(get, name) for name in (POSITION, SCALE, ROTATION, BASE))
     said = json.loads(notes or "{}")
     return Scene(
-        means=get(POSITION),
-        log_scales=activation.raw_scales(get(SCALE), get(RAW_SCALE)),
-        quats=activation.raw_rotations(get(ROTATION), get(RAW_ROTATION)),
+        means=position,
+        log_scales=activation.raw_scales(scale, get(RAW_SCALE)),
+        quats=activation.raw_rotations(rotation, get(RAW_ROTATION)),
         opacity_logits=activation.raw_opacities(base[:, 3], get(RAW_OPACITY)),
         sh=_harmonics(get, base),
         antialiased=said.get("antialiased", False),
-        attributes=_columns(get, said["further"]) if said else {name: get(name) for name in float_names if _can_be_in_a_file(name)},
+        attributes=_columns(get, said["further"]) if said else {name: _required(get, name) for name in float_names if _can_be_in_a_file(name)},
         comments=tuple(said.get("comments", ())),
         property_order=tuple(said.get("order", ())),
     )
+
+
+def _required(get: Get, name: str) -> np.ndarray:
+    values = get(name)
+    assert values is not None, f"a splat has no attribute {name}"
+    return values
 
 
 def _further(scene: Scene) -> dict[str, tuple[str, str]]:
@@ -75,7 +81,7 @@ def _further(scene: Scene) -> dict[str, tuple[str, str]]:
 
 
 def _harmonics(get: Get, base: np.ndarray) -> np.ndarray:
-    rest = []
+    rest: list[np.ndarray] = []
     while len(rest) + 1 < max(SH_COEFFICIENTS) and (values := get(f"{SH}{len(rest)}")) is not None:
         rest.append(values)
     coefficients = max(k for k in SH_COEFFICIENTS if k <= len(rest) + 1)

@@ -19,8 +19,9 @@ from ..errors import SceneError
 try:
     import fcntl
 except ImportError:  # Windows, which renames no open file: there what a killed writer left stays
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]
 
+HAS_LOCKS = os.name == "posix"
 FREE_SPACE_MARGIN = 1.1
 REPLACE_ATTEMPTS = 20
 REPLACE_PAUSE_S = 0.05
@@ -115,7 +116,7 @@ def _create_locked(target: Path) -> tuple[Path, BinaryIO]:
     while True:
         path = target.with_name(f"{HIDDEN}{secrets.token_hex(8)}{target.suffix}")
         file = open(path, "xb")  # noqa: SIM115 (the lock lives as long as it)
-        if fcntl is None:
+        if not HAS_LOCKS:
             file.close()
             return path, file
         with contextlib.suppress(OSError):  # a file system without locks
@@ -127,7 +128,7 @@ def _create_locked(target: Path) -> tuple[Path, BinaryIO]:
 
 def _remove_abandoned(folder: Path) -> None:
     """Removes the hidden files that no writer holds any more, where the system can tell."""
-    for path in folder.glob(f"{HIDDEN}*") if fcntl else ():
+    for path in folder.glob(f"{HIDDEN}*") if HAS_LOCKS else ():
         with contextlib.suppress(OSError), open(path, "r+b") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.unlink()

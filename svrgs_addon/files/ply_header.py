@@ -43,7 +43,9 @@ class Header:
 def parse_header(data: bytes) -> Header:
     """Parse the first MAX_HEADER_BYTES of a file. Raises FormatError (without the file's name)."""
     lines, size = _split_lines(data)
-    encodings, elements, comments = [], [], []
+    encodings: list[str] = []
+    elements: list[Element] = []
+    comments: list[str] = []
     for line in lines:
         keyword, _, rest = line.partition(" ")
         if keyword == "comment":

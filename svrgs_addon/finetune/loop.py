@@ -31,7 +31,7 @@ def run_to_end(
     run: Run,
     observe: Callable[[Progress], None],  # called after each step
     stop: Callable[[], bool],
-    checkpoint: Callable[[], None],
+    checkpoint: Callable[[], object],
     measure: Callable[[], float | None],  # a PSNR for the curves
 ):
     """Advances until finished; the curves gain CURVE_POINTS points on the way. On stop(): checkpoint, then Cancelled. A checkpoint

@@ -36,14 +36,9 @@ SHIFT = (-0.030, -0.088, -0.188)  # the scaling layer: ImageNet's statistics, mo
 SCALE = (0.458, 0.448, 0.450)
 SMALLEST = 2 ** (len(STAGES) - 1)  # four halvings
 UNREADABLE = (
-    pickle.UnpicklingError,
-    zipfile.BadZipFile,
-    zlib.error,
-    OSError,
-    EOFError,
-    RuntimeError,
-)  # of both libraries
-UNREADABLE += (TypeError, ValueError, KeyError, AttributeError)  # what they raise on malformed content
+    *(pickle.UnpicklingError, zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError),  # of both libraries
+    *(TypeError, ValueError, KeyError, AttributeError),  # what they raise on malformed content
+)
 SUFFIXES = (".npz", ".pt", ".pth")
 KEY_PATTERNS = (
     (re.compile(r"net\.slice\d\.(\d+)\.(weight|bias)"), r"features.\1.\2"),
@@ -139,7 +134,8 @@ def _plain_key(key: str) -> str:
 
 def _expected() -> dict[str, tuple[int, ...]]:
     """Shape by key of every array the network needs."""
-    shapes, channels = {}, 3
+    shapes: dict[str, tuple[int, ...]] = {}
+    channels = 3
     for k, stage in enumerate(STAGES):
         for index, out in stage:
             shapes[f"features.{index}.weight"] = (out, channels, 3, 3)

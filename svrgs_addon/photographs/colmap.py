@@ -157,6 +157,7 @@ def _convert(reconstruction: pycolmap.Reconstruction) -> Model:
 
 def _view(image: pycolmap.Image) -> View:
     check_name(image.name)
+    assert image.camera is not None
     width, height = image.camera.width, image.camera.height
     if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):  # undistorting walks along the border
         raise FormatError(f"the camera of {image.name} is {width} x {height}; the limit is {MAX_SIDE} a side")

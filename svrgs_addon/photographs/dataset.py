@@ -9,7 +9,7 @@ import itertools
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -73,7 +73,7 @@ class Dataset:
             image = self._kept.get(index)
         return self._read(index) if image is None else image
 
-    def stream(self, order: Iterable, read: Callable | None = None, ahead: int = READ_AHEAD) -> Iterator[tuple]:
+    def stream(self, order: Iterable, read: Callable | None = None, ahead: int = READ_AHEAD) -> Generator[tuple]:
         """(item, read(item)) for each item of `order`, which may be endless; threads read `ahead` of them in advance.
 
         read: by default image(), of indices. What comes out does not depend on the threads' timing. Close the iterator, or
@@ -136,7 +136,8 @@ def load_dataset(
     if need_points and not len(model.points):
         raise SceneError(f"{location}: has no 3-D points to start from")
     if cameras_only:
-        cameras, photos = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views], []
+        cameras = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views]
+        photos: list[Photo] = []
     else:
         cameras, photos = _fit_photos(model.views, _image_folder(folder, location, images or "images"))
     test = [i for i in range(len(cameras)) if holdout and i % holdout == 0]

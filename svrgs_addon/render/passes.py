@@ -34,7 +34,7 @@ def linear_rgba(picture: Composite, transparent: bool, working_space: Sequence =
 
 def passes(picture: Composite, transparent: bool, unit: float, working_space: Sequence) -> dict[str, np.ndarray]:
     """Combined (H, W, 4) and PASSES (H, W), float32; unit: length of one unit of the picture's depth in the renderer."""
-    images = {OUTPUTS[name].render_pass[0]: image for name, image in picture.images.items()}
+    images = {found[0]: image for name, image in picture.images.items() if (found := OUTPUTS[name].render_pass)}
     depth = np.where(picture.depth < FAR, picture.depth * np.float32(unit), np.float32(FAR))
     return {"Combined": linear_rgba(picture, transparent, working_space), **images, "Depth": depth}
 

@@ -43,9 +43,10 @@ def quads(scene: Scene, count: int) -> Quads:
 
 def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
     """The scene in colours of numbers, given part by part (N_i,); as it is where a part has none."""
-    if any(part is None for part in values):
+    known = [part for part in values if part is not None]
+    if len(known) < len(values):
         return scene
-    joined = np.concatenate(values)
+    joined = np.concatenate(known)
     return recolored(scene, colored(joined, float(np.percentile(joined, TOP)) if len(joined) else 1.0))
 
 
