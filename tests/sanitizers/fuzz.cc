@@ -16,6 +16,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   svrgs_set_threads(3);
   const views::Results three = views::run(c, contexts[level], level);
   views::require(one.drawn == three.drawn && one.values.size() == three.values.size(), "the same for any number of threads");
-  views::require(one.values.empty() || !std::memcmp(one.values.data(), three.values.data(), one.values.size() * sizeof(float)), "the same bits for any number of threads");
+  views::require(one.values.empty() || !std::memcmp(one.values.data(), three.values.data(), one.values.size() * sizeof(float)),
+                 "the same bits for any number of threads");
   return 0;
 }

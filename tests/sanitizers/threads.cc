@@ -76,7 +76,10 @@ int main() {
   }
   views::require(compared > 10, "views that are drawn");
   std::vector<std::thread> drawing;
-  for (unsigned seed = 0; seed < 4; ++seed) drawing.emplace_back([=] { for (int i = 0; i < 5; ++i) drawn(seed, SVRGS_BASELINE); });
+  for (unsigned seed = 0; seed < 4; ++seed)
+    drawing.emplace_back([=] {
+      for (int i = 0; i < 5; ++i) drawn(seed, SVRGS_BASELINE);
+    });
   for (int i = 0; i < 20; ++i) svrgs_set_threads(1 + i % 5);
   for (auto& thread : drawing) thread.join();
   for (const int microseconds : {0, 300, 3000, 30000}) cancelled(microseconds);
