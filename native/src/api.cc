@@ -282,7 +282,8 @@ int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_t seed, ui
     svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
       for (int64_t i = begin; i < end; ++i) {
         const uint64_t bits = mix(key + 0x9e3779b97f4a7c15ULL * static_cast<uint64_t>(i)) >> 40;
-        const double u = (static_cast<double>(bits) + 0.5) / 16777216.0;                      // inside (0, 1): never infinite noise
+        // u is inside (0, 1), so the noise is finite
+        const double u = (static_cast<double>(bits) + 0.5) / 16777216.0;
         const double odds = std::exp(-std::clamp<double>(logits[i], -80, 80)) * (1 - u) / u;  // of absence: e^-(d + l)
         masks[i] = odds < 1;
         slope[i] = static_cast<float>(odds / ((1 + odds) * (1 + odds)));

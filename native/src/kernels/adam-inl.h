@@ -7,7 +7,8 @@ struct MomentPair {
 };
 using Packed = std::conditional_t<sizeof(R) == 4, uint32_t, MomentPair>;  // both moments of a value: svrgs.h
 
-struct AdamRates {         // constants of a step, in the level's type
+// Constants of a step, in the level's type.
+struct AdamRates {
   R rate[W * kAdamWidth];  // lr / bias1 by column, repeated
   V beta1, beta2, rest1, rest2, root_bias2, eps;
   uint32_t salt;  // of the step's roundings

@@ -12,8 +12,9 @@ using IntR = std::conditional_t<sizeof(R) == 4, int32_t, int64_t>;
 using V = R __attribute__((vector_size(sizeof(R) * W)));
 using I = IntR __attribute__((vector_size(sizeof(R) * W)));
 using U = std::make_unsigned_t<IntR> __attribute__((vector_size(sizeof(R) * W)));  // may wrap around
-constexpr int kVectorsPerBlock = kBlockPixels / W;                                 // of a block of pixels
-constexpr int kPaddedRow = 16;                                                     // values in a row that rows_of and columns_of_rows turn, whatever it holds
+
+constexpr int kVectorsPerBlock = kBlockPixels / W;
+constexpr int kPaddedRow = 16;  // values of a row that rows_of writes and columns_of_rows reads, whatever it contains
 static_assert(kBlockPixels % W == 0 && kPaddedRow % W == 0);
 #if defined(SVRGS_HAVE_AVX512)
 static_assert(W == 16 && sizeof(R) == 4);
@@ -25,8 +26,10 @@ using D = double __attribute__((vector_size(sizeof(double) * W)));
 inline D wide(V v) { return __builtin_convertvector(v, D); }
 inline V narrow(D d) { return __builtin_convertvector(d, V); }
 
-inline V broadcast(R x) { return x - V{}; }  // x - 0 is x, -0 included: one broadcast
-inline V iota() {                            // 0, 1, 2, ...
+inline V broadcast(R x) { return x - V{}; }  // x - 0 is x, -0 included: one instruction
+
+// 0, 1, 2, ...
+inline V iota() {
   V v;
   for (int i = 0; i < W; ++i) v[i] = static_cast<R>(i);
   return v;

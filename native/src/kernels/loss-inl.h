@@ -4,10 +4,14 @@
 //
 // Rows are interleaved RGB: one pixel is three values, a horizontal tap is a step of three.
 
-constexpr int kBlurRadius = 5, kLossBlockRows = 2 * kBlurRadius, kLossHalo = 16;  // kLossHalo: 3 * kBlurRadius values, in whole vectors
-constexpr int kLossProducts = 4, kLossMaps = 3;                                   // x, y, x^2 + y^2, x y; dL/d of the blurred x, x^2 and x y
-constexpr int kLossStride = kLossTileValues + 5 * kLossHalo;                      // a row from 2 * kLossHalo values left of the tile to as many right of it;
-constexpr int kLossBlockValues = kLossBlockRows * kLossStride;                    // an odd number of vectors, which spreads columns over the cache
+constexpr int kBlurRadius = 5, kLossBlockRows = 2 * kBlurRadius;
+constexpr int kLossHalo = 16;     // 3 * kBlurRadius values, rounded up to whole vectors
+constexpr int kLossProducts = 4;  // x, y, x^2 + y^2 and x y
+constexpr int kLossMaps = 3;      // dL/d of the blurred x, x^2 and x y
+// A row has 2 * kLossHalo more values to the left of the tile and as many to the right; then kLossHalo more, which make it an odd number of
+// vectors, so that the values of a column are spread over the cache.
+constexpr int kLossStride = kLossTileValues + 5 * kLossHalo;
+constexpr int kLossBlockValues = kLossBlockRows * kLossStride;
 constexpr R kC1Ssim = R(1e-4), kC2Ssim = R(9e-4);
 static_assert(kLossTileValues % (2 * kLossHalo) == 0 && kLossHalo % W == 0);
 
@@ -70,8 +74,11 @@ struct Picture {
   const R* values;
   int64_t height, row;  // row: values in a row
 
-  void fetch(int64_t y, int64_t i) const { __builtin_prefetch(values + y * row + i); }  // harmless outside, too
-  V at(int64_t y, int64_t i) const {                                                    // zero outside
+  // Prefetches; harmless outside.
+  void fetch(int64_t y, int64_t i) const { __builtin_prefetch(values + y * row + i); }
+
+  // W values; zero outside.
+  V at(int64_t y, int64_t i) const {
     V v = broadcast(0);
     if (y < 0 || y >= height || i < 0) return v;
     if (i + W <= row) return load(values + y * row + i);

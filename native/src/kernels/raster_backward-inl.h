@@ -8,12 +8,14 @@
 
 // Running values and image gradients of one block.
 struct alignas(64) BackwardBlock {
-  R T[kBlockPixels], behind[kBlockPixels];                           // behind: g.(everything not yet blended, background included)
-  R rgb[3][kBlockPixels], depth[kBlockPixels], alpha[kBlockPixels];  // g
-  R mask[kBlockPixels];                                              // dL/dF over F's denominator
-  R mask_T[kBlockPixels];                                            // the same times T_N
-  R value[kBlockPixels];                                             // F, scenario A
-  R to_come[kBlockPixels];                                           // scenarios: sum behind of (M - F) alpha T w^2 (A), of M T (B)
+  R rgb[3][kBlockPixels], depth[kBlockPixels], alpha[kBlockPixels];  // image gradients g
+
+  R T[kBlockPixels];
+  R behind[kBlockPixels];   // g.(everything not yet blended, background included)
+  R mask[kBlockPixels];     // dL/dF divided by F's denominator
+  R mask_T[kBlockPixels];   // the same times T_N
+  R value[kBlockPixels];    // scenario A: F
+  R to_come[kBlockPixels];  // scenarios: the sum behind of (M - F) alpha T w^2 (A), of M T (B)
 };
 
 inline void read_gradients(const Frame& f, const svrgs_image_grads& g, BlockPlace place, BackwardBlock& t) {
