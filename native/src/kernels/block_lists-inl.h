@@ -74,7 +74,7 @@ inline void read_limits(const Frame& f, TileOrigin o, DepthLimits& limits) {
 // Blocks with a limit behind this depth. The margin is for rounding: lists are sorted by depth as float.
 inline BlockMask within(const DepthLimits& limits, R depth) {
   BlockMask blocks = 0;
-  for (int b = 0; b < kBlocks; ++b) blocks |= static_cast<BlockMask>(depth * R(1 - 1e-6) < limits.block[b]) << b;
+  for (int b = 0; b < kBlocks; ++b) blocks |= block_bit(b, depth * R(1 - 1e-6) < limits.block[b]);
   return blocks;
 }
 

@@ -50,7 +50,10 @@ inline const AllLanes& all_lanes() {
   return lanes;
 }
 
-// Which of W lanes of a block lie in the image.
+// Bit `block` of a BlockMask if `set`, else none.
+inline BlockMask block_bit(int block, bool set) { return static_cast<BlockMask>(static_cast<BlockMask>(set) << block); }
+
+// Which of W lanes of a block are in the image.
 inline M in_image(const Frame& f, TileOrigin o, const Lanes& lanes, int h) {
   return both(less(lanes.x[h], broadcast(static_cast<R>(f.width - o.x * kTile))), less(lanes.y[h], broadcast(static_cast<R>(f.height - o.y * kTile))));
 }

@@ -104,7 +104,7 @@ template <WalkOptions walk>
       next_hits = evaluate_before<walk>(pixels, next->local);  // early: its long chain runs beside what follows
       bool hit = false;
       for (int h = 0; h < kVectorsPerBlock; ++h) hit |= take(entry.local, hits.part[h], p[h]);
-      entry.visit |= static_cast<BlockMask>(hit) << block;
+      entry.visit |= block_bit(block, hit);
     }
   };
   walk_on([&] { return any_open(p) || to_end; }, [&](const LocalGaussian& l, const Hit& e, PixelState& some) { return blend<walk>(f, l, e, some); });
@@ -151,7 +151,7 @@ inline BlockMask start_tile(const Frame& f, TileOrigin o, R* state) {
       PixelState p = {};
       p.T = p.final_T = keep(in, broadcast(1));
       store_pixels<walk>(f, block_state(state, b, h), p);
-      inside |= static_cast<BlockMask>(any(in)) << b;
+      inside |= block_bit(b, any(in));
     }
   return inside;
 }
@@ -194,7 +194,7 @@ void forward_tile_as(const Frame& f, int64_t tile) {
       }
       const bool goes_on = blend_list<walk>(f, c, b, pixels, p);
       for (int h = 0; h < kVectorsPerBlock; ++h) store_pixels<walk>(f, block_state(state, b, h), p[h]);
-      if (!goes_on) open &= ~(BlockMask(1) << b);
+      if (!goes_on) open &= static_cast<BlockMask>(~block_bit(b, true));
     }
     for (int k = 0; k < n; ++k) f.hits[entry[k].slot] = c.entry[k].visit;
     entry += n;
