@@ -5,10 +5,10 @@
    matrices row-major, pixel centres at k + 0.5, quaternions w x y z of any positive length, raw (logit, log) parameters
    as 3DGS stores them, images row-major (H, W) or (H, W, 3).
 
-   Rules: the caller allocates every output; "optional" pointers may be NULL and what they ask for is then not computed;
+   Rules: the caller allocates every output; "optional" pointers may be NULL, and then their output is not computed;
    inputs and outputs must not overlap. Arrays marked `real` are float, or double in a context of level SVRGS_DOUBLE.
-   Every function returns an SVRGS_ status and, where it fails, leaves one sentence for svrgs_last_error() (per thread).
-   Nothing throws, nothing is global but the thread pool. */
+   Functions that can fail return an SVRGS_ status; svrgs_last_error() then has one sentence on why, per thread.
+   No function throws. Nothing is global except the thread pool. */
 #ifndef SVRGS_H
 #define SVRGS_H
 
@@ -30,13 +30,13 @@ typedef void real; /* float or double, by the context's level */
 
 enum svrgs_status { SVRGS_OK = 0, SVRGS_INVALID = 1, SVRGS_NO_MEMORY = 2, SVRGS_CANCELLED = 3, SVRGS_TOO_LARGE = 4 };
 
-/* SIMD levels, each a separate compilation of the same kernels. SCALAR is the definition of truth for the others. */
+/* SIMD levels, each a separate compilation of the same kernels. SCALAR is the reference for the others. */
 enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4, SVRGS_LEVELS };
 
-/* How the spatial mask F and its gradient with respect to M are formed (paper Eq. 5 and 9, scenarios A and B; SELF: F as in SVR, gradient
-   from the self term alone, 1 - alpha_i T_i; EVEN: F and dF/dM as in SVR, but a Gaussian's sum over its pixels is scaled
-   to SVRGS_EVEN_AREA pixels of footprint, so that large and small ones are pushed alike). NONE skips F and all of its
-   counting. */
+/* How the spatial mask F and its gradient are computed. The gradient of F reaches the masks M only. SVR: paper Eq. 5 and 9. SELF: F as in
+   SVR, the gradient from the self term alone, 1 - alpha_i T_i. A, B: the paper's scenarios. EVEN: F and dF/dM as in SVR, but a Gaussian's
+   sum over its pixels is scaled to a footprint of SVRGS_EVEN_AREA pixels, so that large and small Gaussians have comparable gradients.
+   NONE computes neither F nor its counts. */
 enum svrgs_mask_kind {
   SVRGS_MASK_NONE = 0,
   SVRGS_MASK_SVR = 1,
@@ -155,7 +155,7 @@ SVRGS_API int32_t svrgs_forward(svrgs_context*, const svrgs_scene*, const svrgs_
 /* Gaussians of the last view that can touch a pixel: *ids points into the context, valid until the next forward. */
 SVRGS_API int32_t svrgs_visible(svrgs_context*, const uint32_t** ids, int64_t* count);
 
-/* Work of the last view. With count_pixels its tile lists are walked again, and all fields are filled; without, two. */
+/* Work of the last view. With count_pixels its tile lists are walked again and all fields are filled; otherwise the first two. */
 typedef struct {
   int64_t visible, pairs;     /* Gaussians; (Gaussian, tile) entries */
   int64_t used_pairs;         /* entries the backward pass visits */
@@ -167,7 +167,7 @@ SVRGS_API int32_t svrgs_count_work(svrgs_context*, int32_t count_pixels, svrgs_w
 /* Durations of the stages of the last calls, by enum svrgs_stage. */
 SVRGS_API int32_t svrgs_stage_seconds(svrgs_context*, double seconds[SVRGS_STAGES]);
 
-/* What all threads of the pool reach together: fused multiply-adds at this level (2 operations a lane), reading memory, and
+/* Peaks that all threads of the pool reach together: fused multiply-adds at this level (2 operations a lane), reading memory, and
    reading three streams while writing two of them, as Adam does; operations and bytes per second. */
 typedef struct {
   double fma, read, update;
@@ -191,7 +191,7 @@ SVRGS_API int32_t svrgs_moments(svrgs_context*, double* moments);
 
 /* Adds to cost (N,) by how much the last view's sum of squared residuals, (H, W, 3) colours less photograph, would grow without
    each Gaussian alone: sum over pixels and channels of d^2 - 2 r d with d = alpha_i T_i (c_i - b_i), b_i the colour behind it.
-   Exact: a colour is linear in the existence of one Gaussian. With residuals of 0: the sum of d^2. */
+   Exact: a colour is linear in the mask of one Gaussian. With residuals of 0: the sum of d^2. */
 SVRGS_API int32_t svrgs_removal(svrgs_context*, const real* residuals, double* cost);
 
 /* L = l1_weight * mean|a - b| + ssim_weight * (1 - SSIM(a, b)); SSIM: 11x11 Gaussian window, sigma 1.5, zero padding,
@@ -204,15 +204,17 @@ SVRGS_API int32_t svrgs_loss(svrgs_context*, const real* image, const real* targ
    ids[r] of param and moments (ids ascending; NULL: row r). lr: one rate per column, (width,). Rows whose gradient is not
    finite are left alone and counted in *nonfinite.
 
-   moments: both of a value side by side, 0 to begin with. double: m, v. float: a word of 32 bits, in its upper 20 m, rounded to
-   nearest, without the last 12 bits of its mantissa, in its lower 12 v without its sign (it has none) and the last 19. A step
-   adds 0.1 % to v, far less than half of what its last bit counts for, so it is rounded up as often as it is near to that: bits(v) + n,
-   then cut, n = (x ^ x >> 15) * 0x85ebca6b >> 13, x = bits(m), 20 of them, ^ step * 0x9e3779b1.
+   moments: m and v of each value side by side, 0 to begin with. double: m, v. float: both in a word of 32 bits:
 
-   shared: rows are SH coefficients, (K, 3) values each, width 3, 12, 27 or 48, with one second moment for all: v of the mean square
-   of the first three gradients, those of degree 0. A row of moments: m of every value, then v. double: width + 1 values. float: m in 16
-   bits each, the upper ones of bits(m) + n, n = (x ^ x >> 15) * 0x85ebca6b >> 16, x as above; two bytes more where the
-   width is odd; v in 32 bits. */
+     bits 31 .. 12   m: the upper 20 bits of the float, rounded to nearest
+     bits 11 .. 0    v: bits 30 .. 19 of the float (v has no sign), with stochastic rounding
+
+   v needs stochastic rounding because a step changes it by 0.1 %, far less than half of its last bit. n is added to the bits of v before
+   they are cut: n = h >> 13, h = (x ^ x >> 15) * 0x85ebca6b, x = (the 20 bits of m, in place) ^ step * 0x9e3779b1.
+
+   shared: rows are SH coefficients, (K, 3) values each, width 3, 12, 27 or 48. A row has one v, of the mean square of its first three
+   gradients, those of degree 0. A row of moments: m of every value, then v. double: width + 1 values. float: m in 16 bits each, the upper
+   half of the float, with stochastic rounding (n = h >> 16, x as above); 2 bytes of padding if the width is odd; v in 32 bits. */
 typedef struct {
   const double* lr;
   double beta1, beta2, eps;
@@ -223,9 +225,9 @@ SVRGS_API int32_t svrgs_adam(svrgs_context*, const svrgs_adam_settings*, real* p
                              int32_t width, int64_t* nonfinite);
 
 /* svrgs_backward and svrgs_adam in one, bit for bit: the gradients of the last view go straight into an Adam step on the rows
-   of the visible Gaussians (of the scene's own arrays, which this call may write) and are not stored. What has no param, sh apart, is
-   not updated. `others` may ask for the gradients of such, for masks and for means2d. The view is used up: what it was made from has
-   changed. */
+   of the visible Gaussians (of the scene's own arrays, which this call may write) and are not stored. A tensor whose
+   param is NULL is not updated; sh must have one. `others` may ask for the gradients of tensors that are not updated, of masks and of
+   means2d. The view cannot be used afterwards: the scene it was made from has changed. */
 typedef struct {
   real* param;      /* (N, columns) */
   void* moments;    /* a row of N each, as in svrgs_adam; of sh: shared */
@@ -241,7 +243,7 @@ SVRGS_API int32_t svrgs_backward_update(svrgs_context*, const svrgs_image_grads*
    derivative sigma(d + l)(1 - sigma(d + l)). */
 SVRGS_API int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_t seed, uint64_t step, uint8_t* masks, float* slope);
 
-/* order (count,): rows of means (count, 3) from the farthest along `axis` to the nearest, ties in their order; NaN anywhere. */
+/* order (count,): rows of means (count, 3) from the farthest along `axis` to the nearest; ties keep their order; NaN may be anywhere. */
 SVRGS_API int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3], uint32_t* order);
 
 #ifdef __cplusplus

@@ -11,7 +11,7 @@ struct ShTensors {
 };
 
 inline void store_first_moments(const AdamRates&, double* p, V m) { __builtin_memcpy(p, &m, sizeof m); }
-inline void store_first_moments(const AdamRates& a, uint16_t* p, V m) {  // rounded up as often as they are near to that
+inline void store_first_moments(const AdamRates& a, uint16_t* p, V m) {  // stochastic rounding
   const U noise = rounding_noise(a, leading_bits(m)) >> 16;
   const Halves halves = __builtin_convertvector(((U)m + noise) >> 16, Halves);
   __builtin_memcpy(p, &halves, sizeof halves);

@@ -4,7 +4,7 @@
 // and is compiled once per level. Code for one instruction set can therefore not be linked in place of code for another.
 //
 // native/Makefile defines for each level SVRGS_LANES, SVRGS_REAL (float or double) and, where they may be used, SVRGS_HAVE_AVX2 and
-// SVRGS_HAVE_AVX512. Only lanes, math, transpose and compact contain intrinsics.
+// SVRGS_HAVE_AVX512. Only lanes and compact contain intrinsics.
 
 using R = SVRGS_REAL;
 constexpr int W = SVRGS_LANES;
