@@ -10,7 +10,7 @@ experiment that was stopped goes on where it was. Scenes between runs lie in --w
     table   `svrgs train` with each method from the sparse points, all with the published schedule times --schedule
     lambda  the paper's sweep of lambda_F, from the sparse points
     pareto  `svrgs prune` of the table's 3DGS scene (of --trained, share of the schedule), every method at several counts
-    ablation  the same with `svr`, one part of it left out at a time
+    ablation  the same with `pressure`, one part of it left out at a time
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ TABLE = {
     "MaskGS beta": ["--method", "maskgs-beta"],
     "MaskGS gamma": ["--method", "maskgs-gamma"],
     "GNS pressure": ["--method", "gns"],
-    "SVR-GS (paper)": ["--method", "svr", "--paper"],
+    "SVR-GS": ["--method", "svr"],
+    "SVR-GS --paper": ["--method", "svr", "--paper"],
     "Scenario A": ["--method", "svr-a"],
     "Scenario B": ["--method", "svr-b"],
     "SVR-GS, self term": ["--method", "svr-self"],
@@ -71,7 +72,7 @@ ABLATION = {  # what is changed in the program before it runs
 }
 STUDIES = {
     "table": TABLE,
-    "lambda": {f"lambda_F {value}": ["--method", "svr", "--paper", "--lambda-f", value] for value in LAMBDAS},
+    "lambda": {f"lambda_F {value}": ["--method", "svr", "--lambda-f", value] for value in LAMBDAS},
     "pareto": pareto(),
     "ablation": {f"{label} {target}": ["--method", "pressure", "--target", target] for target in ("0.17", "0.08") for label in ABLATION},
 }

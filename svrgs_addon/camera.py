@@ -53,7 +53,7 @@ class Camera:
         matrix: (4, 4), maps the new world to this camera's world; a rotation, a translation and one uniform scale s.
         Lengths in the new world, depths included, are 1 / s of those in this one.
         """
-        viewmat = self.viewmat @ np.asarray(matrix, np.float64)
+        viewmat: np.ndarray = self.viewmat @ np.asarray(matrix, np.float64)
         scale = abs(np.linalg.det(viewmat[:3, :3])) ** (1 / 3)
         viewmat[:3] /= scale
         return replace(self, viewmat=viewmat, K=self.K @ np.diag([scale, scale, 1.0]) if self.orthographic else self.K)

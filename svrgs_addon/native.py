@@ -107,7 +107,7 @@ class Rasterizer:
         self.dtype = np.dtype(np.float64 if self.level == "float64" else np.float32)
         self.cancel = np.zeros(1, np.int32)
         self._context = c.c_void_p()
-        self._view = None  # arrays that the library reads until the next forward; they must stay alive
+        self._view: tuple | None = None  # arrays that the library reads until the next forward; they must stay alive
         self._shape = (0, 0, 0)  # H, W, K of the last view
         self._shapes: dict[str, tuple] = {}  # shapes of the arrays of the last scene
         self._buffers: dict[str, np.ndarray] = {}
@@ -116,7 +116,7 @@ class Rasterizer:
     def __del__(self):
         if getattr(self, "_context", None):
             _library().svrgs_context_destroy(self._context)
-            self._context = None
+            self._context = c.c_void_p()
 
     def forward(self, scene, camera: Camera, options: RenderOptions = RenderOptions(), masks=None, outputs=("rgb",), depth_limit=None) -> dict:
         """Renders one view (SVR-GS, Eq. 1, 2 and 5).
@@ -157,7 +157,7 @@ class Rasterizer:
         _call("svrgs_count_work", self._context, c.c_int32(count_pixels), c.byref(work))
         if not count_pixels:
             return {"visible": work.visible, "pairs": work.pairs}
-        return {name: getattr(work, name) for name, _ in WorkStruct._fields_} | {"evaluated": 16 * work.blocks}
+        return {name: getattr(work, name) for name, *_ in WorkStruct._fields_} | {"evaluated": 16 * work.blocks}
 
     def stage_seconds(self) -> dict[str, float]:
         """Durations in seconds of the stages of the last calls, by name from stages()."""
@@ -251,7 +251,7 @@ class Rasterizer:
             c.c_int32(shape[1]),
             c.c_double(l1_weight),
             c.c_double(ssim_weight),
-            c.c_void_p(grad.ctypes.data if want_grad else None),
+            c.c_void_p(None if grad is None else grad.ctypes.data),
             values,
         )
         return values[0], values[1], grad
@@ -268,7 +268,7 @@ class Rasterizer:
         rows = len(param) if ids is None else len(ids)
         settings = _adam_settings(rates.ctypes.data, betas, eps, step, shared=len(shape) == 3)
         bad = c.c_int64()
-        addresses = [*self._trained(param, moments, shape)]
+        addresses: list[int | None] = [*self._trained(param, moments, shape)]
         addresses.append(check(grad, "grad", (rows, *shape[1:]), self.dtype))
         addresses.append(check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
         if ids is not None and rows and (ids[-1] >= len(param) or (ids[1:] <= ids[:-1]).any()):
@@ -337,7 +337,7 @@ def _rates(lr, shape: tuple) -> np.ndarray:
     return np.ascontiguousarray(np.broadcast_to(np.asarray(lr, np.float64), (width,)))
 
 
-def _adam_settings(rates: int | None, betas, eps: float, step: int, shared: bool = False) -> AdamStruct:
+def _adam_settings(rates: int | None, betas, eps: float, step: int, shared: bool = False) -> c.Structure:
     return AdamStruct(rates, *betas, eps, step, shared)
 
 
@@ -347,7 +347,7 @@ def _image_shape(name: str, height: int, width: int) -> tuple:
     return (height, width, 3) if IMAGES.get(name) else (height, width)
 
 
-def _camera(camera: Camera, background) -> CameraStruct:
+def _camera(camera: Camera, background) -> c.Structure:
     K = camera.K
     return CameraStruct(
         (c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()),

@@ -10,7 +10,7 @@ import functools
 import os
 import sys
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -29,7 +29,7 @@ _LEVEL_NAMES, _MASK_KIND_NAMES, _SKIP_NAMES, _STAGE_NAMES = range(4)  # enum svr
 _real = c.c_void_p
 
 
-def _struct(name: str, **fields) -> type[c.Structure]:
+def _struct(name: str, **fields) -> Any:
     return type(name, (c.Structure,), {"_fields_": list(fields.items())})
 
 
@@ -151,7 +151,8 @@ def thresholds() -> Thresholds:
 @functools.cache
 def _names(which: int) -> tuple[str, ...]:
     """Names of the values of one enum of the library, in its order. which: a value of enum svrgs_names."""
-    ask, names = library().svrgs_name, []
+    ask = library().svrgs_name
+    names: list[str] = []
     while name := ask(c.c_int32(which), c.c_int32(len(names))):
         names.append(name.decode())
     return tuple(names)
@@ -195,7 +196,7 @@ def peaks(level: str) -> dict[str, float]:
     """
     machine = MachineStruct()
     call_library("svrgs_measure_machine", c.c_int32(levels()[level]), c.byref(machine))
-    return {name: getattr(machine, name) for name, _ in MachineStruct._fields_}
+    return {name: getattr(machine, name) for name, *_ in MachineStruct._fields_}
 
 
 def set_threads(count: int):

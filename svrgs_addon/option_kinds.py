@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +98,12 @@ def option(kind: Kind, default: Any, help_: str, **more) -> Any:
 
 def options_of(cls: type) -> dict[str, Option]:
     """The options of a dataclass as {name: Option}, in the order of its fields."""
-    return {name: f.metadata["option"] for name, f in cls.__dataclass_fields__.items() if "option" in f.metadata}
+    return {found.name: found.metadata["option"] for found in fields(cls) if "option" in found.metadata}
+
+
+def default_of(cls: type, name: str) -> Any:
+    """The default value of one option of a dataclass."""
+    return next(found.default for found in fields(cls) if found.name == name)
 
 
 def check_mapping(cls: type, values: object) -> dict[str, Any]:

@@ -50,6 +50,11 @@ class Scene:
         if array.shape != shape or array.dtype != np.float32 or not array.flags.c_contiguous:
             raise SceneError(f"{name} is {array.dtype}{array.shape}; expected C-contiguous float32{shape}")
 
+    @classmethod
+    def of(cls, means, log_scales, quats, opacity_logits, sh) -> Scene:
+        """From arrays of any real type and memory layout. Raises SceneError for other shapes."""
+        return cls(*(np.ascontiguousarray(array, np.float32) for array in (means, log_scales, quats, opacity_logits, sh)))  # type: ignore[arg-type]
+
     @property
     def count(self) -> int:
         """Number of Gaussians N."""

@@ -29,6 +29,23 @@ def tiny(tmp_path_factory):
     return tiny_dataset.write_tiny(tmp_path_factory.mktemp("tiny"))
 
 
+@pytest.fixture(scope="module")
+def data(tiny):
+    """The tiny dataset, loaded."""
+    from svrgs_addon.photographs.dataset import load_dataset
+
+    return load_dataset(tiny.folder)
+
+
+@pytest.fixture
+def default_threads():
+    """As many threads as processors again, after a test that changes their number."""
+    yield
+    from svrgs_addon import native
+
+    native.set_threads(0)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What a command left behind."""

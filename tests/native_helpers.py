@@ -1,4 +1,4 @@
-"""What the native tests share: one renderer per SIMD level, scenes in its type, gradients in scene order."""
+"""What the native tests share: one renderer per SIMD level, scenes in its type, gradients in scene order, and checks of images."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ FLOAT_IMAGES = ("rgb", "depth", "alpha", "mask", "transmittance")
 IMAGES = (*FLOAT_IMAGES, *native.COUNTS)
 LOSS_IMAGES = ("rgb", "depth", "alpha", "mask")  # those a gradient may come from
 BACKGROUND = (0.2, 0.5, 0.9)
+CAMERA = scenes.camera(40, 27)
 
 
 @functools.cache
@@ -69,6 +70,23 @@ def scattered(rows: np.ndarray, ids: np.ndarray, count: int) -> np.ndarray:
     return full
 
 
+def view_and_gradients(level, scene, camera, masks=None, seed=0, **options):
+    """Images and gradients of one view, everything asked for."""
+    images = render(level, scene, camera, masks, **options)
+    grads = backward(level, image_weights(camera, seed), len(scene.means))
+    return images, grads
+
+
+def everything(level, scene, masks=None, camera=CAMERA, **options):
+    """Images, gradients of all of them, scores and visible ids of one view."""
+    images = render(level, scene, camera, masks, **options)
+    n = len(scene.means)
+    scores = dict(sum=np.zeros(n), max=np.zeros(n, np.float32), pixels=np.zeros(n, np.int64))
+    rasterizer(level).add_scores(*scores.values())
+    grads = {f"d{k}": g for k, g in backward(level, image_weights(camera), n).items()}
+    return images | grads | scores | {"visible": rasterizer(level).visible().copy()}
+
+
 def relative_l2(value: np.ndarray, expected: np.ndarray) -> float:
     """|value − expected| / |expected|; an expected zero demands exact zeros."""
     value, expected = np.asarray(value, np.float64), np.asarray(expected, np.float64)
@@ -86,6 +104,16 @@ def assert_same_bits(left: dict[str, np.ndarray], right: dict[str, np.ndarray]):
 def assert_finite(arrays: dict[str, np.ndarray]):
     for name, array in arrays.items():
         assert np.isfinite(array).all(), name
+
+
+def assert_in_range(images: dict[str, np.ndarray]):
+    """What holds for any scene whose colours are not negative."""
+    assert_finite(images)
+    for name in ("rgb", "depth", "mask"):
+        assert images[name].min() >= -1e-6, name
+    for name in ("alpha", "transmittance"):
+        assert images[name].min() >= 0 and images[name].max() <= 1, name
+    assert (0 <= images["kept"]).all() and (images["kept"] <= images["hits"]).all()
 
 
 def frontal(width: int, height: int, focal: float = 20.0):

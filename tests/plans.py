@@ -1,10 +1,13 @@
-"""Plans of runs by the name of their method, for tests."""
+"""Plans of runs by the name of their method, and the names of methods of each kind, for tests."""
 
 from __future__ import annotations
 
-from svrgs_addon.finetune.methods import method_named, paper_method
+from svrgs_addon.finetune.methods import METHODS, method_named, paper_method
 from svrgs_addon.finetune.plan import Plan, prune_plan, train_plan
 from svrgs_addon.finetune.settings import Phase
+
+LEARNED = [name for name, method in METHODS.items() if method.prunes and not method.ranks]
+RANKED = [name for name, method in METHODS.items() if method.ranks]
 
 
 def prune_settings(method: str, iterations: int, recovery: int, **more) -> Plan:

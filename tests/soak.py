@@ -18,7 +18,7 @@ import numpy as np
 
 from svrgs_addon import native
 from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.native import MASK_KINDS, Rasterizer, RenderOptions
+from svrgs_addon.native import Rasterizer, RenderOptions, mask_kinds
 
 WARM_UP = 500  # renders in which buffers may grow to the largest scene and picture
 LIMIT = 2e6  # bytes of growth after that; seen 0.1e6
@@ -43,7 +43,7 @@ def soak(renders: int, seen: Callable[[np.ndarray], object] = lambda image: None
             scene = room(chance.choice(COUNTS), chance.randrange(4), seed=number)
         if number % RENDERER_EVERY == 0:
             rasterizer = Rasterizer()
-        kind = chance.choice(list(MASK_KINDS))
+        kind = chance.choice(list(mask_kinds()))
         options = RenderOptions(chance.randrange(4), bool(chance.randrange(2)), bool(chance.randrange(2)), kind)
         outputs = ("rgb", "depth", "alpha", *(("mask",) if kind != "none" else ()))
         images = rasterizer.forward(scene, orbit_camera(*chance.choice(SIZES), turn=chance.uniform(0, 360)), options, outputs=outputs)

@@ -1,12 +1,10 @@
-"""The command line: what each command writes and prints, and one sentence and exit 2 for whatever does not fit."""
+"""The command line: what info, render, eval, train and compare write and print."""
 
 from __future__ import annotations
 
 import json
 import re
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,35 +15,18 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
+from command_checks import MEASURES, TEST_VIEWS, files
 from svrgs_addon.cli import commands
 from svrgs_addon.files.images import read_image
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import load_scene
-from svrgs_addon.finetune import scores
-from svrgs_addon.finetune.methods import METHODS
-from svrgs_addon.jobs import train_and_prune
-from svrgs_addon.metrics.evaluate import render_options
 from svrgs_addon.native import Rasterizer, RenderOptions
-
-ROOT = Path(__file__).resolve().parents[1]
-MEASURES = {"psnr", "ssim", "lpips", "flip", "count", "bytes", "ms_per_frame"}
-SHORT = ("--iterations", 8, "--recovery", 4, "--quiet")
-TEST_VIEWS = ["00", "08"]
 
 
 def truth_file(tiny, folder: Path) -> Path:
     """The scene the photographs show, as a file."""
     write_ply(folder / "truth.ply", tiny.truth)
     return folder / "truth.ply"
-
-
-def measures(result: dict) -> dict:
-    """The part of a result that is the same for every run."""
-    return {name: result[name] for name in MEASURES - {"ms_per_frame"}}
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 # --- info
@@ -174,146 +155,6 @@ def test_eval_says_why_lpips_is_left_out(tiny, svrgs):
     assert "LPIPS left out: no LPIPS weight file was given" in svrgs("eval", tiny.splat, "--colmap", tiny.folder).out
 
 
-# --- prune
-
-
-@pytest.fixture(scope="module")
-def pruned(tiny, tmp_path_factory) -> dict:
-    """Result of one real pruning run with a report; 'folder' beside its keys."""
-    folder = tmp_path_factory.mktemp("pruned")
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--iterations", 300, "--recovery", 200, "--target", 0.4, "--json"]
-    command = [sys.executable, "-m", "svrgs_addon", *words, "--out", folder / "small.ply", "--report", folder / "report"]
-    done = subprocess.run([str(word) for word in command], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert re.search(r"recover 500/500 .* Gaussians", done.stderr), "progress belongs on stderr"
-    assert done.stdout.count("\n") == 1
-    return {"folder": folder, **json.loads(done.stdout)}
-
-
-def test_prune_result(tiny, pruned):
-    assert MEASURES | {"before", "after", "seconds", "method", "lambda_f", "out"} <= pruned.keys()
-    assert pruned["before"].keys() == pruned["after"].keys() == MEASURES
-    assert (pruned["method"], pruned["lambda_f"]) == ("pressure", None), "the target says how many stay"
-    assert tiny_dataset.FAINT <= pruned["first_cut"] < tiny_dataset.COUNT
-    assert pruned["count"] == round(0.4 * tiny_dataset.COUNT) and pruned["before"]["count"] == tiny_dataset.COUNT
-    assert pruned["psnr"] > pruned["before"]["psnr"] + 1, "fine-tuning does not fit the photographs"
-    assert sorted(files(pruned["folder"])) == ["report/index.html", "small.ply"]
-
-
-def test_prune_measures_what_eval_measures(tiny, pruned, svrgs):
-    for scene, part in ((pruned["out"], "after"), (tiny.splat, "before")):
-        assert measures(svrgs("eval", scene, "--colmap", tiny.folder, "--json").json) == pytest.approx(measures(pruned[part]), rel=1e-12)
-    assert measures(pruned) == measures(pruned["after"])
-
-
-def test_pruned_file_keeps_the_form_of_its_source(tiny, pruned):
-    source, small = read_ply(tiny.splat), read_ply(pruned["out"])
-    assert (small.count, small.sh_degree, small.antialiased) == (pruned["count"], source.sh_degree, source.antialiased)
-    assert small.property_order == source.property_order and small.attributes.keys() == source.attributes.keys()
-
-
-def test_report_is_one_page_with_table_plots_and_pictures(pruned):
-    page = (pruned["folder"] / "report/index.html").read_text()
-    assert "no LPIPS weight file was given" in page
-    assert f"{pruned['before']['psnr']:.2f} dB" in page and f"{pruned['psnr']:.2f} dB" in page
-    assert page.count("<svg") >= 3 and len(re.findall('src="data:image/[a-z]+;base64,', page)) == 6 * len(TEST_VIEWS)
-    assert not re.search(r'(src|href)="(?!data:)', page) and "http-equiv" in page and "@import" not in page
-
-
-@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if not method.ranks and not method.share])
-def test_every_method_runs(tiny, svrgs, tmp_path, method):
-    result = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *SHORT, "--out", tmp_path / "o.ply", "--json").json
-    assert result["method"] == method and result["lambda_f"] == (METHODS[method].lambda_f or None)
-    left = tiny_dataset.COUNT - result["first_cut"]
-    assert result["count"] < left if method in ("pressure", "saliency") else result["count"] == left, "masks cannot have learned in so few steps"
-    assert result["first_cut"] > tiny_dataset.FAINT if METHODS[method].learns_masks else result["first_cut"] == tiny_dataset.FAINT
-    assert result["iterations"] == (4 if method == "3dgs" else 12)
-
-
-@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if method.ranks or method.share])
-def test_every_method_with_a_budget_prunes_to_it(tiny, svrgs, tmp_path, method):
-    """Asked for, or its own where it has one."""
-    for target in (("--target-count", 70), ("--target", 0.5), ()):
-        words = ("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *target, *SHORT, "--out", tmp_path / "o.ply", "--json")
-        if not target and not METHODS[method].share:
-            refused(svrgs(*words), f"method '{method}' needs --target")
-            continue
-        share = METHODS[method].share or 0.5
-        expected = {"--target-count": 70, "--target": tiny_dataset.COUNT // 2}.get(target and target[0], round(share * tiny_dataset.COUNT))
-        assert svrgs(*words).json["count"] == expected
-
-
-@pytest.mark.parametrize("method", [name for name in METHODS if name != "3dgs"])
-def test_every_method_trains_to_a_share(tiny, svrgs, tmp_path, method):
-    """Of the Gaussians there are when densification ends: here of the sparse points, which none has multiplied."""
-    words = ("--method", method, "--target", 0.5, "--iterations", 60, "--recovery", 5, "--sh-degree", 0, "--densify-until", 20, "--quiet", "--json")
-    result = svrgs("train", "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json
-    assert result["count"] == result["target"] == tiny_dataset.SEEN // 2 and result["iterations"] == 65
-
-
-def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
-    words = ("--colmap", tiny.folder, "--paper", "--method", "svr", *SHORT, "--out", tmp_path / "o.ply", "--json")
-    result = svrgs("prune", tiny.splat, *words).json
-    assert (result["method"], result["lambda_f"], result["first_cut"]) == ("svr-paper", 1e-4, tiny_dataset.FAINT)
-    refused(svrgs("prune", tiny.splat, *words, "--method", "maskgs"), "--paper", "'maskgs'")
-    refused(svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", "svr-paper", "--out", tmp_path / "p.ply"), "unknown")
-
-
-def test_help_lists_every_method(svrgs):
-    for command in ("train", "prune"):
-        text = "".join(svrgs(command, "--help").out.split())  # lines break at hyphens
-        assert all(name.removeprefix("maskgs") in text for name in METHODS)
-
-
-def test_opacity_keeps_the_most_opaque(tiny, svrgs, tmp_path):
-    words = ("--method", "opacity", "--target-count", 50, "--recovery", 0, "--quiet", "--json")
-    assert svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"] == 50
-    logits = read_ply(tiny.splat).opacity_logits
-    assert np.array_equal(np.sort(read_ply(tmp_path / "o.ply").opacity_logits), np.sort(logits)[-50:])
-
-
-def test_contribution_keeps_what_contributes_most(tiny, svrgs, tmp_path):
-    words = ("--method", "contribution", "--target", 0.2, "--recovery", 0, "--quiet", "--json")
-    assert svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"] == 50
-    scene = read_ply(tiny.splat)
-    train = [camera for i, camera in enumerate(tiny.cameras) if i % 8]
-    sums, _, _ = scores.contribution(scene, train, Rasterizer(), render_options(scene))
-    expected = scene.means[np.sort(np.argsort(-sums)[:50])]
-    assert np.array_equal(read_ply(tmp_path / "o.ply").means, expected)
-
-
-def first_cut(tiny, svrgs, out: Path, *words: object) -> dict:
-    """Result of a pruning run that takes no step."""
-    words = ("--iterations", 0, "--recovery", 0, "--quiet", "--json", *words)
-    return svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", out).json
-
-
-def test_the_first_cut_drops_what_contributes_little_to_every_training_view(tiny, svrgs, tmp_path):
-    result = first_cut(tiny, svrgs, tmp_path / "o.ply", "--min-contribution", 0.3)
-    scene = read_ply(tiny.splat)
-    train = [camera for i, camera in enumerate(tiny.cameras) if i % 8]
-    _, peaks, _ = scores.contribution(scene, train, Rasterizer(), render_options(scene))
-    assert 10 < result["count"] == (peaks >= 0.3).sum() < 200 and result["first_cut"] == tiny_dataset.COUNT - result["count"]
-    assert np.array_equal(read_ply(tmp_path / "o.ply").means, scene.means[peaks >= 0.3])
-
-
-def test_the_first_cut_spares_enough_for_a_target(tiny, svrgs, tmp_path):
-    words = ("--min-contribution", 0.9, "--iterations", 2, "--recovery", 0, "--target-count", 200, "--quiet", "--json")
-    assert svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"] == 200
-
-
-def test_only_the_invisible_goes_where_nothing_else_is_asked_for(tiny, svrgs, tmp_path):
-    result = first_cut(tiny, svrgs, tmp_path / "o.ply", "--min-contribution", 0)
-    assert result["count"] == tiny_dataset.COUNT - tiny_dataset.FAINT and result["psnr"] == result["before"]["psnr"]
-
-
-def test_a_scene_that_would_lose_everything_is_refused(tiny, svrgs, tmp_path):
-    words = ("--lambda-f", 1e9, "--iterations", 2500, "--recovery", 0, "--quiet")
-    done = svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply", "--report", tmp_path / "report")
-    refused(done, "pruning would leave", "smaller lambda-f")
-    assert not list(tmp_path.iterdir())
-
-
 # --- train
 
 
@@ -346,178 +187,7 @@ def test_compare(tiny, svrgs, tmp_path):
     assert "scene.ply" in page and "truth.ply" in page and "data:image/" in page
 
 
-# --- what does not fit
-
-
-def refused(done, *words: str):
-    """Exit 2, nothing on stdout, one line on stderr that holds the words."""
-    assert (done.status, done.out) == (2, ""), done
-    lines = [line for line in done.err.splitlines() if line.strip()]
-    assert len(lines) == 1 and re.match("svrgs[a-z ]*: ", lines[0]), done.err
-    assert all(word in lines[0] for word in words), done.err
-
-
-@pytest.fixture
-def work(tiny, tmp_path) -> Path:
-    """A private copy of the tiny dataset, to be broken, with an ordinary file 'file' beside."""
-    shutil.copytree(tiny.folder, tmp_path / "data")
-    (tmp_path / "file").write_text("no folder")
-    return tmp_path
-
-
-def no_photographs(work: Path):
-    for name in ("01.png", "04.png", "05.png", "09.png"):
-        (work / "data/images" / name).unlink()
-
-
-def no_image_folder(work: Path):
-    shutil.rmtree(work / "data/images")
-
-
-def no_model(work: Path):
-    shutil.rmtree(work / "data/sparse")
-
-
-def no_views(work: Path):
-    tiny_dataset.write_colmap(work / "data/sparse/0", tiny_dataset.views(1), np.zeros((0, 3)))
-    path = work / "data/sparse/0/images.bin"
-    path.write_bytes(bytes(8))
-
-
-def panorama(work: Path):
-    tiny_dataset.write_colmap(work / "data/sparse/0", tiny_dataset.views(), np.zeros((9, 3)), "EQUIRECTANGULAR")
-
-
-def one_view(work: Path):
-    tiny_dataset.write_colmap(work / "data/sparse/0", tiny_dataset.views(1), np.zeros((9, 3)))
-
-
-def no_points(work: Path):
-    tiny_dataset.write_colmap(work / "data/sparse/0", tiny_dataset.views(), np.zeros((0, 3)))
-
-
-def broken_photograph(work: Path):
-    (work / "data/images/00.png").write_bytes(b"no image")
-
-
-def truncated_splat(work: Path):
-    path = work / "data/scene.ply"
-    path.write_bytes(path.read_bytes()[:-100])
-
-
-def splat_elsewhere(work: Path):
-    scene = read_ply(work / "data/scene.ply")
-    write_ply(work / "data/scene.ply", replace(scene, means=scene.means + np.float32(1e4)))
-
-
-def empty_splat(work: Path):
-    scene = read_ply(work / "data/scene.ply")
-    write_ply(work / "data/scene.ply", scene.select(np.zeros(scene.count, bool)))
-
-
-def same_stems(work: Path):
-    cameras = [replace(camera, name=name) for camera, name in zip(tiny_dataset.views(2), ("a.png", "a.jpg"), strict=True)]
-    tiny_dataset.write_colmap(work / "data/sparse/0", cameras, np.zeros((0, 3)))
-
-
-def nothing(work: Path):
-    pass
-
-
-DATA = "--colmap {data}"
-PRUNE = f"prune {{data}}/scene.ply {DATA} --quiet --out {{work}}/o.ply --report {{work}}/report"
-TRAIN = f"train {DATA} --iterations 5 --quiet --out {{work}}/o.ply"
-EVAL = f"eval {{data}}/scene.ply {DATA}"
-RENDER = f"render {{data}}/scene.ply {DATA} --out {{work}}/out"
-COMPARE = f"compare {{data}}/scene.ply {{data}}/scene.ply {DATA} --out {{work}}/out"
-
-REFUSED = [  # what is broken, the command, what the sentence says
-    *((no_photographs, command, ("4 of 12 photographs are missing: 01.png, 04.png, 05.png, ...",)) for command in (PRUNE, TRAIN, EVAL, COMPARE)),
-    *((no_image_folder, command, ("no image folder",)) for command in (PRUNE, EVAL)),
-    *((no_model, command, ("holds no COLMAP model",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
-    *((no_views, command, ("no view with a pose",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
-    *((panorama, command, ("EQUIRECTANGULAR",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
-    *((truncated_splat, command, ("scene.ply", "is truncated")) for command in ("info {data}/scene.ply", PRUNE, EVAL, RENDER, COMPARE)),
-    *((splat_elsewhere, command, ("scene.ply", "none of its Gaussians is near")) for command in (PRUNE, EVAL, COMPARE)),
-    *((empty_splat, command, ("scene.ply", "no usable Gaussian")) for command in (PRUNE, EVAL, RENDER, COMPARE)),
-    *((broken_photograph, command, ("00.png", "cannot be read as an image")) for command in (PRUNE, EVAL)),
-    (one_view, PRUNE, ("--holdout 0",)),
-    (one_view, TRAIN, ("--holdout 0",)),
-    (one_view, f"{EVAL} --split train", ("no train views",)),
-    (one_view, f"{RENDER} --views train", ("no train views",)),
-    (no_points, TRAIN, ("no 3-D points",)),
-    (same_stems, RENDER, ("'a.jpg' and 'a.png'", "same files")),
-    *((nothing, f"{command} --lpips-weights {{work}}/no.pt", ("--lpips-weights", "no.pt")) for command in (PRUNE, TRAIN, EVAL, COMPARE)),
-    (nothing, f"{PRUNE} --method dropout", ("method 'dropout' is unknown", "svr, ")),
-    (nothing, f"{TRAIN} --method dropout", ("method 'dropout' is unknown",)),
-    (nothing, f"{TRAIN} --method opacity", ("needs --target",)),
-    *((nothing, f"{PRUNE} --lambda-f={value}", ("--lambda-f", f"'{value}' is not a weight")) for value in ("-1", "nan", "inf", "much")),
-    (nothing, f"{PRUNE} --method maskgs --lambda-f 1e-4", ("method 'maskgs' has no spatial mask",)),
-    *((nothing, f"{PRUNE} --target {value}", ("--target", f"'{value}' is not a share")) for value in ("0", "1.5", "half")),
-    (nothing, f"{PRUNE} --target 0.5 --target-count 9", ("not allowed with",)),
-    (nothing, f"{PRUNE} --target-count 0", ("--target-count",)),
-    (nothing, f"{PRUNE} --method opacity", ("needs --target",)),
-    (nothing, f"{PRUNE} --method 3dgs --target 0.5", ("cannot reach a target",)),
-    (nothing, f"{PRUNE} --iterations 0 --target 0.5", ("cannot reach a target",)),
-    *((nothing, f"{PRUNE} --min-contribution {value}", ("--min-contribution",)) for value in ("1", "-1", "nan")),
-    (nothing, f"{PRUNE} --min-contribution 0.9999", ("pruning would leave 0 of", "min-contribution")),
-    (nothing, f"{PRUNE} --iterations -3", ("--iterations",)),
-    (nothing, f"{PRUNE} --engine cuda", ("--engine",)),
-    (nothing, f"{RENDER} --views 00,99", ("there is no view '99'", "0 to 11")),
-    (nothing, f"{RENDER} --views \N{SUPERSCRIPT TWO}", ("there is no view",)),
-    (nothing, f"{RENDER} --outputs rgb,normals", ("output 'normals' is unknown",)),
-    (nothing, f"{RENDER} --format gif", ("--format",)),
-    (nothing, f"{RENDER} --background 0,0,2", ("--background",)),
-    (nothing, "render {data}/scene.ply --out {work}/out", ("--colmap", "--cameras")),
-    (nothing, "render {data}/scene.ply --cameras {work}/file --out {work}/out", ("is not JSON",)),
-    (nothing, "render {data}/scene.ply --cameras {work}/none.json --out {work}/out", ("none.json", "cannot be read")),
-    (nothing, f"prune {{data}}/scene.ply {DATA} --out {{data}}/scene.ply", ("is the input itself",)),
-    (nothing, f"prune {{work}}/file --out {{work}}/o.ply {DATA}", ("are not read",)),
-    (nothing, f"prune {{work}}/none.ply --out {{work}}/o.ply {DATA}", ("there is no such file",)),
-    (nothing, f"prune {{data}}/sparse --out {{work}}/o.ply {DATA}", ("holds no splat",)),
-    (nothing, "info {work}/none.ply", ("there is no such file",)),
-    (nothing, "info {work}", ("is a folder",)),
-    (nothing, "paint", ("invalid choice",)),
-    (nothing, "", ("COMMAND",)),
-]
-
-
-@pytest.mark.parametrize("damage, line, words", REFUSED, ids=lambda value: value.__name__ if callable(value) else None)
-def test_bad_input_is_refused_and_nothing_written(work, svrgs, damage, line, words):
-    damage(work)
-    before = files(work)
-    refused(svrgs(*line.format(work=work, data=work / "data").split()), *words)
-    assert files(work) == before and sorted(path.name for path in work.iterdir()) == ["data", "file"]
-
-
-UNWRITABLE = {
-    "prune": "prune {scene} --colmap {data} --out {file}/o.ply",
-    "prune, report": "prune {scene} --colmap {data} --out {work}/o.ply --report {file}",
-    "prune, checkpoints": "prune {scene} --colmap {data} --out {work}/busy.ply",  # busy.ply.job is a file
-    "prune, other suffix": "prune {scene} --colmap {data} --out {work}/o.splat",
-    "train": "train --colmap {data} --out {file}/o.ply",
-    "train, folder": "train --colmap {data} --out {work}",
-    "render": "render {scene} --colmap {data} --out {file}",
-    "compare": "compare {scene} {scene} --colmap {data} --out {file}/deeper",
-}
-
-
-@pytest.mark.parametrize("line", UNWRITABLE.values(), ids=UNWRITABLE)
-def test_an_output_that_cannot_be_written_is_found_before_the_work(tiny, svrgs, tmp_path, monkeypatch, line):
-    for module, name in ((train_and_prune, "load_scene"), (train_and_prune, "fine_tune"), (Rasterizer, "forward")):
-        monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("the work has begun"))
-    (tmp_path / "file").write_text("no folder")
-    (tmp_path / "busy.ply.job").write_text("no folder")
-    before = files(tmp_path)
-    words = line.format(scene=tiny.splat, data=tiny.folder, work=tmp_path, file=tmp_path / "file").split()
-    refused(svrgs(*words), str(tmp_path))
-    assert files(tmp_path) == before
-
-
-def test_prune_without_photographs_asks_for_them(tiny, svrgs, tmp_path):
-    scene = shutil.copy(tiny.splat, tmp_path / "alone.ply")
-    refused(svrgs("prune", scene), "alone.ply", "--colmap")
-    assert list(files(tmp_path)) == ["alone.ply"]
+# --- failures and help
 
 
 def test_failures_that_are_nobody_s_input_exit_1(tiny, svrgs, monkeypatch):

@@ -1,65 +1,22 @@
-"""COLMAP datasets: every form of folder, every perspective camera model, and clear words for what does not fit."""
+"""COLMAP datasets: forms of folder, scaled photographs, camera models, memory, and reading ahead."""
 
 from __future__ import annotations
 
 import itertools
-import json
 import shutil
-import struct
 import threading
 
 import numpy as np
 import pytest
 
+pytest.importorskip("pycolmap")
+pytest.importorskip("OpenImageIO")
+
+from row_dataset import HEIGHT, OPENCV, POINTS, WIDTH, make_dataset, only_the_three_files, photo
 from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.images import write_image
 from svrgs_addon.photographs import dataset as dataset_module
-from svrgs_addon.photographs.cameras_json import load_cameras_json
 from svrgs_addon.photographs.dataset import load_dataset
-
-pycolmap = pytest.importorskip("pycolmap")
-pytest.importorskip("OpenImageIO")
-
-WIDTH, HEIGHT = 64, 48
-PINHOLE = ("PINHOLE", [60.0, 58.0, 30.5, 25.0])
-OPENCV = ("OPENCV", [60.0, 58.0, 31.0, 25.0, -0.1, 0.02, 0.002, -0.001])
-POINTS = np.array([[0.1, 0.2, 0.0], [-0.4, 0.3, 0.5], [0.6, -0.2, 0.2]])
-
-
-def photo(index: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
-    return np.random.default_rng(index).integers(0, 256, (height, width, 3), dtype=np.uint8)
-
-
-def make_model(names, model=PINHOLE, points=POINTS) -> pycolmap.Reconstruction:
-    """Cameras in a row, 4 units in front of the origin, slightly turned; ids run against the name order."""
-    result = pycolmap.Reconstruction()
-    camera = pycolmap.Camera(camera_id=1, model=model[0], width=WIDTH, height=HEIGHT, params=model[1])
-    result.add_camera_with_trivial_rig(camera)
-    for index, name in enumerate(names):
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0, 0.02 * index, 0])), np.array([0.1 * index, 0.0, 4.0]))
-        image = pycolmap.Image(name=name, camera_id=1, image_id=len(names) - index)
-        result.add_image_with_trivial_frame(image, pose)
-    for point in points:
-        result.add_point3D(point, pycolmap.Track(), np.array([10, 20, 30], np.uint8))
-    return result
-
-
-def make_dataset(root, names=None, model=PINHOLE, points=POINTS, text=False, below="sparse/0", images="images", size=(WIDTH, HEIGHT)):
-    """Write photographs and model; returns the reconstruction."""
-    names = names or [f"{i:02}.png" for i in range(9)]
-    reconstruction = make_model(names, model, points)
-    (root / below).mkdir(parents=True, exist_ok=True)
-    (reconstruction.write_text if text else reconstruction.write_binary)(root / below)
-    for index, name in enumerate(names):
-        write_image(root / images / name, photo(index, *size))
-    return reconstruction
-
-
-def only_the_three_files(folder):
-    for path in folder.iterdir():
-        if path.stem in ("rigs", "frames"):
-            path.unlink()
-
 
 # --- what is read
 
@@ -124,6 +81,13 @@ def test_photographs_in_subfolders(tmp_path):
 def test_real_dataset(shared_data):
     data = load_dataset(shared_data / "brighton_beach")
     assert (len(data.cameras), len(data.points), data.image(0).shape) == (18, 4179, (450, 800, 3))
+
+
+def test_rigs_and_frames_are_not_looked_at(tmp_path):
+    make_dataset(tmp_path)
+    for name in ("rigs", "frames"):
+        (tmp_path / "sparse/0" / f"{name}.bin").write_bytes(b"\xff" * 100)
+    assert len(load_dataset(tmp_path, cameras_only=True).cameras) == 9
 
 
 # --- scaled photographs
@@ -209,59 +173,6 @@ def test_cameras_only(tmp_path):
         data.image(0)
 
 
-def test_cameras_json_of_a_3dgs_run(shared_data):
-    scene = shared_data / "snowmiku_plush"
-    cameras = load_cameras_json(scene / "upstream_3dgs" / "cameras.json")
-    others = {camera.name.split(".")[0]: camera for camera in load_dataset(scene, cameras_only=True).cameras}
-    assert len(cameras) == 97
-    distances = [np.linalg.norm(camera.position - others[camera.name].position) for camera in cameras]
-    turns = [np.trace(camera.viewmat[:3, :3] @ others[camera.name].viewmat[:3, :3].T) for camera in cameras]
-    assert max(distances) < 0.05 and min(turns) > 1 + 2 * np.cos(np.radians(0.6))
-
-
-GOOD_ENTRY = {
-    "id": 0, "img_name": "a", "width": 64, "height": 48, "position": [1, 2, 3],
-    "rotation": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "fy": 58.0, "fx": 60.0,
-}  # fmt: skip
-
-
-def test_cameras_json_conventions(tmp_path):
-    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY]))
-    (camera,) = load_cameras_json(tmp_path / "cameras.json")
-    assert np.allclose(camera.position, [1, 2, 3])
-    assert np.allclose(camera.viewmat[:3, :3] @ [0, 1, 0], [1, 0, 0])  # camera x is the rotation's first column
-    assert np.allclose(camera.K, [[60, 0, 32], [0, 58, 24], [0, 0, 1]]) and not camera.orthographic
-    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY | {"orthographic": True}]))
-    assert load_cameras_json(tmp_path / "cameras.json")[0].orthographic
-    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY | {"orthographic": 1}]))
-    with pytest.raises(FormatError, match="orthographic is 1; true or false is expected"):
-        load_cameras_json(tmp_path / "cameras.json")
-
-
-@pytest.mark.parametrize(
-    "key, value",
-    [
-        ("img_name", "../a"), ("width", 0), ("width", 10**6), ("height", 48.5), ("fx", -1), ("fx", None),
-        ("fy", float("nan")), ("position", [1, 2]), ("position", [1, 2, float("inf")]), ("position", [10**400, 0, 0]),
-        ("rotation", [[1, 0, 0]] * 3), ("rotation", [[1, 0], [0, 1]]), ("rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
-    ],
-)  # fmt: skip
-def test_unusable_cameras_json_entries(tmp_path, key, value):
-    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY, GOOD_ENTRY | {key: value}]))
-    with pytest.raises(FormatError, match=r"cameras\.json: camera 1 is not usable"):
-        load_cameras_json(tmp_path / "cameras.json")
-    (tmp_path / "cameras.json").write_text(json.dumps([{k: v for k, v in GOOD_ENTRY.items() if k != key}]))
-    with pytest.raises(FormatError, match=f"lacks '{key}'"):
-        load_cameras_json(tmp_path / "cameras.json")
-
-
-@pytest.mark.parametrize("text", ["", "{}", "[]", "[1]", "[" * 100_000, "\xff"])
-def test_other_json(tmp_path, text):
-    (tmp_path / "cameras.json").write_text(text, encoding="latin-1")
-    with pytest.raises(FormatError, match=r"cameras\.json"):
-        load_cameras_json(tmp_path / "cameras.json")
-
-
 # --- memory and reading ahead
 
 
@@ -309,99 +220,3 @@ def test_images_are_read_only(tmp_path):
     make_dataset(tmp_path)
     with pytest.raises(ValueError, match="read-only"):
         load_dataset(tmp_path).image(0)[0] = 0
-
-
-# --- what does not fit
-
-
-def test_missing_photographs_are_counted_and_named(tmp_path):
-    make_dataset(tmp_path)
-    for name in ("01.png", "03.png", "04.png", "07.png"):
-        (tmp_path / "images" / name).unlink()
-    with pytest.raises(SceneError, match=r"4 of 9 photographs are missing: 01\.png, 03\.png, 04\.png, \.\.\."):
-        load_dataset(tmp_path)
-
-
-def test_missing_folders(tmp_path):
-    with pytest.raises(SceneError, match="no COLMAP model"):
-        load_dataset(tmp_path)
-    with pytest.raises(SceneError, match="no COLMAP model"):
-        load_dataset(tmp_path / "nowhere")
-    make_dataset(tmp_path)
-    with pytest.raises(SceneError, match="no image folder images_8"):
-        load_dataset(tmp_path, "images_8")
-
-
-def test_no_views_and_no_points(tmp_path):
-    make_dataset(tmp_path, points=[])
-    assert load_dataset(tmp_path).points.shape == (0, 3)
-    with pytest.raises(SceneError, match="no 3-D points"):
-        load_dataset(tmp_path, need_points=True)
-    make_model([]).write_binary(tmp_path / "sparse/0")
-    with pytest.raises(SceneError, match="no view"):
-        load_dataset(tmp_path)
-
-
-@pytest.mark.parametrize("name", ["../a.png", "/etc/a.png", "b/../../a.png", "C:\\a.png", "..\\a.png"])
-def test_image_names_cannot_leave_the_folder(tmp_path, name):
-    make_model([name]).write_binary(tmp_path)
-    with pytest.raises(FormatError, match="does not stay inside"):
-        load_dataset(tmp_path, cameras_only=True)
-
-
-@pytest.mark.parametrize("params", [[0.0, 58, 30, 25], [float("nan"), 58, 30, 25], [60, -58, 30, 25]])
-def test_unusable_cameras_are_refused(tmp_path, params):
-    make_model(["a.png"], ("PINHOLE", params)).write_binary(tmp_path)
-    with pytest.raises(SceneError, match="not usable"):
-        load_dataset(tmp_path, cameras_only=True)
-
-
-def test_rigs_and_frames_are_not_looked_at(tmp_path):
-    make_dataset(tmp_path)
-    for name in ("rigs", "frames"):
-        (tmp_path / "sparse/0" / f"{name}.bin").write_bytes(b"\xff" * 100)
-    assert len(load_dataset(tmp_path, cameras_only=True).cameras) == 9
-
-
-def test_cameras_of_absurd_size_are_refused(tmp_path):
-    make_dataset(tmp_path, model=OPENCV)
-    path = tmp_path / "sparse/0/cameras.bin"
-    data = path.read_bytes()
-    path.write_bytes(data[:16] + struct.pack("<Q", 2**50) + data[24:])
-    with pytest.raises(FormatError, match="the limit is 16384 per side"):
-        load_dataset(tmp_path, cameras_only=True)
-
-
-def test_points_far_out_are_refused(tmp_path):
-    make_dataset(tmp_path, points=[[1e39, 0, 0]])
-    with pytest.raises(FormatError, match="finite place"):
-        load_dataset(tmp_path, cameras_only=True)
-
-
-@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
-def test_truncated_binary_models(tmp_path, name):
-    make_dataset(tmp_path)
-    only_the_three_files(tmp_path / "sparse/0")
-    path = tmp_path / "sparse/0" / f"{name}.bin"
-    data = path.read_bytes()
-    for size in range(len(data)):
-        path.write_bytes(data[:size])
-        with pytest.raises(FormatError, match=f"{name}.bin is truncated"):
-            load_dataset(tmp_path, cameras_only=True)
-    path.write_bytes(struct.pack("<Q", 2**60) + data[8:])
-    with pytest.raises(FormatError, match="truncated"):
-        load_dataset(tmp_path, cameras_only=True)
-
-
-@pytest.mark.parametrize(
-    "name, old, new",
-    [("cameras", "PINHOLE", "HOLE"), ("images", "01.png", ""), ("points3D", "10 20 30", "x"), ("cameras", "64", "nan")],
-)
-def test_broken_text_models(tmp_path, name, old, new):
-    make_dataset(tmp_path, text=True)
-    only_the_three_files(tmp_path / "sparse/0")
-    path = tmp_path / "sparse/0" / f"{name}.txt"
-    path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(FormatError) as caught:
-        load_dataset(tmp_path, cameras_only=True)
-    assert "\n" not in str(caught.value)

@@ -66,7 +66,10 @@ def project(model, image, xyz: np.ndarray) -> np.ndarray:
 
 def test_same_request_gives_same_bytes(dataset, tmp_path):
     again = tmp_path / "again"
-    assert generate(again, *TINY).returncode == 0
+    done = generate(again, *TINY)
+    assert done.returncode == 0
+    assert done.stdout == f"{again}: written\n"
+    assert done.stderr == "".join(f"rendering the demo scene: {k} of 8 views\n" for k in (2, 4, 6, 8)), "Blender's messages are kept back"
     assert hashes(again) == hashes(dataset)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again"], "leftovers beside it"
 
@@ -85,6 +88,45 @@ def test_foreign_folder_is_refused(tmp_path):
     done = generate(keepsake.parent, *TINY)
     assert done.returncode == 2 and "left untouched" in done.stderr
     assert keepsake.read_text() == "mine"
+
+
+def test_without_blender_one_sentence_says_so(tmp_path):
+    code = (
+        f"import runpy, sys; sys.modules['bpy'] = None; sys.argv = ['demo', {str(tmp_path / 'out')!r}]; runpy.run_path({str(GENERATOR)!r}, run_name='__main__')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith("demo_scene: rendering the demo scene needs Blender") and done.stderr.count("\n") == 1
+    assert not any(tmp_path.iterdir())
+
+
+PRINTING = """
+import ctypes, os, pathlib, subprocess, sys
+from demo_scene.quiet import captured
+print("before")
+try:
+    with captured(pathlib.Path(sys.argv[1])) as terminal:
+        print("python")
+        ctypes.CDLL(None).puts(b"library")
+        subprocess.run(["echo", "child"])
+        print("progress", file=terminal)
+        if sys.argv[2] == "fail":
+            raise ValueError
+except ValueError:
+    pass
+print("after")
+"""
+
+
+@pytest.mark.parametrize("end", ["well", "fail"])
+def test_what_libraries_print_is_shown_only_on_failure(tmp_path, end):
+    command = [sys.executable, "-c", PRINTING, str(tmp_path / "log"), end]
+    done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and done.stdout == "before\nafter\n"
+    said = sorted((tmp_path / "log").read_text().split())
+    assert said == ["child", "library", "python"]
+    shown = done.stderr.split()
+    assert shown[0] == "progress" and sorted(shown[1:]) == (said if end == "fail" else [])
 
 
 def test_model_is_a_plain_pinhole_dataset(dataset, model):
@@ -137,15 +179,15 @@ def test_marker_shows_where_its_centre_projects(dataset, model):
         centre = project(model, model.images[image_id], np.array([marker["centre"]]))[0]
         if not np.all((centre > 7) & (centre < (89, 65))):  # cut by the border
             continue
-        # How magenta: 1 on the marker, in between on its rim, about 0 around it.
-        weight = np.clip((picture[..., [0, 2]].min(axis=2) - picture[..., 1]) / 255, 0, 1)
-        rows, cols = np.nonzero(weight > 0.3)
+        # Red without blue: 1 on both stripes of the marker, in between on its rim, less than 0.4 around it.
+        weight = np.clip((picture[..., 0] - picture[..., 2]) / 255, 0, 1)
+        rows, cols = np.nonzero(weight > 0.4)
         pixels = np.stack([cols, rows], axis=1) + 0.5
-        near = np.abs(pixels - centre).max(axis=1) < 7  # other things are a bit magenta too
+        near = np.abs(pixels - centre).max(axis=1) < 7  # other things are a bit red too
         if near.sum() < 12:  # hidden; were the cameras wrong, it would be so everywhere
             continue
         found = np.average(pixels[near], axis=0, weights=weight[rows, cols][near])
         offset = np.abs(found - centre).max()
-        assert offset < 0.35, (image_id, offset)  # worst seen: 0.21
+        assert offset < 0.3, (image_id, offset)  # worst seen: 0.15
         checked += 1
-    assert checked >= 2
+    assert checked >= 3

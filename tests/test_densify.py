@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import scenes
+from short_runs import bits, logit
 from svrgs_addon.finetune import densify
 from svrgs_addon.finetune.model import MASK, Model
 from svrgs_addon.finetune.settings import Densify
-from test_finetune_loop import bits, logit
 
 RULE = Densify()
 EXTENT = 10.0  # so that Gaussians up to 0.1 are small

@@ -23,12 +23,7 @@ from svrgs_addon.native import GRADS, IMAGES, Rasterizer, RenderOptions
 from svrgs_addon.photographs.dataset import load_dataset
 
 THREADS = (1, 2, 3, 7, 16)
-
-
-@pytest.fixture(autouse=True)
-def default_threads():
-    yield
-    native.set_threads(0)
+pytestmark = pytest.mark.usefixtures("default_threads")
 
 
 def hashed(arrays: dict[str, np.ndarray]) -> str:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import scenes
+from short_runs import bits
 from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model, scene_from_points
 from svrgs_addon.scene import SH_C0, Scene
-from test_finetune_loop import bits
 
 
 def numbered(n: int, with_masks: bool = True) -> Model:

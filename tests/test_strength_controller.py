@@ -23,7 +23,6 @@ from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates, Settings
 from svrgs_addon.finetune.strength_controller import StrengthController, controller_for
 from svrgs_addon.jobs import train_and_prune
-from svrgs_addon.photographs.dataset import load_dataset
 
 STEPS = 2_000
 
@@ -70,11 +69,6 @@ def test_only_what_is_asked_for_is_steered(changes, steered):
     settings = Settings((), **changes)
     assert (controller_for(settings, learns_masks=True) is not None) == steered
     assert controller_for(settings, learns_masks=False) is None
-
-
-@pytest.fixture(scope="module")
-def data(tiny):
-    return load_dataset(tiny.folder)
 
 
 def steered_run(tiny, data, method: str, steps: int = 1_200, seed: int = 3, **goal) -> Run:

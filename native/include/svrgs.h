@@ -5,10 +5,10 @@
    matrices row-major, pixel centres at k + 0.5, quaternions w x y z of any positive length, raw (logit, log) parameters
    as 3DGS stores them, images row-major (H, W) or (H, W, 3).
 
-   Rules: the caller allocates every output; "optional" pointers may be NULL and what they ask for is then not computed;
+   Rules: the caller allocates every output; "optional" pointers may be NULL, and then their output is not computed;
    inputs and outputs must not overlap. Arrays marked `real` are float, or double in a context of level SVRGS_DOUBLE.
-   Every function returns an SVRGS_ status and, where it fails, leaves one sentence for svrgs_last_error() (per thread).
-   Nothing throws, nothing is global but the thread pool. */
+   Functions that can fail return an SVRGS_ status; svrgs_last_error() then has one sentence on why, per thread.
+   No function throws. Nothing is global except the thread pool. */
 #ifndef SVRGS_H
 #define SVRGS_H
 
@@ -30,15 +30,21 @@ typedef void real; /* float or double, by the context's level */
 
 enum svrgs_status { SVRGS_OK = 0, SVRGS_INVALID = 1, SVRGS_NO_MEMORY = 2, SVRGS_CANCELLED = 3, SVRGS_TOO_LARGE = 4 };
 
-/* SIMD levels, each a separate compilation of the same kernels. SCALAR is the definition of truth for the others. */
+/* SIMD levels, each a separate compilation of the same kernels. SCALAR is the reference for the others. */
 enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4, SVRGS_LEVELS };
 
-/* How the spatial mask F and its gradient with respect to M are formed (paper Eq. 5 and 9, scenarios A and B; SELF: F as in SVR, gradient
-   from the self term alone, 1 - alpha_i T_i; EVEN: F and dF/dM as in SVR, but a Gaussian's sum over its pixels is scaled
-   to SVRGS_EVEN_AREA pixels of footprint, so that large and small ones are pushed alike). NONE skips F and all of its
-   counting. */
+/* How the spatial mask F and its gradient are computed. The gradient of F reaches the masks M only. SVR: paper Eq. 5 and 9. SELF: F as in
+   SVR, the gradient from the self term alone, 1 - alpha_i T_i. A, B: the paper's scenarios. EVEN: F and dF/dM as in SVR, but a Gaussian's
+   sum over its pixels is scaled to a footprint of SVRGS_EVEN_AREA pixels, so that large and small Gaussians have comparable gradients.
+   NONE computes neither F nor its counts. */
 enum svrgs_mask_kind {
-  SVRGS_MASK_NONE = 0, SVRGS_MASK_SVR = 1, SVRGS_MASK_SELF = 2, SVRGS_MASK_A = 3, SVRGS_MASK_B = 4, SVRGS_MASK_EVEN = 5, SVRGS_MASK_KINDS
+  SVRGS_MASK_NONE = 0,
+  SVRGS_MASK_SVR = 1,
+  SVRGS_MASK_SELF = 2,
+  SVRGS_MASK_A = 3,
+  SVRGS_MASK_B = 4,
+  SVRGS_MASK_EVEN = 5,
+  SVRGS_MASK_KINDS
 };
 #define SVRGS_EVEN_AREA 256
 
@@ -53,25 +59,23 @@ enum svrgs_skip {
 };
 
 /* Parts of svrgs_forward (the first four), svrgs_backward (two), svrgs_loss and svrgs_adam. */
-enum svrgs_stage {
-  SVRGS_PROJECT, SVRGS_TILES, SVRGS_SORT, SVRGS_BLEND, SVRGS_RASTER_GRADS, SVRGS_PARAMETER_GRADS, SVRGS_LOSS, SVRGS_ADAM, SVRGS_STAGES
-};
+enum svrgs_stage { SVRGS_PROJECT, SVRGS_TILES, SVRGS_SORT, SVRGS_BLEND, SVRGS_RASTER_GRADS, SVRGS_PARAMETER_GRADS, SVRGS_LOSS, SVRGS_ADAM, SVRGS_STAGES };
 
 typedef struct svrgs_context svrgs_context; /* buffers of one renderer; use from one thread at a time */
 
 typedef struct {
-  int64_t count;            /* N */
-  int32_t sh_coefficients;  /* 1, 4, 9 or 16 stored per channel */
-  const real *means;        /* (N, 3) */
-  const real *log_scales;   /* (N, 3) */
-  const real *quats;        /* (N, 4) */
-  const real *opacity_logits; /* (N,) */
-  const real *sh;           /* (N, sh_coefficients, 3) */
-  const uint8_t *masks;     /* (N,) 0 or 1, optional: all 1 */
+  int64_t count;              /* N */
+  int32_t sh_coefficients;    /* 1, 4, 9 or 16 stored per channel */
+  const real* means;          /* (N, 3) */
+  const real* log_scales;     /* (N, 3) */
+  const real* quats;          /* (N, 4) */
+  const real* opacity_logits; /* (N,) */
+  const real* sh;             /* (N, sh_coefficients, 3) */
+  const uint8_t* masks;       /* (N,) 0 or 1, optional: all 1 */
 } svrgs_scene;
 
 typedef struct {
-  double viewmat[16]; /* world to camera, row-major: a rotation and a translation */
+  double viewmat[16];    /* world to camera, row-major: a rotation and a translation */
   double fx, fy, cx, cy; /* pixels; orthographic: fx, fy are pixels per unit of length */
   int32_t width, height;
   int32_t orthographic; /* 1: centres are seen at (fx x + cx, fy y + cy), colours along the camera's axis; 0: perspective */
@@ -79,104 +83,103 @@ typedef struct {
 } svrgs_camera;
 
 typedef struct {
-  int32_t sh_degree;     /* bands evaluated, at most those stored */
-  int32_t antialiased;   /* multiply opacity by sqrt(det before blur / det after blur) */
-  int32_t full;          /* F walks the list to its end (1) or stops with the colours (0) */
-  int32_t mask_kind;     /* enum svrgs_mask_kind */
-  double eps_a;          /* epsilon of scenario A */
-  int32_t disabled_skips; /* enum svrgs_skip bits: skips turned off */
-  int64_t max_pairs;     /* refuse more (Gaussian, tile) pairs than this: SVRGS_TOO_LARGE; 0: 2^31 - 1 */
-  const int32_t *cancel; /* optional; polled once per tile, non-zero stops with SVRGS_CANCELLED */
-  const real *depth_limit; /* (H, W), optional: a pixel takes a Gaussian only where its z < limit; no gradients and no statistics then */
+  int32_t sh_degree;       /* bands evaluated, at most those stored */
+  int32_t antialiased;     /* multiply opacity by sqrt(det before blur / det after blur) */
+  int32_t full;            /* F walks the list to its end (1) or stops with the colours (0) */
+  int32_t mask_kind;       /* enum svrgs_mask_kind */
+  double eps_a;            /* epsilon of scenario A */
+  int32_t disabled_skips;  /* enum svrgs_skip bits: skips turned off */
+  int64_t max_pairs;       /* refuse more (Gaussian, tile) pairs than this: SVRGS_TOO_LARGE; 0: 2^31 - 1 */
+  const int32_t* cancel;   /* optional; polled once per tile, non-zero stops with SVRGS_CANCELLED */
+  const real* depth_limit; /* (H, W), optional: a pixel takes a Gaussian only where its z < limit; no gradients and no statistics then */
 } svrgs_options;
 
-typedef struct { /* all optional */
-  real *rgb;      /* (H, W, 3) blended colour including background, not clamped */
-  real *depth;    /* (H, W) sum of alpha_i T_i z_i */
-  real *alpha;    /* (H, W) 1 - T after the last blended Gaussian */
-  real *mask;     /* (H, W) F */
-  int32_t *hits;  /* (H, W) N: Gaussians on the ray */
-  int32_t *kept;  /* (H, W) K: those among them with M = 1 */
-  real *transmittance; /* (H, W) T_N: after the last Gaussian counted in N */
+typedef struct {       /* all optional */
+  real* rgb;           /* (H, W, 3) blended colour including background, not clamped */
+  real* depth;         /* (H, W) sum of alpha_i T_i z_i */
+  real* alpha;         /* (H, W) 1 - T after the last blended Gaussian */
+  real* mask;          /* (H, W) F */
+  int32_t* hits;       /* (H, W) N: Gaussians on the ray */
+  int32_t* kept;       /* (H, W) K: those among them with M = 1 */
+  real* transmittance; /* (H, W) T_N: after the last Gaussian counted in N */
 } svrgs_images;
 
 typedef struct { /* all optional: dL/d(output), same shapes as the outputs */
-  const real *rgb;
-  const real *depth;
-  const real *alpha;
-  const real *mask;
+  const real* rgb;
+  const real* depth;
+  const real* alpha;
+  const real* mask;
 } svrgs_image_grads;
 
 typedef struct { /* all optional: one row per visible Gaussian, in the order of svrgs_visible() */
-  real *means;
-  real *log_scales;
-  real *quats; /* with respect to the stored, not normalised quaternion */
-  real *opacity_logits;
-  real *sh;    /* (V, sh_coefficients, 3); bands above sh_degree are zero */
-  real *masks; /* dL/dM, for M = 0 and M = 1 alike */
-  real *means2d; /* (V, 2) with respect to the projected centre, pixels */
+  real* means;
+  real* log_scales;
+  real* quats; /* with respect to the stored, not normalised quaternion */
+  real* opacity_logits;
+  real* sh;      /* (V, sh_coefficients, 3); bands above sh_degree are zero */
+  real* masks;   /* dL/dM, for M = 0 and M = 1 alike */
+  real* means2d; /* (V, 2) with respect to the projected centre, pixels */
 } svrgs_grads;
 
 SVRGS_API int32_t svrgs_interface_version(void);
-SVRGS_API const char *svrgs_last_error(void);
+SVRGS_API const char* svrgs_last_error(void);
 
 /* The index-th name of an enum's values (of svrgs_skip: of its index-th bit), for users to choose by; NULL behind the last. */
 enum svrgs_names { SVRGS_LEVEL_NAMES, SVRGS_MASK_KIND_NAMES, SVRGS_SKIP_NAMES, SVRGS_STAGE_NAMES };
-SVRGS_API const char *svrgs_name(int32_t names, int32_t index);
+SVRGS_API const char* svrgs_name(int32_t names, int32_t index);
 
 /* The constants of the model that this build has (native/src/constants.h). */
 typedef struct {
-  double near_depth, far_depth; /* a Gaussian is drawn where near < z < far, z the depth of its centre */
-  double blur;                  /* pixels^2, added to both variances of a projected Gaussian */
-  double frustum_margin;        /* share of half the image: x/z, y/z of the Jacobian are clamped this far outside it */
-  double alpha_cut;             /* a Gaussian hits a pixel where alpha >= alpha_cut */
-  double alpha_max;             /* alpha is clamped to this */
-  double stop;                  /* colours stop where the transmittance would fall below this */
-  double compensation_floor;    /* of det(before blur) / det(after blur), in antialiased scenes */
+  double near_depth, far_depth;            /* a Gaussian is drawn where near < z < far, z the depth of its centre */
+  double blur;                             /* pixels^2, added to both variances of a projected Gaussian */
+  double frustum_margin;                   /* share of half the image: x/z, y/z of the Jacobian are clamped this far outside it */
+  double alpha_cut;                        /* a Gaussian hits a pixel where alpha >= alpha_cut */
+  double alpha_max;                        /* alpha is clamped to this */
+  double stop;                             /* colours stop where the transmittance would fall below this */
+  double compensation_floor;               /* of det(before blur) / det(after blur), in antialiased scenes */
   int32_t tile, block_width, block_height; /* pixels */
 } svrgs_thresholds;
-SVRGS_API void svrgs_get_thresholds(svrgs_thresholds *);
+SVRGS_API void svrgs_get_thresholds(svrgs_thresholds*);
 
-SVRGS_API int32_t svrgs_best_level(void);           /* the fastest float level this processor runs */
+SVRGS_API int32_t svrgs_best_level(void); /* the fastest float level this processor runs */
 SVRGS_API int32_t svrgs_level_supported(int32_t level);
-SVRGS_API void svrgs_set_threads(int32_t threads);  /* 0: one per core; results do not depend on it */
+SVRGS_API void svrgs_set_threads(int32_t threads); /* 0: one per core; results do not depend on it */
 SVRGS_API int32_t svrgs_threads(void);
 
-SVRGS_API int32_t svrgs_context_create(int32_t level, svrgs_context **out);
-SVRGS_API void svrgs_context_destroy(svrgs_context *context);
+SVRGS_API int32_t svrgs_context_create(int32_t level, svrgs_context** out);
+SVRGS_API void svrgs_context_destroy(svrgs_context* context);
 
 /* Renders one view. The scene's arrays must stay unchanged until svrgs_backward or svrgs_scores of this view is done. */
-SVRGS_API int32_t svrgs_forward(svrgs_context *, const svrgs_scene *, const svrgs_camera *, const svrgs_options *,
-                                const svrgs_images *);
+SVRGS_API int32_t svrgs_forward(svrgs_context*, const svrgs_scene*, const svrgs_camera*, const svrgs_options*, const svrgs_images*);
 
 /* Gaussians of the last view that can touch a pixel: *ids points into the context, valid until the next forward. */
-SVRGS_API int32_t svrgs_visible(svrgs_context *, const uint32_t **ids, int64_t *count);
+SVRGS_API int32_t svrgs_visible(svrgs_context*, const uint32_t** ids, int64_t* count);
 
-/* Work of the last view. With count_pixels its tile lists are walked again, and all fields are filled; without, two. */
+/* Work of the last view. With count_pixels its tile lists are walked again and all fields are filled; otherwise the first two. */
 typedef struct {
   int64_t visible, pairs;     /* Gaussians; (Gaussian, tile) entries */
   int64_t used_pairs;         /* entries the backward pass visits */
   int64_t blocks, hit_blocks; /* (Gaussian, 4x4 block) whose alpha was computed; with a lane at alpha >= 1/255 */
   int64_t hits, contributing; /* (Gaussian, pixel) with alpha >= 1/255; blended before the stop */
 } svrgs_work;
-SVRGS_API int32_t svrgs_count_work(svrgs_context *, int32_t count_pixels, svrgs_work *);
+SVRGS_API int32_t svrgs_count_work(svrgs_context*, int32_t count_pixels, svrgs_work*);
 
 /* Durations of the stages of the last calls, by enum svrgs_stage. */
-SVRGS_API int32_t svrgs_stage_seconds(svrgs_context *, double seconds[SVRGS_STAGES]);
+SVRGS_API int32_t svrgs_stage_seconds(svrgs_context*, double seconds[SVRGS_STAGES]);
 
-/* What all threads of the pool reach together: fused multiply-adds at this level (2 operations a lane), reading memory, and
+/* Peaks that all threads of the pool reach together: fused multiply-adds at this level (2 operations a lane), reading memory, and
    reading three streams while writing two of them, as Adam does; operations and bytes per second. */
 typedef struct {
   double fma, read, update;
 } svrgs_machine;
-SVRGS_API int32_t svrgs_measure_machine(int32_t level, svrgs_machine *);
+SVRGS_API int32_t svrgs_measure_machine(int32_t level, svrgs_machine*);
 
 /* Gradients of the last view. dL/ddepth needs a forward pass that was asked for depth. */
-SVRGS_API int32_t svrgs_backward(svrgs_context *, const svrgs_image_grads *, const svrgs_grads *);
+SVRGS_API int32_t svrgs_backward(svrgs_context*, const svrgs_image_grads*, const svrgs_grads*);
 
 /* Adds the last view to per-Gaussian statistics, each (N,) and optional: sum of alpha_i T_i over pixels, its maximum,
    the number of pixels blended, and the sum of T_i over them. */
-SVRGS_API int32_t svrgs_scores(svrgs_context *, double *sum, float *max, int64_t *hits, double *transmittance);
+SVRGS_API int32_t svrgs_scores(svrgs_context*, double* sum, float* max, int64_t* hits, double* transmittance);
 
 /* How much the last view's colours would change if a Gaussian's shape on the screen did: sums over pixels of w u^a v^b, with
    w = sum over the channels of (alpha_i dC/dalpha_i)^2, and (u, v) = L (pixel - centre), L upper triangular with a positive
@@ -184,64 +187,64 @@ SVRGS_API int32_t svrgs_scores(svrgs_context *, double *sum, float *max, int64_t
    uu, uv, vv, uuu, uuv, uvv, vvv, uuuu, uuuv, uuvv, uvvv, vvvv. Together with the projection's Jacobian they are the
    sensitivity of PUP 3D-GS. */
 #define SVRGS_MOMENTS 12
-SVRGS_API int32_t svrgs_moments(svrgs_context *, double *moments);
+SVRGS_API int32_t svrgs_moments(svrgs_context*, double* moments);
 
 /* Adds to cost (N,) by how much the last view's sum of squared residuals, (H, W, 3) colours less photograph, would grow without
    each Gaussian alone: sum over pixels and channels of d^2 - 2 r d with d = alpha_i T_i (c_i - b_i), b_i the colour behind it.
-   Exact: a colour is linear in the existence of one Gaussian. With residuals of 0: the sum of d^2. */
-SVRGS_API int32_t svrgs_removal(svrgs_context *, const real *residuals, double *cost);
+   Exact: a colour is linear in the mask of one Gaussian. With residuals of 0: the sum of d^2. */
+SVRGS_API int32_t svrgs_removal(svrgs_context*, const real* residuals, double* cost);
 
 /* L = l1_weight * mean|a - b| + ssim_weight * (1 - SSIM(a, b)); SSIM: 11x11 Gaussian window, sigma 1.5, zero padding,
    C1 = 1e-4, C2 = 9e-4, mean over pixels and channels. image, target, grad: (H, W, 3). grad (dL/dimage) is optional.
    values receives mean|a - b| and SSIM. */
-SVRGS_API int32_t svrgs_loss(svrgs_context *, const real *image, const real *target, int32_t height, int32_t width,
-                             double l1_weight, double ssim_weight, real *grad, double values[2]);
+SVRGS_API int32_t svrgs_loss(svrgs_context*, const real* image, const real* target, int32_t height, int32_t width, double l1_weight, double ssim_weight,
+                             real* grad, double values[2]);
 
 /* One Adam step (Kingma and Ba), the `step`th (from 1), of `rows` rows of `width` values; grad is (rows, width). Row r updates row
    ids[r] of param and moments (ids ascending; NULL: row r). lr: one rate per column, (width,). Rows whose gradient is not
    finite are left alone and counted in *nonfinite.
 
-   moments: both of a value side by side, 0 to begin with. double: m, v. float: a word of 32 bits, in its upper 20 m, rounded to
-   nearest, without the last 12 bits of its mantissa, in its lower 12 v without its sign (it has none) and the last 19. A step
-   adds 0.1 % to v, far less than half of what its last bit counts for, so it is rounded up as often as it is near to that: bits(v) + n,
-   then cut, n = (x ^ x >> 15) * 0x85ebca6b >> 13, x = bits(m), 20 of them, ^ step * 0x9e3779b1.
+   moments: m and v of each value side by side, 0 to begin with. double: m, v. float: both in a word of 32 bits:
 
-   shared: rows are SH coefficients, (K, 3) values each, width 3, 12, 27 or 48, with one second moment for all: v of the mean square
-   of the first three gradients, those of degree 0. A row of moments: m of every value, then v. double: width + 1 values. float: m in 16
-   bits each, the upper ones of bits(m) + n, n = (x ^ x >> 15) * 0x85ebca6b >> 16, x as above; two bytes more where the
-   width is odd; v in 32 bits. */
+     bits 31 .. 12   m: the upper 20 bits of the float, rounded to nearest
+     bits 11 .. 0    v: bits 30 .. 19 of the float (v has no sign), with stochastic rounding
+
+   v needs stochastic rounding because a step changes it by 0.1 %, far less than half of its last bit. n is added to the bits of v before
+   they are cut: n = h >> 13, h = (x ^ x >> 15) * 0x85ebca6b, x = (the 20 bits of m, in place) ^ step * 0x9e3779b1.
+
+   shared: rows are SH coefficients, (K, 3) values each, width 3, 12, 27 or 48. A row has one v, of the mean square of its first three
+   gradients, those of degree 0. A row of moments: m of every value, then v. double: width + 1 values. float: m in 16 bits each, the upper
+   half of the float, with stochastic rounding (n = h >> 16, x as above); 2 bytes of padding if the width is odd; v in 32 bits. */
 typedef struct {
-  const double *lr;
+  const double* lr;
   double beta1, beta2, eps;
   int64_t step;
   int32_t shared; /* 0 or 1 */
 } svrgs_adam_settings;
-SVRGS_API int32_t svrgs_adam(svrgs_context *, const svrgs_adam_settings *, real *param, void *moments, const real *grad,
-                             const uint32_t *ids, int64_t rows, int32_t width, int64_t *nonfinite);
+SVRGS_API int32_t svrgs_adam(svrgs_context*, const svrgs_adam_settings*, real* param, void* moments, const real* grad, const uint32_t* ids, int64_t rows,
+                             int32_t width, int64_t* nonfinite);
 
 /* svrgs_backward and svrgs_adam in one, bit for bit: the gradients of the last view go straight into an Adam step on the rows
-   of the visible Gaussians (of the scene's own arrays, which this call may write) and are not stored. What has no param, sh apart, is
-   not updated. `others` may ask for the gradients of such, for masks and for means2d. The view is used up: what it was made from has
-   changed. */
+   of the visible Gaussians (of the scene's own arrays, which this call may write) and are not stored. A tensor whose
+   param is NULL is not updated; sh must have one. `others` may ask for the gradients of tensors that are not updated, of masks and of
+   means2d. The view cannot be used afterwards: the scene it was made from has changed. */
 typedef struct {
-  real *param;      /* (N, columns) */
-  void *moments;    /* a row of N each, as in svrgs_adam; of sh: shared */
-  const double *lr; /* (columns,) */
+  real* param;      /* (N, columns) */
+  void* moments;    /* a row of N each, as in svrgs_adam; of sh: shared */
+  const double* lr; /* (columns,) */
 } svrgs_trained;
 typedef struct {
   svrgs_adam_settings adam; /* its lr and shared are not read */
   svrgs_trained means, log_scales, quats, opacity_logits, sh;
 } svrgs_update;
-SVRGS_API int32_t svrgs_backward_update(svrgs_context *, const svrgs_image_grads *, const svrgs_update *, const svrgs_grads *others,
-                                        int64_t *nonfinite);
+SVRGS_API int32_t svrgs_backward_update(svrgs_context*, const svrgs_image_grads*, const svrgs_update*, const svrgs_grads* others, int64_t* nonfinite);
 
 /* Draws M_i = [d_i + l_i > 0], l logistic noise keyed by (seed, step, i); slope receives the straight-through
    derivative sigma(d + l)(1 - sigma(d + l)). */
-SVRGS_API int32_t svrgs_sample_masks(const float *logits, int64_t count, uint64_t seed, uint64_t step, uint8_t *masks,
-                                     float *slope);
+SVRGS_API int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_t seed, uint64_t step, uint8_t* masks, float* slope);
 
-/* order (count,): rows of means (count, 3) from the farthest along `axis` to the nearest, ties in their order; NaN anywhere. */
-SVRGS_API int32_t svrgs_depth_order(const float *means, int64_t count, const double axis[3], uint32_t *order);
+/* order (count,): rows of means (count, 3) from the farthest along `axis` to the nearest; ties keep their order; NaN may be anywhere. */
+SVRGS_API int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3], uint32_t* order);
 
 #ifdef __cplusplus
 }

@@ -52,7 +52,9 @@ bool supported(int32_t level) {
     case SVRGS_DOUBLE: return true;
 #if defined(__x86_64__)
     case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-    case SVRGS_AVX512: return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && supported(SVRGS_AVX2);
+    case SVRGS_AVX512:
+      return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
+             __builtin_cpu_supports("avx512vl") && supported(SVRGS_AVX2);
 #endif
     default: return false;
   }
@@ -94,10 +96,8 @@ void check(const svrgs_options& o, const svrgs_scene& s) {
   require(o.mask_kind != SVRGS_MASK_A || o.eps_a > 0, "eps_a must be positive");
 }
 
-// Whatever walks a view's lists again knows no depth limit.
-void check_whole(const svrgs::Context& context) {
-  require(!context.holds_limit(), "a view with a depth limit has no gradients and no statistics");
-}
+// For functions that walk a view's lists again: they do not apply depth limits.
+void check_whole(const svrgs::Context& context) { require(!context.holds_limit(), "a view with a depth limit has no gradients and no statistics"); }
 
 void check_view(const svrgs::Context& context, const svrgs_image_grads& in) {
   require(context.holds_view(), "there is no rendered view to differentiate: call svrgs_forward first");
@@ -256,7 +256,8 @@ int32_t svrgs_removal(svrgs_context* c, const real* residuals, double* cost) {
   });
 }
 
-int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int32_t height, int32_t width, double l1_weight, double ssim_weight, real* grad, double values[2]) {
+int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int32_t height, int32_t width, double l1_weight, double ssim_weight, real* grad,
+                   double values[2]) {
   return guarded([&] {
     require(c && image && target && values, "an argument is missing");
     require(height > 0 && width > 0 && height <= svrgs::kMaxSide && width <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
@@ -264,7 +265,8 @@ int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int3
   });
 }
 
-int32_t svrgs_adam(svrgs_context* c, const svrgs_adam_settings* settings, real* param, void* moments, const real* grad, const uint32_t* ids, int64_t rows, int32_t width, int64_t* nonfinite) {
+int32_t svrgs_adam(svrgs_context* c, const svrgs_adam_settings* settings, real* param, void* moments, const real* grad, const uint32_t* ids, int64_t rows,
+                   int32_t width, int64_t* nonfinite) {
   return guarded([&] {
     require(c && settings && settings->lr && nonfinite && (rows == 0 || (param && moments && grad)), "an argument is missing");
     require(rows >= 0 && width > 0 && width <= 64, "rows must not be negative, width must be 1 to 64");
@@ -280,7 +282,8 @@ int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_t seed, ui
     svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
       for (int64_t i = begin; i < end; ++i) {
         const uint64_t bits = mix(key + 0x9e3779b97f4a7c15ULL * static_cast<uint64_t>(i)) >> 40;
-        const double u = (static_cast<double>(bits) + 0.5) / 16777216.0;  // inside (0, 1): never infinite noise
+        // u is inside (0, 1), so the noise is finite
+        const double u = (static_cast<double>(bits) + 0.5) / 16777216.0;
         const double odds = std::exp(-std::clamp<double>(logits[i], -80, 80)) * (1 - u) / u;  // of absence: e^-(d + l)
         masks[i] = odds < 1;
         slope[i] = static_cast<float>(odds / ((1 + odds) * (1 + odds)));

@@ -47,18 +47,18 @@ void Context::project() {
   f.rects = rects_.reserve<TileRect>(f.count);
   uint32_t *ids = ids_.reserve<uint32_t>(f.count), *keys = depth_keys_.reserve<uint32_t>(f.count);
   chunk_counts_.resize(chunk_count(f.count, kProjectGrain)), before_.resize(chunk_counts_.size());
-  parallel_blocks(f.count, kProjectGrain, [&](int64_t begin, int64_t end) {
-    chunk_counts_[begin / kProjectGrain] = kernels_.project_range(f, begin, end, ids, keys);
-  });
+  parallel_blocks(f.count, kProjectGrain,
+                  [&](int64_t begin, int64_t end) { chunk_counts_[begin / kProjectGrain] = kernels_.project_range(f, begin, end, ids, keys); });
   f.visible_count = sum_before(&ProjectionCounts::visible);
 }
 
-// Exact tiles of every visible Gaussian; packs ids and places.
+// Finds the exact tiles of every visible Gaussian; makes the lists of visible ids and places.
 void Context::find_tiles(int64_t max_pairs) {
   Frame& f = frame_;
   const int64_t limit = max_pairs > 0 ? max_pairs : INT32_MAX;
   const auto too_large = [&](int64_t n) {
-    if (n > limit) throw Failure{SVRGS_TOO_LARGE, "the view needs " + std::to_string(n) + " (Gaussian, tile) pairs, more than the limit of " + std::to_string(limit)};
+    if (n > limit)
+      throw Failure{SVRGS_TOO_LARGE, "the view needs " + std::to_string(n) + " (Gaussian, tile) pairs, more than the limit of " + std::to_string(limit)};
   };
   const int64_t rows = sum_before(&ProjectionCounts::rows);
   too_large(rows);
@@ -84,8 +84,8 @@ void Context::find_tiles(int64_t max_pairs) {
   too_large(pairs_);
 }
 
-// Exclusive prefix sums over the chunks of projection; returns the whole.
-int64_t Context::sum_before(int64_t ProjectionCounts::*what) {
+// Exclusive prefix sums over the chunks of projection; returns the total.
+int64_t Context::sum_before(int64_t ProjectionCounts::* what) {
   int64_t sum = 0;
   for (size_t c = 0; c < chunk_counts_.size(); ++c) before_[c].*what = sum, sum += chunk_counts_[c].*what;
   return sum;
@@ -145,14 +145,11 @@ void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_o
 
 int64_t Context::backward(const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update) {
   char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
-  timed(SVRGS_RASTER_GRADS, [&] {
-    for_each_tile([&](int64_t tile) { kernels_.backward_tile(frame_, in, out, update, tile, slots); });
-  });
+  timed(SVRGS_RASTER_GRADS, [&] { for_each_tile([&](int64_t tile) { kernels_.backward_tile(frame_, in, out, update, tile, slots); }); });
   std::atomic<int64_t> nonfinite{0};
   timed(SVRGS_PARAMETER_GRADS, [&] {
-    parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
-      nonfinite += kernels_.gradients_range(frame_, in, out, update, slots, begin, end);
-    });
+    parallel_blocks(frame_.visible_count, kVisibleGrain,
+                    [&](int64_t begin, int64_t end) { nonfinite += kernels_.gradients_range(frame_, in, out, update, slots, begin, end); });
   });
   if (update) holds_view_ = false;
   return nonfinite;
@@ -161,9 +158,7 @@ int64_t Context::backward(const svrgs_image_grads& in, const svrgs_grads& out, c
 void Context::scores(const Scores& out) {
   char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
   for_each_tile([&](int64_t tile) { kernels_.scores_tile(frame_, tile, slots); });
-  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) {
-    kernels_.scores_range(frame_, slots, begin, end, out);
-  });
+  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.scores_range(frame_, slots, begin, end, out); });
 }
 
 void Context::moments(double* rows) {
@@ -190,9 +185,8 @@ svrgs_work Context::work(bool count_pixels) const {
 int64_t Context::adam(const svrgs_adam_settings& settings, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t rows, int width) {
   std::atomic<int64_t> nonfinite{0};
   timed(SVRGS_ADAM, [&] {
-    parallel_blocks(rows, kVisibleGrain, [&](int64_t begin, int64_t end) {
-      nonfinite += kernels_.adam_rows(settings, param, moments, grad, ids, begin, end, width);
-    });
+    parallel_blocks(rows, kVisibleGrain,
+                    [&](int64_t begin, int64_t end) { nonfinite += kernels_.adam_rows(settings, param, moments, grad, ids, begin, end, width); });
   });
   return nonfinite;
 }
@@ -209,7 +203,8 @@ void Context::loss_tiles(const void* image, const void* target, int height, int 
   double* tile_values = tile_values_.reserve<double>(2 * tiles);
   const int64_t workers = std::min<int64_t>(threads(), tiles), own = kernels_.loss_scratch * kernels_.real_size;
   char* scratch = loss_scratch_.reserve<char>(workers * own);
-  const LossArguments a = {image, target, height, row, tile_row, across, l1_weight / values_in, -ssim_weight / values_in, grad, tile_values, tile_values + tiles};
+  const LossArguments a = {
+      image, target, height, row, tile_row, across, l1_weight / values_in, -ssim_weight / values_in, grad, tile_values, tile_values + tiles};
   std::atomic<int64_t> next{0};
   parallel_for(workers, [&](int64_t worker) {
     for (int64_t tile; (tile = next.fetch_add(1, std::memory_order_relaxed)) < tiles;) kernels_.loss_tile(a, tile, scratch + worker * own);

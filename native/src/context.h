@@ -44,7 +44,7 @@ class Context {
   explicit Context(const Kernels& kernels) : kernels_(kernels) {}
 
   void forward(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);
-  // Gradients into `out`, and into an Adam step where there is an update; returns the rows that step left alone.
+  // Writes gradients to `out` and, if there is an update, makes an Adam step. Returns the rows that the step left alone.
   int64_t backward(const svrgs_image_grads&, const svrgs_grads& out, const svrgs_update*);
   void scores(const Scores&);
   void moments(double* rows);
@@ -65,7 +65,7 @@ class Context {
   void project();
   void find_tiles(int64_t max_pairs);
   void list_tiles();
-  int64_t sum_before(int64_t ProjectionCounts::*what);
+  int64_t sum_before(int64_t ProjectionCounts::* what);
   void loss_tiles(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
   template <class F>
   void timed(svrgs_stage stage, F&& run);

@@ -12,7 +12,7 @@ constexpr int64_t kSortChunks = 8;
 
 void radix_pass(const Keyed* from, Keyed* to, int64_t count, int shift) {
   static thread_local uint32_t offsets[kSortChunks][kRadix];
-  uint32_t(*offset)[kRadix] = offsets;  // workers write the caller's table
+  uint32_t (*offset)[kRadix] = offsets;  // workers write the caller's table
   const int64_t grain = (count + kSortChunks - 1) / kSortChunks;
   const auto digit = [shift](const Keyed& k) { return k.key >> shift & (kRadix - 1); };
   parallel_for(kSortChunks, [&](int64_t c) {

@@ -1,4 +1,4 @@
-// One view's data, shared by the stages. Plain pointers into the context's buffers; typed by the level's real type.
+// The data of one view, shared by all stages: plain pointers into the context's buffers. Arrays of void have the level's real type.
 #pragma once
 #include <cstdint>
 
@@ -28,20 +28,20 @@ struct TileRect {      // tiles around a visible Gaussian
   Span columns;        // of all its rows together
 };
 
-// Entries of Frame::spans a Gaussian needs: within one tile row its columns are its only span.
+// How many entries of Frame::spans a Gaussian needs. A Gaussian in one row of tiles needs none: its columns are its only span.
 inline int64_t span_rows(const TileRect& t) { return t.rows > 1 ? t.rows : 0; }
 
 struct GaussianTiles {  // where the tiles it touches are
-  uint32_t span;     // first of its rows in Frame::spans, if it has several
-  uint32_t slot;     // first of its (Gaussian, tile) slots
-  uint32_t tiles;    // how many
+  uint32_t span;        // first of its rows in Frame::spans, if it has several
+  uint32_t slot;        // first of its (Gaussian, tile) slots
+  uint32_t tiles;       // how many
 };
 
 struct TileEntry {
   uint32_t place, slot;
 };
 
-// Per-pixel results kept for the backward pass, in tile order: tile, block, field, 16 lanes.
+// Per-pixel results stored for the backward pass; axes: tile, block, field, 16 lanes.
 enum Field { kRed, kGreen, kBlue, kDepth, kFinalT, kFullT, kCount, kDropped, kSum0, kSum1, kSum2, kSum3, kFields };
 
 constexpr int kSlotWidth = 12;  // reals per (Gaussian, tile) slot of the backward pass
@@ -67,9 +67,9 @@ struct Frame {
   double eps_a;
   const void* depth_limit;  // R[height][width], optional
   // projection
-  void* gaussians;        // ProjectedGaussian<R>[count]; a visible Gaussian's index in this array is its place
-  TileRect* rects;        // [count], likewise
-  GaussianTiles* tiles;      // [count], likewise
+  void* gaussians;       // ProjectedGaussian<R>[count]; a visible Gaussian's index in this array is its place
+  TileRect* rects;       // [count], likewise
+  GaussianTiles* tiles;  // [count], likewise
   Span* spans;
   const uint32_t* visible;  // [visible_count] ids, ascending
   const uint32_t* places;   // [visible_count]
@@ -77,8 +77,8 @@ struct Frame {
   // tile lists
   const int64_t* tile_begin;  // [tiles + 1]
   const TileEntry* entries;
-  BlockMask* hits;        // per slot: bit b set where the Gaussian hits a pixel of block b that counts
-  void* state;            // R[tiles][kBlocks][kFields][kBlockPixels]
+  BlockMask* hits;  // per slot: bit b set where the Gaussian hits a pixel of block b that counts
+  void* state;      // R[tiles][kBlocks][kFields][kBlockPixels]
 };
 
 }  // namespace svrgs

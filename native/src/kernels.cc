@@ -1,5 +1,6 @@
-// Compiled once per SIMD level (native/Makefile): SVRGS_LEVEL and SVRGS_TABLE_NAME name it, SVRGS_LANES and SVRGS_REAL define its
-// vectors, SVRGS_HAVE_AVX2 and SVRGS_HAVE_AVX512 its instructions. Everything below is in the level's own namespace; nothing here may use a standard container.
+// Compiled once per SIMD level (native/Makefile). SVRGS_LEVEL and SVRGS_TABLE_NAME name the level, SVRGS_LANES and SVRGS_REAL define its
+// vectors, SVRGS_HAVE_AVX2 and SVRGS_HAVE_AVX512 its instructions. All kernels are in the level's own namespace. Do not use standard
+// containers here: the linker could take a copy of their code that was compiled for another level.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -41,15 +42,18 @@ namespace svrgs::SVRGS_LEVEL {
 
 void loss_pass(const LossArguments& a, int64_t tile, void* scratch) {
   const int64_t y = tile / a.tiles_across * kLossTileRows, i = tile % a.tiles_across * a.tile_row;
-  LossTile t = {{static_cast<const R*>(a.image), a.height, a.row}, {static_cast<const R*>(a.target), a.height, a.row}, static_cast<R*>(a.grad),
-                y, std::min(y + kLossTileRows, a.height), i, std::min(i + a.tile_row, a.row),
-                static_cast<R>(a.l1_scale), static_cast<R>(a.ssim_scale), nullptr, 0, 0};
+  LossTile t = {};
+  t.image = {static_cast<const R*>(a.image), a.height, a.row};
+  t.target = {static_cast<const R*>(a.target), a.height, a.row};
+  t.grad = static_cast<R*>(a.grad);
+  t.y0 = y, t.y1 = std::min(y + kLossTileRows, a.height);
+  t.i0 = i, t.i1 = std::min(i + a.tile_row, a.row);
+  t.l1_scale = static_cast<R>(a.l1_scale), t.ssim_scale = static_cast<R>(a.ssim_scale);
   loss_tile(t, static_cast<R*>(scratch));
   a.tile_l1[tile] = t.l1, a.tile_ssim[tile] = t.ssim;
 }
 
-int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* moments, const void* grad, const uint32_t* ids,
-                  int64_t begin, int64_t end, int width) {
+int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t begin, int64_t end, int width) {
   const AdamRates rates = adam_rates(a, a.lr, width);
   const R* const rows = static_cast<const R*>(grad);
   if (a.shared) {
@@ -66,8 +70,24 @@ int64_t adam_pass(const svrgs_adam_settings& a, void* param, void* moments, cons
 namespace svrgs {
 namespace level = SVRGS_LEVEL;
 const Kernels SVRGS_TABLE_NAME = {
-    sizeof(level::R), sizeof(ProjectedGaussian<level::R>), level::project_range, level::fill_spans, level::forward_tile, level::write_tile,
-    level::backward_tile, level::gradients_range, level::scores_tile, level::scores_range, level::moments_tile,
-    level::moments_range, level::removal_tile, level::removal_range, level::count_tile,
-    level::kLossScratch, level::loss_pass, level::adam_pass, level::multiply_adds};
-}
+    .real_size = sizeof(level::R),
+    .gaussian_size = sizeof(ProjectedGaussian<level::R>),
+    .project_range = level::project_range,
+    .fill_spans = level::fill_spans,
+    .forward_tile = level::forward_tile,
+    .write_tile = level::write_tile,
+    .backward_tile = level::backward_tile,
+    .gradients_range = level::gradients_range,
+    .scores_tile = level::scores_tile,
+    .scores_range = level::scores_range,
+    .moments_tile = level::moments_tile,
+    .moments_range = level::moments_range,
+    .removal_tile = level::removal_tile,
+    .removal_range = level::removal_range,
+    .count_tile = level::count_tile,
+    .loss_scratch = level::kLossScratch,
+    .loss_tile = level::loss_pass,
+    .adam_rows = level::adam_pass,
+    .multiply_adds = level::multiply_adds,
+};
+}  // namespace svrgs

@@ -23,8 +23,7 @@ struct Kernels {
   void (*forward_tile)(const Frame&, int64_t tile);
   void (*write_tile)(const Frame&, int64_t tile, const svrgs_images&);
   void (*backward_tile)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const svrgs_update*, int64_t tile, void* slots);
-  int64_t (*gradients_range)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const svrgs_update*, const void* slots,
-                             int64_t begin, int64_t end);
+  int64_t (*gradients_range)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const svrgs_update*, const void* slots, int64_t begin, int64_t end);
   void (*scores_tile)(const Frame&, int64_t tile, void* slots);
   void (*scores_range)(const Frame&, const void* slots, int64_t begin, int64_t end, const Scores&);
   void (*moments_tile)(const Frame&, int64_t tile, void* slots);
@@ -34,18 +33,17 @@ struct Kernels {
   void (*count_tile)(const Frame&, int64_t tile, svrgs_work&);
   int64_t loss_scratch;  // reals a thread needs
   void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);
-  int64_t (*adam_rows)(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids,
-                       int64_t begin, int64_t end, int width);
+  int64_t (*adam_rows)(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t begin, int64_t end, int width);
   double (*multiply_adds)(int64_t rounds);  // operations done
 };
 
-// The loss goes over tiles of at most this many rows and values: tall and wide against the surroundings that every tile
-// computes too, enough of them for many threads, and a block of rows small enough for a core's cache.
+// Tiles of the loss have at most this many rows and values. They are large compared with the margin that each tile also computes, small
+// enough to occupy many threads, and a block of their rows fits into a core's cache.
 constexpr int kLossTileRows = 90, kLossTileValues = 480;
 
 struct LossArguments {
   const void *image, *target;
-  int64_t height, row;          // values per row
+  int64_t height, row;  // values per row
   int64_t tile_row, tiles_across;
   double l1_scale, ssim_scale;  // dL/d of each value's |difference|; of each value's SSIM
   void* grad;                   // optional

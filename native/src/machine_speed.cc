@@ -15,7 +15,7 @@ constexpr int64_t kRounds = 1 << 20;
 constexpr int64_t kFloats = 32 << 20;  // per thread: 128 MB; of 48, a third still came out of a cache of 32
 constexpr int64_t kStreams = 8;        // one stream of loads waits for memory; several do not
 
-// The best rate of some tries; run(thread) does its share and returns how much that was.
+// The best rate of kTries; run(thread) does one thread's share and returns its amount.
 template <class F>
 double best_rate(F&& run) {
   double best = 0;

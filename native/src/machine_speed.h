@@ -1,4 +1,4 @@
-// Peaks of the machine, measured: the denominators of svrgs bench's floors.
+// Measures the machine's peaks, from which svrgs bench computes lower bounds of times.
 #pragma once
 #include "kernels.h"
 

@@ -28,7 +28,7 @@ struct Job {
   }
 };
 
-// A picture is a dozen short jobs: to wake a thread that sleeps takes as long as some of them, so it looks on for a while first.
+// A view is a dozen short jobs. To wake a sleeping thread takes as long as some of them, so threads spin for a while before they sleep.
 constexpr int kSpins = 4000;  // some 50 microseconds
 
 template <class F>

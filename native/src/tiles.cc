@@ -9,13 +9,13 @@
 namespace svrgs {
 namespace {
 
-constexpr int kMaxDigitBits = 11;     // of a digit
+constexpr int kMaxDigitBits = 11;       // of a digit
 constexpr int64_t kMaxMovesPerKey = 8;  // moves for each item before another way is taken
 
-// An entry of a tile's list: its depth, then its slot, so that no two are equal and equal depths lie in the order of slots.
+// Sort key of an entry of a tile's list: depth, then slot. No two are equal, and equal depths are in the order of slots.
 uint64_t entry_key(uint32_t depth_key, int64_t slot) { return static_cast<uint64_t>(depth_key) << 32 | static_cast<uint64_t>(slot); }
 
-// Finishes what is nearly sorted.
+// For keys that are nearly sorted.
 void sort_by_insertion(uint64_t* keys, int64_t n) {
   int64_t moves = 0;
   for (int64_t i = 1; i < n; ++i) {
@@ -27,11 +27,11 @@ void sort_by_insertion(uint64_t* keys, int64_t n) {
   }
 }
 
-// By two digits of the depths, the first ones in which they differ; these leave next to nothing to be done.
+// Radix sort by the two highest digits in which the depths differ; an insertion sort does the little that is left.
 void sort_list(uint64_t* keys, uint64_t* scratch, int64_t n) {
   uint64_t low = ~uint64_t{0}, high = 0;
   for (int64_t i = 0; i < n; ++i) low = std::min(low, keys[i] >> 32), high = std::max(high, keys[i] >> 32);
-  if (low >= high) return;  // in the order of slots they are
+  if (low >= high) return;  // they are in the order of slots
   const int bits = std::clamp(static_cast<int>(std::bit_width(static_cast<uint64_t>(n))) - 1, 4, kMaxDigitBits);
   const int second = std::max(static_cast<int>(std::bit_width(high - low)) - 2 * bits, 0), first = second + bits;
   const uint64_t mask = (1u << bits) - 1;
@@ -62,7 +62,8 @@ void write_intersections(const Frame& f, int64_t begin, int64_t end, int64_t slo
 
 int64_t listing_chunks(int64_t pairs) { return std::clamp<int64_t>(pairs / 8192, 1, 16); }
 
-void list_tiles(const Frame& f, const TileIntersection* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin, TileEntry* entries) {
+void list_tiles(const Frame& f, const TileIntersection* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin,
+                TileEntry* entries) {
   const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y, chunks = listing_chunks(count), grain = (count + chunks - 1) / chunks;
   parallel_for(chunks, [&](int64_t c) {
     uint32_t* const own = counts + c * tiles;

@@ -16,6 +16,7 @@ int64_t listing_chunks(int64_t pairs);
 
 // Fills tile_begin[tiles + 1] and entries: each tile's pairs by depth, equal ones in the order of slots. depth_keys: by place;
 // keys: room for twice the pairs.
-void list_tiles(const Frame& f, const TileIntersection* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin, TileEntry* entries);
+void list_tiles(const Frame& f, const TileIntersection* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin,
+                TileEntry* entries);
 
 }  // namespace svrgs

@@ -97,7 +97,8 @@ def _axes(x: Axis, x_range: tuple[float, float], y: Axis, y_range: tuple[float, 
 
 def _labels(placed: list[tuple[Point, float, float]]) -> list[str]:
     """Names beside their points, to the left of those far right, moved down where they would lie over another's."""
-    parts, taken = [], []
+    parts: list[str] = []
+    taken: list[tuple[float, float, float]] = []  # top, left and right of the labels so far
     for point, a, b in sorted(placed, key=lambda item: item[2]):
         side = -1 if a > 0.75 * WIDTH else 1
         text = point.label + (" (default)" if point.marked else "")

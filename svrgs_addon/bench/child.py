@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import native
+from ..blender import subprocess_python
 from ..errors import NativeError
 from .cases import Case, room_case
 from .timing import seconds
@@ -27,19 +27,20 @@ class Child:
     """The parent's side: starts the process with the given library (None: the installed one) and asks it."""
 
     def __init__(self, case: Case, library: Path | None = None):
-        above = str(Path(__file__).parents[2])
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (above, os.environ.get("PYTHONPATH"))))}
+        variables = subprocess_python.environment()
         if library:
-            environment["SVRGS_LIBRARY"] = str(library)
+            variables[native.LIBRARY_VARIABLE] = str(library)
         facts = [case.facts[name] for name in ("count", "sh_degree", "width", "height")]
         command = [sys.executable, "-m", "svrgs_addon.bench.child", *map(str, (native.threads(), *facts))]
-        self._process = subprocess.Popen(command, text=True, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        process = subprocess.Popen(command, text=True, env=variables, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert process.stdin is not None and process.stdout is not None
+        self._process, self._requests, self._answers = process, process.stdin, process.stdout
 
     def ask(self, **request) -> dict:
         try:
-            self._process.stdin.write(json.dumps(request) + "\n")
-            self._process.stdin.flush()
-            answer = json.loads(self._process.stdout.readline())
+            self._requests.write(json.dumps(request) + "\n")
+            self._requests.flush()
+            answer = json.loads(self._answers.readline())
         except (OSError, ValueError):
             raise NativeError("a measuring process ended before it answered") from None
         if "error" in answer:
@@ -57,9 +58,9 @@ class Child:
 
     def __exit__(self, *_):
         with contextlib.suppress(OSError):  # it has ended already
-            self._process.stdin.close()
+            self._requests.close()
         self._process.wait()
-        self._process.stdout.close()
+        self._answers.close()
 
 
 def main(words: list[str]):

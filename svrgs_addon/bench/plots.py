@@ -45,7 +45,8 @@ def scaling_chart(axis: str, scaling: list[dict], key: str) -> str:
 
 def front(points: list[Point]) -> list[Point]:
     """The points that none beats in both time and error, by rising error."""
-    best, found = float("inf"), []
+    best = float("inf")
+    found: list[Point] = []
     for point in sorted(points, key=lambda p: (p.x, p.y)):
         if point.y < best:
             best, found = point.y, [*found, point]

@@ -31,7 +31,7 @@ def room(count: int, sh_degree: int = 3, seed: int = 7) -> Scene:
     sh[:, 0] = 0.9 * np.sin(points @ rng.normal(0, 1.5, (3, 3))) + rng.normal(0, 0.3, (count, 3))
     points += normals * rng.normal(0, 0.01, (count, 1))
     arrays = (points, log_scales, _facing(normals, rng), logits, sh)
-    return Scene(*(np.ascontiguousarray(a, np.float32) for a in arrays)).select(morton_order(points))  # as training keeps them
+    return Scene.of(*arrays).select(morton_order(points))  # as training keeps them
 
 
 def orbit_camera(width: int, height: int, turn: float = 0.0) -> Camera:

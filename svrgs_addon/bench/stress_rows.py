@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class Row:
     title: str
     quantity: str
     values: Sequence
-    make: Callable[[object], Looked]
+    make: Callable[[Any], Looked]
     logarithmic: bool = True
     numeric: bool = True
 
@@ -77,7 +78,7 @@ def _scene(count: int = GAUSSIANS, seed: int = 1, size: float = 0.2, sh: int = 4
     coefficients = rng.normal(0, 0.1, (count, sh, 3))
     coefficients[:, 0] = rng.normal(0.2, 0.8, (count, 3))
     arrays = (means, rng.normal(np.log(size), 0.5, (count, 3)), rng.normal(size=(count, 4)), rng.normal(0.5, 1.5, count), coefficients)
-    return Scene(*(np.ascontiguousarray(a, np.float32) for a in arrays))
+    return Scene.of(*arrays)
 
 
 def _on_ray(count: int, logit: float, size: float = 0.2) -> Scene:
@@ -87,7 +88,7 @@ def _on_ray(count: int, logit: float, size: float = 0.2) -> Scene:
     means = np.column_stack([rng.normal(0, 0.05 * size, (count, 2)) * depth[:, None], depth])
     log_scales = np.log(size) + rng.normal(0, 0.3, (count, 3))
     arrays = (means, log_scales, rng.normal(size=(count, 4)), np.full(count, logit), rng.normal(0.2, 0.8, (count, 1, 3)))
-    return Scene(*(np.ascontiguousarray(a, np.float32) for a in arrays))
+    return Scene.of(*arrays)
 
 
 def _looked(name: str, scene: Scene, camera: Camera | None = None, keep: float = 0.7, lambda_f: float = 1e-4) -> Looked:
@@ -96,7 +97,8 @@ def _looked(name: str, scene: Scene, camera: Camera | None = None, keep: float =
 
 
 def _changed(scene: Scene, **arrays: np.ndarray) -> Scene:
-    return replace(scene, **{name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()})
+    changed: dict[str, Any] = {name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()}
+    return replace(scene, **changed)
 
 
 def _quaternions(length: float) -> Looked:

@@ -30,14 +30,14 @@ def _count(value: float) -> str:
 
 
 def _stress(entries: list[dict]) -> str:
-    rows = [("stress", "image", "gradient", "crossed", "not finite")]
+    rows: list[tuple[str, ...]] = [("stress", "image", "gradient", "crossed", "not finite")]
     for entry in entries:
         rows.append((entry["title"], f"{entry['image_max']:.1e}", f"{entry['grad_rel_l2']:.1e}", f"{entry['crossed']:.2%}", str(entry["nonfinite"])))
     return f"worst errors against float64:\n{table(rows)}"
 
 
 def _machine(machine: dict) -> str:
-    rows = [("threads", "FMA GFLOP/s", "read GB/s", "update GB/s")]
+    rows: list[tuple[str, ...]] = [("threads", "FMA GFLOP/s", "read GB/s", "update GB/s")]
     rows += [(threads, *(f"{peak[name] / 1e9:.1f}" for name in ("fma", "read", "update"))) for threads, peak in machine["peaks"].items()]
     return f"{machine['cores']} cores, SIMD levels {', '.join(machine['simd_levels'])}; peaks with {machine['simd']}:\n{table(rows, 0)}"
 
@@ -45,7 +45,7 @@ def _machine(machine: dict) -> str:
 def _case(case: dict) -> str:
     threads = f"{case['threads']} thread{'s' * (case['threads'] > 1)}"
     title = "{scene}, {count:,} Gaussians, SH {sh_degree}, {width} x {height}, ".format(**case) + f"{threads}, {case['simd']}"
-    rows = [("stage", "ms", "spread", "floor", "x floor")]
+    rows: list[tuple[str, ...]] = [("stage", "ms", "spread", "floor", "x floor")]
     for name, stage in case["stages"].items():
         times = f"{stage['ms']:.2f}", f"{stage['spread_ms']:.2f}", f"{stage['floor_ms']:.2f}"
         rows.append((name, *times, f"{stage['ms'] / stage['floor_ms']:.1f}" if stage["floor_ms"] else "-"))
@@ -68,7 +68,7 @@ def _error(error: dict) -> str:
 
 
 def _knobs(knobs: list[dict]) -> str:
-    rows = [("knob", "value", "forward ms", "x default", "step x default", "error max", "mean")]
+    rows: list[tuple[str, ...]] = [("knob", "value", "forward ms", "x default", "step x default", "error max", "mean")]
     for k in knobs:
         step = f"{k['step_ratio']:.3f}"
         value = k["value"] + (" *" if k["default"] else "")
@@ -77,7 +77,7 @@ def _knobs(knobs: list[dict]) -> str:
 
 
 def _skips(skips: list[dict]) -> str:
-    rows = [("skip", "stage", "with ms", "without ms", "gain", "step gain", "image changes")]
+    rows: list[tuple[str, ...]] = [("skip", "stage", "with ms", "without ms", "gain", "step gain", "image changes")]
     for s in skips:
         step = f"{s['step_gain']:.2f}" if "step_gain" in s else "-"
         change = f"{s['image_max']:.1e}" if s["image_max"] is not None else "-"
@@ -86,7 +86,7 @@ def _skips(skips: list[dict]) -> str:
 
 
 def _scaling(scaling: list[dict]) -> str:
-    rows = [("over", "Gaussians", "visible", "size", "forward ms", "ms per Mpixel", "ms per million")]
+    rows: list[tuple[str, ...]] = [("over", "Gaussians", "visible", "size", "forward ms", "ms per Mpixel", "ms per million")]
     for s in scaling:
         cells = f"{s['count']:,}", f"{s['visible']:,}", f"{s['width']}x{s['height']}", f"{s['forward_ms']:.1f}"
         rows.append((s["axis"], *cells, f"{s['ms_per_megapixel']:.1f}", f"{s['ms_per_million_gaussians']:.1f}"))

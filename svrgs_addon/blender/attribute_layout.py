@@ -68,19 +68,26 @@ def from_attributes(get: Get, float_names: list[str], notes: str) -> Scene:
     case, the attributes float_names, which have one number per Gaussian, become further columns if a PLY can store their names.
     Incomplete SH degrees and degrees above 3 are left out.
     """
-    base = get(BASE)
+    position, scale, rotation, base = (_required(get, name) for name in (POSITION, SCALE, ROTATION, BASE))
     file_facts = json.loads(notes or "{}")
     return Scene(
-        means=get(POSITION),
-        log_scales=activation.raw_scales(get(SCALE), get(RAW_SCALE)),
-        quats=activation.raw_rotations(get(ROTATION), get(RAW_ROTATION)),
+        means=position,
+        log_scales=activation.raw_scales(scale, get(RAW_SCALE)),
+        quats=activation.raw_rotations(rotation, get(RAW_ROTATION)),
         opacity_logits=activation.raw_opacities(base[:, 3], get(RAW_OPACITY)),
         sh=_harmonics(get, base),
         antialiased=file_facts.get("antialiased", False),
-        attributes=_columns(get, file_facts["further"]) if file_facts else {name: get(name) for name in float_names if _is_free_ply_name(name)},
+        attributes=_columns(get, file_facts["further"]) if file_facts else {name: _required(get, name) for name in float_names if _is_free_ply_name(name)},
         comments=tuple(file_facts.get("comments", ())),
         property_order=tuple(file_facts.get("order", ())),
     )
+
+
+def _required(get: Get, name: str) -> np.ndarray:
+    """The values of an attribute that every splat has."""
+    values = get(name)
+    assert values is not None, f"a splat has no attribute {name}"
+    return values
 
 
 def _extra_columns(scene: Scene) -> dict[str, tuple[str, str]]:
@@ -94,7 +101,7 @@ def _extra_columns(scene: Scene) -> dict[str, tuple[str, str]]:
 
 def _harmonics(get: Get, base: np.ndarray) -> np.ndarray:
     """SH coefficients (N, K, 3) float32 of all complete degrees up to 3."""
-    rest = []
+    rest: list[np.ndarray] = []
     while len(rest) + 1 < max(SH_COEFFICIENTS) and (values := get(f"{SH}{len(rest)}")) is not None:
         rest.append(values)
     coefficients = max(k for k in SH_COEFFICIENTS if k <= len(rest) + 1)

@@ -103,7 +103,8 @@ def _unpack(path: Path) -> PosedPhotos:
 
 def main() -> int:
     """The child process. Returns its exit status."""
-    request, result = json.load(sys.stdin), {}
+    request = json.load(sys.stdin)
+    result: dict = {}
 
     def work() -> int:
         undistorted = Path(request["undistorted"]) if request["undistorted"] else None

@@ -10,7 +10,7 @@ from typing import Any
 
 from .. import __version__
 from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions
-from ..option_kinds import COLOUR, POSITIVE, Kind, Option, options_of
+from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_of
 
 LEARNED = "svr, svr-self, svr-even, svr-a, svr-b, saliency, maskgs (also -alpha, -beta, -gamma), compact3dgs, gns"
 RANKED = "lightgaussian, pup, contribution, max-contribution, opacity"
@@ -52,8 +52,7 @@ def _options(command: argparse.ArgumentParser, cls: type, **required: bool):
     """Adds every option of the dataclass; required: whether an option must be given, against what its field says."""
     size = command.add_mutually_exclusive_group()
     for name, option in options_of(cls).items():
-        default = cls.__dataclass_fields__[name].default
-        _add(size if option.size else command, name, option, default, required.get(name, option.required))
+        _add(size if option.size else command, name, option, default_of(cls, name), required.get(name, option.required))
 
 
 def _add(command, name: str, option: Option, default: Any, required: bool = False):

@@ -37,7 +37,7 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
     to_file = out is not None and not out.is_dir() and (out.name.lower().endswith(registry.suffixes(written=True)) or (alone and out.suffix != ""))
     if to_file and len(found) > 1:
         raise SceneError(f"{out}: is the name of a file, but there are {len(found)} scenes; give a folder")
-    return [Item(name, scene, colmap or _dataset(scene), out if to_file else _output(name, scene, out)) for name, scene in found]
+    return [Item(name, scene, colmap or _dataset(scene), out if out and to_file else _output(name, scene, out)) for name, scene in found]
 
 
 def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:

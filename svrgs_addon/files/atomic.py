@@ -20,8 +20,9 @@ from ..errors import SceneError
 try:
     import fcntl
 except ImportError:  # Windows cannot rename open files, so there is no lock, and files of killed writers are not removed
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]
 
+HAS_LOCKS = os.name == "posix"
 FREE_SPACE_MARGIN = 1.1  # free disk space needed per byte of a file
 REPLACE_ATTEMPTS = 20
 REPLACE_PAUSE_S = 0.05
@@ -119,7 +120,7 @@ def _create_locked(target: Path) -> tuple[Path, BinaryIO]:
     while True:
         path = target.with_name(f"{HIDDEN_PREFIX}{secrets.token_hex(8)}{target.suffix}")
         file = open(path, "xb")  # noqa: SIM115 (the lock lasts until it is closed)
-        if fcntl is None:
+        if not HAS_LOCKS:
             file.close()
             return path, file
         with contextlib.suppress(OSError):  # a file system without locks
@@ -131,7 +132,7 @@ def _create_locked(target: Path) -> tuple[Path, BinaryIO]:
 
 def _remove_abandoned(folder: Path) -> None:
     """Removes hidden files in the folder that no writer has locked. Does nothing on systems without locks."""
-    for path in folder.glob(f"{HIDDEN_PREFIX}*") if fcntl else ():
+    for path in folder.glob(f"{HIDDEN_PREFIX}*") if HAS_LOCKS else ():
         with contextlib.suppress(OSError), open(path, "r+b") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.unlink()

@@ -64,7 +64,7 @@ def write_ply(path: str | os.PathLike, scene: Scene) -> None:
         for rows, part in blocks(scene.count, dtype):
             for name, column in columns.items():
                 rows[name] = column[part]
-            file.write(rows.view(np.uint8))
+            file.write(rows.view(np.uint8).data)
             start_writeback(file, rows.nbytes)
 
 

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -127,8 +127,9 @@ class Body:
         """Yields (rows, slice) of a binary file; rows are (n, properties) float32 if all properties are, else structured."""
         floats = np.dtype((np.float32, len(self._types)))
         dtype = floats if self._all_float32 else np.dtype(list(self._types.items()))
+        file: Any = self.file  # typing.BinaryIO lacks readinto
         for rows, part in blocks(self.count, dtype):
-            if self.file.readinto(rows.view(np.uint8)) != rows.nbytes:
+            if file.readinto(rows.view(np.uint8)) != rows.nbytes:
                 raise FormatError("became shorter while it was read; try again when no program writes it")
             yield rows, part
 

@@ -43,7 +43,9 @@ class Header:
 def parse_header(data: bytes) -> Header:
     """Parses a header from the first MAX_HEADER_BYTES bytes of a file. Raises FormatError (without the name of the file)."""
     lines, size = _split_lines(data)
-    encodings, elements, comments = [], [], []
+    encodings: list[str] = []
+    elements: list[Element] = []
+    comments: list[str] = []
     for line in lines:
         keyword, _, rest = line.partition(" ")
         if keyword == "comment":

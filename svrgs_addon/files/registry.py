@@ -104,12 +104,16 @@ def load_scene(path: str | Path) -> Loaded:
 
 def write_scene(path: str | Path, scene: Scene):
     """Writes the scene atomically, in the format of the suffix of `path`. Raises SceneError."""
-    format_to_write(path).write(Path(path), scene)
+    write = format_to_write(path).write
+    assert write is not None
+    write(Path(path), scene)
 
 
 def file_size(scene: Scene) -> int:
     """Size in bytes of the scene in the first format of FORMATS."""
-    return FORMATS[0].size(scene)
+    size = FORMATS[0].size
+    assert size is not None
+    return size(scene)
 
 
 def invisible(scene: Scene) -> np.ndarray:

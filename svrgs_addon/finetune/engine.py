@@ -101,7 +101,7 @@ class NativeEngine:
         result = StepResult(l1, ssim, mask_loss, r.visible(), global_loss=step.global_loss)
         if step.penalty:
             result.penalty = float(step.penalty.value(model.values[step.penalty.parameter], np))
-        wanted = ("means2d",) if step.want_means2d else ()
+        wanted: tuple[str, ...] = ("means2d",) if step.want_means2d else ()
         if not step.update:
             result.means2d = r.backward(image_grads, wanted).get("means2d")
             return result
@@ -127,12 +127,15 @@ class NativeEngine:
         """Adam on one parameter's rows `ids`, or on all rows where something reaches all."""
         if name in step.reaching_all:
             dense = np.zeros(model.values[name].shape, model.dtype)
-            if name == MASK and step.lambda_m:
+            if name == MASK and step.lambda_m and step.masks is not None and step.slope is not None:
                 dense += global_mask_grad(step.masks, step.slope, step.lambda_m)
             if step.penalty and step.penalty.parameter == name:
                 dense += step.penalty.grad(model.values[name])
             dense[ids] += rows
-            rows, ids = dense, None
+            return self._adam(model, step, name, dense, None)
+        return self._adam(model, step, name, rows, ids)
+
+    def _adam(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray | None) -> int:
         rates = _row_rates(name, step.rates, model)
         return self.rasterizer.adam(model.values[name], model.moments[name], rows, ids, lr=rates, step=step.number, betas=BETAS, eps=EPS)
 
@@ -140,6 +143,7 @@ class NativeEngine:
 def mask_logit_rows(step: Step, grads: dict[str, np.ndarray], ids: np.ndarray) -> np.ndarray:
     """dL/dlogit (V,) of the visible Gaussians' masks; a gate's comes from scale as well (methods/compact3dgs.py)."""
     d_masks = grads["masks"] + grads["log_scales"].sum(axis=1) if step.gates else grads["masks"]
+    assert step.slope is not None
     return d_masks * step.slope[ids]
 
 

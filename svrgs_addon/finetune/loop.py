@@ -31,12 +31,12 @@ def run_to_end(
     run: Run,
     observe: Callable[[Progress], None],  # called after each step
     stop: Callable[[], bool],
-    checkpoint: Callable[[], None],
+    checkpoint: Callable[[], object],
     measure: Callable[[], float | None],  # a PSNR for the curves
 ):
     """Advances until finished; the curves gain CURVE_POINTS points on the way. On stop(): checkpoint, then Cancelled. A checkpoint
     too where a photograph cannot be read any more."""
-    total, begun, first = run.settings.total, time.perf_counter(), run.iteration
+    total, begun, first, counted_from = run.settings.total, time.perf_counter(), run.iteration, run.iteration
     every = max(1, total // CURVE_POINTS)
     try:
         while not run.finished:
@@ -44,7 +44,9 @@ def run_to_end(
             run.advance()
             if run.iteration % every == 0 or run.finished:
                 _add_point(run, measure())
-            rate = (run.iteration - first) / (time.perf_counter() - begun)
+            rate = (run.iteration - counted_from) / (time.perf_counter() - begun)
+            if run.iteration == first + 1:  # the first step also ranks Gaussians and fills caches: what follows is faster
+                begun, counted_from = time.perf_counter(), run.iteration
             observe(Progress(run.iteration, total, phase.name, phase.label, run.model.count, run.loss, rate, (total - run.iteration) / rate))
             if stop() and not run.finished:
                 checkpoint()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -101,7 +102,7 @@ class Model:
         """
         self.moments = {}
         rows = self._source_order()
-        arrays = {name: np.ascontiguousarray(self.values.pop(name)[rows], np.float32) for name in PARAMETERS}
+        arrays: dict[str, Any] = {name: np.ascontiguousarray(self.values.pop(name)[rows], np.float32) for name in PARAMETERS}
         if (self.origin < 0).any():
             return Scene(**arrays, **(self.metadata | {"attributes": {}, "property_order": ()}))
         attributes = {name: column[self.origin[rows]] for name, column in self.metadata.get("attributes", {}).items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -66,7 +66,7 @@ class Run:
         self.held_back = 0  # densifications that added nothing, for want of memory
         self.seconds: dict[str, float] = {}  # by phase
         self.whole = True  # no step is half done
-        self._photographs: Iterator | None = None  # of this epoch
+        self._photographs: Generator | None = None  # of this epoch
 
     @cached_property
     def extent(self) -> float:
@@ -211,7 +211,7 @@ class Run:
 
     def _density_control(self, phase: Phase, number: int, step: Step, result: StepResult):
         rule = phase.densify
-        if rule is None or number >= rule.until:
+        if rule is None or number >= rule.until or result.means2d is None:
             return
         self.statistics.add(result.visible, result.means2d, step.camera.width, step.camera.height)
         if self._densifies(phase, number):

@@ -18,10 +18,13 @@ class RunView(Protocol):
     """A run between two steps."""
 
     model: Model
-    settings: Settings
     iteration: int  # steps done
     initial_count: int  # Gaussians at the start
     target: int  # Gaussians to keep; 0: none asked for, or not known yet
+
+    @property
+    def settings(self) -> Settings:
+        """The numbers of the run."""
 
     @property
     def extent(self) -> float:

@@ -52,7 +52,7 @@ class StrengthController:
         every = max(1, phase.steps // UPDATES)
         if not self.start or number % every and number < phase.steps:
             return
-        self.reached = int(run.current_mask().sum())
+        self.reached = run.model.count if (kept := run.current_mask()) is None else int(kept.sum())
         q = self.progress(run, (number / phase.steps) ** 2)
         self.slope += SMOOTHING * ((q - self.last) / every - self.slope)
         self.last = q

@@ -7,6 +7,7 @@ engine. For a loss of your own, override TorchEngine.loss.
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class Rasterize(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, rasterizer: Rasterizer, step: Step, outputs: tuple[str, ...], *gaussians: Tensor | None):
-        arrays = {name: None if t is None else t.detach().numpy() for name, t in zip(GRADS, gaussians, strict=True)}
+        arrays: dict[str, Any] = {name: None if t is None else t.detach().numpy() for name, t in zip(GRADS, gaussians, strict=True)}
         masks = None if arrays["masks"] is None else arrays["masks"].astype(np.uint8)
         images = rasterizer.forward(SimpleNamespace(**arrays), step.camera, step.options, masks, outputs)
         ctx.rasterizer, ctx.outputs, ctx.count = rasterizer, outputs, len(arrays["means"])
@@ -117,7 +118,7 @@ class TorchEngine:
         result = StepResult(l1.item(), similarity.item(), mask_loss.item(), self.rasterizer.visible(), global_loss=step.global_loss)
         result.penalty = penalty.item()
         if step.want_means2d:
-            result.means2d = means2d.grad[ids].numpy()
+            result.means2d = _grad(means2d)[ids].numpy()
         if step.update:
             result.nonfinite = _update(model, step, leaves, ids)
         return result
@@ -138,10 +139,15 @@ class TorchEngine:
         outputs = ("rgb", "mask") if step.spatial else ("rgb",)
         sh = torch.cat([leaves["sh"], leaves["sh_rest"]], dim=1)
         parameters = {name: sh if name == "sh" else leaves[name] for name in PARAMETERS}
-        if step.gates:  # g s, in logarithms; a closed gate is the mask 0, whatever the scale
-            parameters["log_scales"] = parameters["log_scales"] + torch.log(torch.where(torch.from_numpy(step.masks) > 0, masks, 1.0))[:, None]
+        if step.gates and masks is not None:  # g s, in logarithms; a closed gate is the mask 0, whatever the scale
+            parameters["log_scales"] = parameters["log_scales"] + torch.log(torch.where(masks.detach() > 0, masks, 1.0))[:, None]
         images = Rasterize.apply(self.rasterizer, step, outputs, *parameters.values(), masks, means2d)
         return dict(zip(outputs, images, strict=True))
+
+
+def _grad(leaf: Tensor) -> Tensor:
+    assert leaf.grad is not None
+    return leaf.grad
 
 
 def _tensors(arrays: dict[str, np.ndarray]) -> dict[str, Tensor]:
@@ -162,7 +168,8 @@ def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) ->
     with torch.no_grad():
         saved = {name: leaf[skipped[name]] for name, leaf in learned.items()}
         optimizer.step()
-        _step_sh(learned, *map(torch.from_numpy, moments["sh"]), step)
+        first, second = map(torch.from_numpy, moments["sh"])
+        _step_sh(learned, first, second, step)
         for name, leaf in learned.items():
             leaf[skipped[name]] = saved[name]
     for name in learned.keys() - {"sh_rest"}:
@@ -173,7 +180,7 @@ def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) ->
 
 def _step_sh(learned: dict[str, Tensor], first: Tensor, second: Tensor, step: Step):
     """Adam on SH coefficients, which share one second moment a Gaussian (moments.py). first (N, K, 3) and second (N,) become the next ones."""
-    grad = torch.cat([learned["sh"].grad, learned["sh_rest"].grad], dim=1)
+    grad = torch.cat([_grad(learned["sh"]), _grad(learned["sh_rest"])], dim=1)
     first.lerp_(grad, 1 - BETAS[0])
     second.lerp_((grad[:, 0] ** 2).mean(dim=1), 1 - BETAS[1])
     root = (second / (1 - BETAS[1] ** step.number)).sqrt() + EPS
@@ -187,7 +194,7 @@ def _rows_left_alone(learned: dict[str, Tensor], step: Step, ids: Tensor) -> tup
 
     What reaches all Gaussians changes those too that are not seen.
     """
-    finite = {name: leaf.grad[:, None].flatten(1).isfinite().all(dim=1) for name, leaf in learned.items()}
+    finite = {name: _grad(leaf)[:, None].flatten(1).isfinite().all(dim=1) for name, leaf in learned.items()}
     finite["sh"] = finite["sh_rest"] = finite["sh"] & finite["sh_rest"]
     seen = torch.zeros(len(finite["means"]), dtype=torch.bool)
     seen[ids] = True

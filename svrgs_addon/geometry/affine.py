@@ -50,7 +50,7 @@ def transformed(scene: Scene, matrix: np.ndarray) -> Scene:
 def _linear(matrix: np.ndarray) -> np.ndarray:
     """The linear part A (3, 3) float64 of a 4x4 matrix. Raises SceneError if it is singular or not finite."""
     A = np.asarray(matrix, np.float64)[:3, :3]
-    if not np.isfinite(A).all() or not abs(np.linalg.det(A)) > 1e-12 * max(np.linalg.norm(A), 1e-300) ** 3:
+    if not np.isfinite(A).all() or not abs(np.linalg.det(A)) > 1e-12 * max(float(np.linalg.norm(A)), 1e-300) ** 3:
         raise SceneError("a scale of the object is zero or not finite, so its Gaussians have no shape in the world; set it to 1 first")
     return A
 

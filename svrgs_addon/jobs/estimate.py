@@ -50,6 +50,7 @@ def estimate(options: PruneOptions) -> dict:
     """
     native.set_threads(options.threads)
     dataset = dataset_of(options)
+    assert options.scene is not None
     scene = load_scene(options.scene).scene
     refuse_unseen(scene, dataset.cameras, "the splat")
     plan = plan_of_pruning(options)
@@ -97,16 +98,17 @@ def _look(scene, dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
     train = dataset.train_indices or list(range(len(dataset.cameras)))
     chosen = train[:: max(1, len(train) // VIEWS)][:VIEWS]
-    total, looked, end = None, 0, time.monotonic() + LOOK_SECONDS
+    sums, peaks, hits = np.zeros(scene.count), np.zeros(scene.count, np.float32), np.zeros(scene.count, np.int64)
+    looked, end = 0, time.monotonic() + LOOK_SECONDS
     for index in chosen:
         camera = dataset.cameras[index]
         camera = camera.reduced(max(1, max(camera.width, camera.height) // SIDE))
         seen = scores.contribution(scene, [camera], rasterizer, options)
-        total = seen if total is None else (total[0] + seen[0], np.maximum(total[1], seen[1]), total[2] + seen[2])
+        sums, peaks, hits = sums + seen[0], np.maximum(peaks, seen[1]), hits + seen[2]
         looked += 1
         if time.monotonic() > end:
             break
-    return *total, looked
+    return sums, peaks, hits, looked
 
 
 def _saliency(scene, dataset) -> np.ndarray:
@@ -138,7 +140,8 @@ def _rate(scene: Scene, dataset: Dataset, options: PruneOptions) -> float:
     method = method_named(options.method)
     plan = prune_plan(method if method.learns_masks else method_named("3dgs"), max(STEPS + 2, options.iterations), STEPS + 2)
     run = Run(Model.of(scene), dataset, plan, NativeEngine(), scene.antialiased)
-    seconds, end = [], time.monotonic() + STEP_SECONDS
+    seconds: list[float] = []
+    end = time.monotonic() + STEP_SECONDS
     try:
         run.advance()
         while len(seconds) < STEPS and (time.monotonic() < end or not seconds):
@@ -151,7 +154,8 @@ def _rate(scene: Scene, dataset: Dataset, options: PruneOptions) -> float:
 
 
 def main() -> int:
-    request, result = json.load(sys.stdin), {}
+    request = json.load(sys.stdin)
+    result: dict = {}
 
     def work() -> int:
         options = check_mapping(PruneOptions, request["options"])

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import subprocess
 import sys
 import time
+from typing import Any
 
 from ..blender import subprocess_python
 from ..errors import FormatError, SceneError
@@ -64,7 +64,9 @@ class Job:
         (self.folder / "messages.jsonl").write_bytes(b"")
         self.folder.write_json("state.json", {"state": "starting"})
         self.facts, self.result, self._read, self._cancelled = {"state": "starting", "text": "Starting"}, None, 0, None
-        group = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {"start_new_session": True}
+        group: dict[str, Any] = {"start_new_session": True}
+        if sys.platform == "win32":
+            group = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
         with open(self.folder / "messages.jsonl", "ab") as messages, open(self.folder / "log.txt", "ab") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", MODULE, str(self.folder.path)],
@@ -104,7 +106,7 @@ class Job:
     def give_up(self, why: str):
         """For what can no longer be followed: the process is ended by force, the job failed."""
         if self._process is not None:
-            self._process.stdin.close()
+            self._close_stdin()
             self._process.kill()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(1)
@@ -113,7 +115,11 @@ class Job:
 
     def leave(self):
         """For who is about to end itself: the process notices, saves a checkpoint and ends by itself."""
-        if self._process is not None:
+        self._close_stdin()
+
+    def _close_stdin(self):
+        """Tells the process that its parent is gone."""
+        if self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()
 
     def _messages(self) -> list[dict]:
@@ -134,7 +140,7 @@ class Job:
             self.result = message.get("result")
 
     def _ended(self, status: int):
-        self._process.stdin.close()
+        self._close_stdin()
         self._process = None
         log = self.folder.log_tail(1)
         if self.facts["state"] in ENDED:

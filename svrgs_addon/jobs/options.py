@@ -22,7 +22,7 @@ class DatasetOptions:
     colmap: Path | None = option(PATH, None, "COLMAP dataset: photographs and model", metavar="DIR", required=True, in_job=True)
     images: str = option(TEXT, "", "image folder inside the dataset, for example images_4", metavar="NAME", default_help="images", in_job=True)
     holdout: int = option(COUNT, 8, "every N-th view is for testing; 0: none", metavar="N", in_job=True)
-    background: tuple[float, ...] = option(COLOUR, (0.0, 0.0, 0.0), "behind transparent pixels, 0..1 each", metavar="R,G,B", default_help="black")
+    background: tuple[float, float, float] = option(COLOUR, (0.0, 0.0, 0.0), "behind transparent pixels, 0..1 each", metavar="R,G,B", default_help="black")
     image_memory: float = option(GIGABYTES, 4.0, "memory for photographs; beyond it they are read again for each view", metavar="GB")
     lpips_weights: Path | None = option(FILE, None, "VGG LPIPS weights; without them LPIPS is left out", metavar="FILE")
     threads: int = option(COUNT, 0, "threads to use; results do not depend on it", default_help="one per core", in_job=True)
@@ -32,6 +32,7 @@ class DatasetOptions:
 class TuningOptions(DatasetOptions):
     """What training and pruning share."""
 
+    method: str = option(TEXT, "", "the method")
     seed: int = option(COUNT, 0, "the same seed gives the same result", in_job=True)
     engine: str = option(TEXT, "native", f"{' or '.join(ENGINES)}")
     lambda_f: float | None = option(WEIGHT, None, "weight of the spatial mask", metavar="L", default_help="1e-4; of saliency 1e-3, of svr-a 1e-2", in_job=True)

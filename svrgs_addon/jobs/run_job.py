@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from .. import native
 from ..errors import SceneError
@@ -24,6 +25,7 @@ from .stop_request import StopRequest
 
 def train_scene(options: TrainOptions) -> dict:
     """`svrgs train`; returns the JSON result. Raises SplatError, Cancelled."""
+    assert options.out is not None
     native.set_threads(options.threads)
     plan, job = plan_of_training(options), _context(options, options.out)
     train_and_prune.check_outputs(job)
@@ -40,6 +42,7 @@ def prune_scene(options: PruneOptions, adapt: Callable[[JobContext], JobContext]
     native.set_threads(options.threads)
     if options.colmap is None:
         raise SceneError(f"{options.scene}: pruning needs the photographs it was trained on; give --colmap DIR")
+    assert options.scene is not None and options.out is not None
     plan, job = plan_of_pruning(options), _context(options, options.out, options.report)
     train_and_prune.check_outputs(job)
     dataset = dataset_of(options)
@@ -52,7 +55,7 @@ def plan_of_training(options: TrainOptions) -> Plan:
     method = method_of(options)
     recovery = options.recovery if options.recovery is not None else RECOVERY * method.prunes
     densify = Densify.within(options.iterations, options.densify_until)
-    more = {"densify": densify, "coarse_until": options.coarse_until, "target": options.target_count or 0, "share": options.target or 0.0}
+    more: dict[str, Any] = {"densify": densify, "coarse_until": options.coarse_until, "target": options.target_count or 0, "share": options.target or 0.0}
     return train_plan(method, options.iterations, recovery, **_settings(options), **more)
 
 
@@ -60,7 +63,7 @@ def plan_of_pruning(options: PruneOptions) -> Plan:
     """Raises SceneError where the options do not fit together, FormatError where a share of a file is asked for that cannot be read."""
     method = method_of(options)
     first_cut = options.min_contribution if options.min_contribution is not None else MIN_CONTRIBUTION * method.first_cut
-    more = {"target": _target(options, method), "max_drop": options.max_drop, "min_contribution": first_cut}
+    more: dict[str, Any] = {"target": _target(options, method), "max_drop": options.max_drop, "min_contribution": first_cut}
     return prune_plan(method, options.iterations, options.recovery, **_settings(options), **more)
 
 
@@ -74,17 +77,18 @@ def method_of(options: TuningOptions) -> Method:
 
 def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:
     """Raises SceneError, FormatError."""
+    assert options.colmap is not None
     return load_dataset(
-        options.colmap, options.images or None, holdout=options.holdout, background=tuple(options.background), need_points=need_points,
+        options.colmap, options.images or None, holdout=options.holdout, background=options.background, need_points=need_points,
         memory_budget=int(options.image_memory * 1e9),
     )  # fmt: skip
 
 
-def _settings(options: TuningOptions) -> dict:
+def _settings(options: TuningOptions) -> dict[str, Any]:
     """The settings that training and pruning share."""
     return {
         "lambda_f": options.lambda_f, "lambda_m": options.lambda_m, "seed": options.seed, "full": not options.visible_mask,
-        "background": tuple(options.background), "views_by_loss": options.views_by_loss, "schedule": options.schedule,
+        "background": options.background, "views_by_loss": options.views_by_loss, "schedule": options.schedule,
     }  # fmt: skip
 
 
@@ -93,7 +97,7 @@ def _target(options: PruneOptions, method: Method) -> int:
     if options.target_count is not None:
         return options.target_count
     share = options.target or (0.0 if options.max_drop else method.share)
-    return max(1, round(share * registry.describe(options.scene)["count"])) if share else 0
+    return max(1, round(share * registry.describe(options.scene)["count"])) if share and options.scene else 0
 
 
 def _context(options: TuningOptions, out: Path, report: Path | None = None) -> JobContext:

@@ -184,7 +184,7 @@ def run_identity(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str
     """Digest of everything a resumed run must share with the one it continues."""
     digest = hashlib.sha256(repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode())
     for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
-        digest.update(array)
+        digest.update(np.ascontiguousarray(array).data)
     for camera in dataset.cameras:
         digest.update(repr((camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())).encode())
     for photo in dataset.photos:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from ..blender.subprocess_python import environment
 from ..exit_status import STOPPED, guarded, plain
@@ -52,7 +53,8 @@ def main() -> int:
     from .run_job import prune_scene
 
     request = json.load(sys.stdin)
-    options = PruneOptions(**{name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()})
+    values: dict[str, Any] = {name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()}
+    options = PruneOptions(**values | {"background": tuple(values["background"])})
     result: dict = {}
 
     def job() -> int:

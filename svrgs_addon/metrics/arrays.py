@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from ..errors import SceneError
@@ -17,7 +19,7 @@ def image_pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return a, b
 
 
-def filter_axis(planes: np.ndarray, taps: np.ndarray, axis: int, mode: str) -> np.ndarray:
+def filter_axis(planes: np.ndarray, taps: np.ndarray, axis: int, mode: Literal["edge", "constant"]) -> np.ndarray:
     """Correlates `planes` with an odd number of taps along one axis. Shape and dtype stay the same.
 
     mode: padding at the border, as in numpy.pad ('edge', 'constant').
@@ -34,7 +36,7 @@ def filter_axis(planes: np.ndarray, taps: np.ndarray, axis: int, mode: str) -> n
     return np.moveaxis(total, 0, axis)
 
 
-def filter_separable(planes: np.ndarray, taps_y: np.ndarray, taps_x: np.ndarray, mode: str) -> np.ndarray:
+def filter_separable(planes: np.ndarray, taps_y: np.ndarray, taps_x: np.ndarray, mode: Literal["edge", "constant"]) -> np.ndarray:
     """Correlates the last two axes (y, x) of `planes` with the outer product of two filters of odd length. The shape stays the same."""
     taps_y, taps_x = taps_y.astype(planes.dtype), taps_x.astype(planes.dtype)
     return filter_axis(filter_axis(planes, taps_y, -2, mode), taps_x, -1, mode)

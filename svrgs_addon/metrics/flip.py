@@ -102,7 +102,7 @@ def _sensitivity_filter(plane: np.ndarray, terms: tuple[tuple[float, float], ...
     gaussians = [np.exp(-((np.pi * x) ** 2) / b) for _, b in terms]
     weights = [a * np.sqrt(np.pi / b) * g.sum() ** 2 for (a, b), g in zip(terms, gaussians, strict=True)]
     parts = (filter_separable(plane, g / g.sum(), g / g.sum(), "edge") for g in gaussians)
-    return sum(np.float32(w / sum(weights)) * part for w, part in zip(weights, parts, strict=True))
+    return np.sum([np.float32(w / sum(weights)) * part for w, part in zip(weights, parts, strict=True)], axis=0)
 
 
 def _tap_offsets(radius: float) -> np.ndarray:

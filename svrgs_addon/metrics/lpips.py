@@ -36,14 +36,9 @@ SHIFT = (-0.030, -0.088, -0.188)  # the scaling layer (x - SHIFT) / SCALE: mean 
 SCALE = (0.458, 0.448, 0.450)
 MIN_SIDE = 2 ** (len(STAGES) - 1)  # pixels; the network halves the image four times
 UNREADABLE = (
-    pickle.UnpicklingError,
-    zipfile.BadZipFile,
-    zlib.error,
-    OSError,
-    EOFError,
-    RuntimeError,
-)  # of NumPy and torch
-UNREADABLE += (TypeError, ValueError, KeyError, AttributeError)  # which they raise for malformed content
+    *(pickle.UnpicklingError, zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError),  # of NumPy and torch
+    *(TypeError, ValueError, KeyError, AttributeError),  # which they raise for malformed content
+)
 SUFFIXES = (".npz", ".pt", ".pth")
 KEY_PATTERNS = (
     (re.compile(r"net\.slice\d\.(\d+)\.(weight|bias)"), r"features.\1.\2"),
@@ -140,7 +135,8 @@ def _plain_key(key: str) -> str:
 
 def _expected() -> dict[str, tuple[int, ...]]:
     """{key: shape} of all arrays that the network needs."""
-    shapes, channels = {}, 3
+    shapes: dict[str, tuple[int, ...]] = {}
+    channels = 3
     for k, stage in enumerate(STAGES):
         for index, out in stage:
             shapes[f"features.{index}.weight"] = (out, channels, 3, 3)

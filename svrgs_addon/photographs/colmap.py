@@ -159,6 +159,7 @@ def _convert(reconstruction: pycolmap.Reconstruction) -> Model:
 def _view(image: pycolmap.Image) -> View:
     """The view of an image with a pose. Raises FormatError for a name or an image size that is not allowed."""
     check_name(image.name)
+    assert image.camera is not None
     width, height = image.camera.width, image.camera.height
     if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):  # undistorting visits every border pixel
         raise FormatError(f"the camera of {image.name} is {width} x {height}; the limit is {MAX_SIDE} per side")

@@ -9,7 +9,7 @@ import itertools
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -81,7 +81,7 @@ class Dataset:
             image = self._cache.get(index)
         return self._read(index) if image is None else image
 
-    def stream(self, order: Iterable, read: Callable | None = None, ahead: int = READ_AHEAD) -> Iterator[tuple]:
+    def stream(self, order: Iterable, read: Callable | None = None, ahead: int = READ_AHEAD) -> Generator[tuple]:
         """Yields (item, read(item)) for each item of `order`, which may be endless. Threads read `ahead` items in advance.
 
         read: image() by default; items are then indices. The result does not depend on the timing of the threads. They end when
@@ -146,7 +146,8 @@ def load_dataset(
     if need_points and not len(model.points):
         raise SceneError(f"{location}: has no 3-D points to start from; run COLMAP's mapper again")
     if cameras_only:
-        cameras, photos = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views], []
+        cameras = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views]
+        photos: list[Photo] = []
     else:
         cameras, photos = _fit_photos(model.views, _image_folder(folder, location, images or "images"))
     test = [i for i in range(len(cameras)) if holdout and i % holdout == 0]

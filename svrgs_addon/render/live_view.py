@@ -85,6 +85,7 @@ class LiveView:
                 self._changed.wait_for(lambda: self._closed or (self._wanted is not None and self._wanted[0] != self._started))
                 if self._closed:
                     return
+                assert self._wanted is not None
                 key, job = self._wanted
                 self._started = key
             for reduction in self._reductions:
@@ -94,7 +95,7 @@ class LiveView:
     def _attempt(self, key, job, reduction: int) -> bool:
         """Draws one picture. Returns False if there is a newer request or drawing failed; the other pictures are then skipped."""
         with self._changed:
-            if reduction == 1 and self._wanted[0] != key:
+            if reduction == 1 and not self._wants(key):
                 return False
             self._rasterizer.cancel[0], self._reduction = self._closed, reduction
         try:
@@ -105,4 +106,7 @@ class LiveView:
             picture = Picture(key, 1, error=error)
         with self._changed:
             self._picture = picture
-            return picture.error is None and self._wanted[0] == key
+            return picture.error is None and self._wants(key)
+
+    def _wants(self, key: object) -> bool:
+        return self._wanted is not None and self._wanted[0] == key

@@ -38,7 +38,7 @@ def passes(picture: Composite, transparent: bool, unit: float, working_space: Se
 
     transparent, working_space: as in linear_rgba. unit: length of one unit of the picture's depth, in units of Blender's scene.
     """
-    images = {OUTPUTS[name].render_pass[0]: image for name, image in picture.images.items()}
+    images = {found[0]: image for name, image in picture.images.items() if (found := OUTPUTS[name].render_pass)}
     depth = np.where(picture.depth < FAR, picture.depth * np.float32(unit), np.float32(FAR))
     return {"Combined": linear_rgba(picture, transparent, working_space), **images, "Depth": depth}
 

@@ -50,9 +50,10 @@ def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
 
     values: arrays (N_i,) of its parts, joined in order. If one is None, the scene is returned unchanged.
     """
-    if any(part is None for part in values):
+    known = [part for part in values if part is not None]
+    if len(known) < len(values):
         return scene
-    joined = np.concatenate(values)
+    joined = np.concatenate(known)
     return recolored(scene, colored(joined, float(np.percentile(joined, TOP_PERCENTILE)) if len(joined) else 1.0))
 
 

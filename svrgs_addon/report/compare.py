@@ -34,7 +34,8 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, lpips_weights: Path |
         scenes.append(scene)
         views = dataset.test_indices or dataset.train_indices
         figures.append({**evaluate(scene, dataset, views, Rasterizer(), lpips), "bytes": path.stat().st_size})
-    pictures = list(report_views(*(report_pictures(scene, dataset) for scene in scenes), dataset))
+    before, after = (report_pictures(scene, dataset) for scene in scenes)
+    pictures = list(report_views(before, after, dataset))
     files = [_save(out, view) for view in pictures]
     page = Report(
         scene=f"{a.name} and {b.name}", before=figures[0], after=figures[1], names=(a.name, b.name),
@@ -45,6 +46,7 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, lpips_weights: Path |
 
 
 def _save(out: Path, view: View) -> Path:
+    assert view.mask_before is not None and view.mask_after is not None
     top = max(float(np.percentile(view.mask_before, MASK_PERCENTILE)), 1e-6)
     parts = [to_uint8(view.before), to_uint8(view.after), difference_image(view.before, view.after)]
     parts += [mask_to_rgb(mask, top) for mask in (view.mask_before, view.mask_after)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from math import floor, log10
@@ -18,8 +19,8 @@ class Series:
     """One curve: values over iterations; values that are not finite are left out."""
 
     title: str
-    iterations: np.ndarray  # (n,) ascending
-    values: np.ndarray  # (n,)
+    iterations: Sequence[int] | np.ndarray  # (n,) ascending
+    values: Sequence[float | None] | np.ndarray  # (n,); None counts as not finite
     unit: str = ""
     from_zero: bool = False  # the axis starts at 0: for quantities whose ratio matters
 

@@ -252,7 +252,7 @@ def _view(view: View, names: tuple[str, str], mask_top: float | None) -> str:
     difference = difference_image(view.before, view.after)
     figures.append(_figure(f"difference {before} – {after}, × {DIFFERENCE_GAIN}", view.name, difference))
     for name, mask in zip(names, (view.mask_before, view.mask_after), strict=True):
-        if mask is not None:
+        if mask is not None and mask_top is not None:
             title = f"spatial mask F, {name}: mean {float(mask.mean()):.3g}"
             figures.append(_figure(title, view.name, mask_to_rgb(mask, mask_top), below=_colour_bar(mask_top)))
     pictures, across = "\n".join(figures), 4 if len(figures) == 4 else 3

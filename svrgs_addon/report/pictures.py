@@ -10,6 +10,7 @@ import struct
 import tempfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -100,7 +101,7 @@ def _webp(rgb: np.ndarray) -> bytes | None:
     spec["compression"] = f"webp:{WEBP_QUALITY}"
     with tempfile.TemporaryDirectory() as folder:  # its Python interface writes to files only
         path = Path(folder) / "picture.webp"
-        output = OpenImageIO.ImageOutput.create(str(path))
+        output: Any = OpenImageIO.ImageOutput.create(str(path))
         if output is None:
             return None
         written = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(rgb))

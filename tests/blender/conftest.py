@@ -85,6 +85,48 @@ def make_scene():
     return make
 
 
+# --- views
+
+
+@pytest.fixture
+def stage():
+    """Blender as a user finds it, with the engine chosen and colours as they are."""
+    scene = bpy.context.scene
+    render = scene.render
+    render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
+    render.image_settings.file_format, render.image_settings.color_mode, render.image_settings.color_depth = "PNG", "RGBA", "8"
+    render.resolution_x, render.resolution_y, render.resolution_percentage, render.pixel_aspect_x = 101, 61, 100, 1
+    render.dither_intensity = 1.0  # as Blender has it
+    render.use_border = render.use_crop_to_border = render.film_transparent = False
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.23, 0.71, 0.1, 0.55
+    looking = scene.svrgs_looking
+    looking.background, looking.original, looking.pruned, looking.compare_camera = (0, 0, 0), None, None, None
+    return scene
+
+
+@pytest.fixture
+def gaussians():
+    return part("svrgs_addon.bench.scenes").room(3000)
+
+
+@pytest.fixture
+def room(bridge, gaussians, stage):
+    obj = bridge.object_from_scene("room", gaussians, stage.collection)
+    bpy.context.view_layer.objects.active = obj
+    return obj
+
+
+@pytest.fixture
+def camera(stage):
+    data = bpy.data.cameras.new("camera")
+    obj = stage.camera = bpy.data.objects.new("camera", data)
+    stage.collection.objects.link(obj)
+    obj.location, obj.rotation_euler = (0.5, -6, 0.7), (1.5, 0.1, 0.2)
+    data.lens, data.shift_x, data.shift_y = 30, 0.1, -0.07
+    bpy.context.view_layer.update()
+    return obj
+
+
 # --- jobs
 
 

@@ -17,8 +17,10 @@ from demo_scene.shapes import add, bar, cone, cube, rock, sheet, smooth, sphere
 
 DOME_RADIUS = 60.0
 PAVING = 0.06  # height of the yard's floor
-# A magenta ball on the column, unshaded, so that a test can find it in an image.
-MARKER = {"centre": [1.3, -0.6, 1.82], "radius": 0.12, "rgb": [255, 0, 255]}
+# A ball on the column, striped yellow and red. It is unshaded and both colours are as red as can be without any blue,
+# so that a test can find the whole ball in an image.
+MARKER = {"centre": [1.3, -0.6, 1.82], "radius": 0.12, "rgb": [[255, 210, 0], [255, 50, 0]]}
+STRIPES = 12  # like a beach ball's, from pole to pole
 
 
 def build_scene() -> bpy.types.Scene:
@@ -155,8 +157,12 @@ def _column() -> None:
     x, y, z = MARKER["centre"]
     top = z - MARKER["radius"]
     smooth(add("column", cone(0.17, 0.14), bands, at=(x, y, top / 2), size=(1, 1, top)))
-    colour = tuple(value / 255 for value in MARKER["rgb"])
-    add("marker", sphere, mat.glowing("marker", colour), at=MARKER["centre"], size=MARKER["radius"])
+    ball = add("marker", sphere, None, at=MARKER["centre"], turn=(25, 15, 0), size=MARKER["radius"])
+    for rgb in MARKER["rgb"]:
+        ball.data.materials.append(mat.glowing("marker", mat.linear(rgb)))
+    for face in ball.data.polygons:
+        angle = math.atan2(face.center.y, face.center.x)
+        face.material_index = int(angle / (2 * math.pi) % 1 * STRIPES) % 2
 
 
 def _clutter() -> None:

@@ -4,15 +4,23 @@ A dataset is built in a temporary folder beside its place and renamed, so it is 
 """
 
 import hashlib
+import importlib.util
 import json
 import shutil
 import tempfile
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from . import quiet
+
 STAMP = "demo_scene.json"
+NO_BLENDER = (
+    "rendering the demo scene needs Blender as a Python module (bpy), which exists for Python 3.11 and 3.13 only; "
+    "with one of these: make demo PYTHON=python3.11 VENV=.venv311"
+)
 
 
 @dataclass(frozen=True)
@@ -80,6 +88,14 @@ def ensure(out: Path, request: Request) -> bool:
 
 
 def _generate(folder: Path, request: Request) -> None:
+    if importlib.util.find_spec("bpy") is None:
+        raise ImportError(NO_BLENDER)
+    folder.mkdir()
+    with quiet.captured(folder.parent / "blender.log") as terminal:
+        _render(folder, request, quiet.progress(terminal, "rendering the demo scene"))
+
+
+def _render(folder: Path, request: Request, progress: Callable[[int, int], None]) -> None:
     # Imported here so that finding a dataset up to date does not start Blender.
     import bpy  # noqa: F401  bmesh and mathutils can be imported only after it
 
@@ -87,9 +103,9 @@ def _generate(folder: Path, request: Request) -> None:
 
     camera = views.Intrinsics.for_size(request.width, request.height)
     poses = views.rings(request.views)
-    (folder / "images").mkdir(parents=True)
+    (folder / "images").mkdir()
     scene = build.build_scene()
-    images = render.render_views(scene, camera, poses, folder / "images", request.samples)
+    images = render.render_views(scene, camera, poses, folder / "images", request.samples, progress)
     cloud = points.sample(build.world_surface(scene), camera, poses, images, request.points)
     colmap.write_model(folder / "sparse" / "0", camera, poses, cloud)
     stamp = {

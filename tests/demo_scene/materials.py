@@ -1,8 +1,16 @@
 """Procedural materials: a pattern in object coordinates, through a colour ramp, onto a surface."""
 
+from collections.abc import Sequence
+
 import bpy
 
 Colour = tuple[float, float, float]  # linear Rec. 709
+
+
+def linear(rgb: Sequence[int]) -> Colour:
+    """The linear colour of an sRGB one, 0..255."""
+    red, green, blue = (value / 255 / 12.92 if value <= 10 else ((value / 255 + 0.055) / 1.055) ** 2.4 for value in rgb)
+    return red, green, blue
 
 
 def plain(name: str, colour: Colour, roughness: float = 0.8) -> bpy.types.Material:

@@ -1,6 +1,6 @@
 """Renders the views with Cycles on the CPU, the same bytes every time."""
 
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import _cycles  # there once bpy has been imported, as it was by whoever built the scene
@@ -11,12 +11,11 @@ from mathutils import Matrix
 from demo_scene.views import Intrinsics, Pose
 
 
-def render_views(scene: bpy.types.Scene, camera: Intrinsics, poses: list[Pose], folder: Path, samples: int) -> np.ndarray:
-    """Write one PNG a pose into `folder`. Returns the images, (V, H, W, 3) uint8 sRGB."""
+def render_views(scene: bpy.types.Scene, camera: Intrinsics, poses: list[Pose], folder: Path, samples: int, progress: Callable[[int, int], None]) -> np.ndarray:
+    """Write one PNG a pose into `folder`, telling `progress` how many are done. Returns the images, (V, H, W, 3) uint8 sRGB."""
     _configure_cycles(scene, samples)
     _configure_output(scene, camera)
     eye = _add_camera(scene, camera)
-    start = time.monotonic()
     images = []
     for index, pose in enumerate(poses):
         eye.matrix_world = Matrix(np.linalg.inv(pose.world_to_camera) @ np.diag([1, -1, -1, 1]))
@@ -25,7 +24,7 @@ def render_views(scene: bpy.types.Scene, camera: Intrinsics, poses: list[Pose], 
         bpy.ops.render.render(write_still=True)
         _strip_notes(folder / pose.name)
         images.append(_read_png(folder / pose.name))
-    print(f"{len(poses)} views rendered in {time.monotonic() - start:.1f} s")
+        progress(len(images), len(poses))
     return np.stack(images)
 
 

@@ -15,7 +15,8 @@ def add(name, shape, material, at=(0, 0, 0), turn=(0, 0, 0), size=1.0) -> bpy.ty
     mesh = bpy.data.meshes.new(name)
     solid.to_mesh(mesh)
     solid.free()
-    mesh.materials.append(material)
+    if material is not None:
+        mesh.materials.append(material)
     thing = bpy.data.objects.new(name, mesh)
     bpy.context.collection.objects.link(thing)
     thing.location = at

@@ -60,62 +60,89 @@ void measure(const char* name, Call call) {
   require(status == SVRGS_OK);
 }
 
-void run(const Case& c, int32_t level) {
-  const auto [n, k, width, height] = c.size;
-  const size_t pixels = size_t(width) * height, values = 3 * size_t(k);
-  svrgs_context* context;
-  require(svrgs_context_create(level, &context) == SVRGS_OK);
-
+// A case at one level: what its calls share.
+struct Run {
+  const Case& c;
+  const int32_t count, coefficients, width, height;
+  svrgs_context* context = nullptr;
   svrgs_scene scene = {};
-  scene.count = n, scene.sh_coefficients = k;
-  scene.means = c.means.data(), scene.log_scales = c.log_scales.data(), scene.quats = c.quats.data();
-  scene.opacity_logits = c.opacity_logits.data(), scene.sh = c.sh.data();
   svrgs_camera camera = {};
-  for (int i = 0; i < 16; ++i) camera.viewmat[i] = c.camera[i];
-  camera.fx = c.camera[16], camera.fy = c.camera[17], camera.cx = c.camera[18], camera.cy = c.camera[19];
-  camera.width = width, camera.height = height;
-  svrgs_options options = {};
-  options.sh_degree = 3, options.full = 1, options.eps_a = 1e-3;
+  std::vector<float> rgb, mask, rgb_grad, mask_grad;
+  const uint32_t* ids = nullptr;
+  int64_t rows = 0;
+  std::vector<float> means, log_scales, quats, logits, sh, masks, means2d;  // gradients
 
-  std::vector<float> rgb(3 * pixels), mask(pixels), target(3 * pixels, 0.5f), rgb_grad(3 * pixels), mask_grad(pixels, 1e-5f);
-  svrgs_images images = {};
-  images.rgb = rgb.data();
-  measure("render", [&] { return svrgs_forward(context, &scene, &camera, &options, &images); });
-  scene.masks = c.masks.data(), images.mask = mask.data(), options.mask_kind = SVRGS_MASK_SVR;
-  measure("forward", [&] { return svrgs_forward(context, &scene, &camera, &options, &images); });
+  Run(const Case& from, int32_t level) : c(from), count(c.size[0]), coefficients(c.size[1]), width(c.size[2]), height(c.size[3]) {
+    require(svrgs_context_create(level, &context) == SVRGS_OK);
+    scene.count = count, scene.sh_coefficients = coefficients;
+    scene.means = c.means.data(), scene.log_scales = c.log_scales.data(), scene.quats = c.quats.data();
+    scene.opacity_logits = c.opacity_logits.data(), scene.sh = c.sh.data();
+    for (int i = 0; i < 16; ++i) camera.viewmat[i] = c.camera[i];
+    camera.fx = c.camera[16], camera.fy = c.camera[17], camera.cx = c.camera[18], camera.cy = c.camera[19];
+    camera.width = width, camera.height = height;
+    const size_t pixels = size_t(width) * height;
+    rgb.resize(3 * pixels), mask.resize(pixels), rgb_grad.resize(3 * pixels), mask_grad.assign(pixels, 1e-5f);
+  }
+  ~Run() { svrgs_context_destroy(context); }
+  Run(const Run&) = delete;
 
-  double loss[2];
-  measure("loss", [&] { return svrgs_loss(context, rgb.data(), target.data(), height, width, 0.8, 0.2, rgb_grad.data(), loss); });
+  void forward() {
+    svrgs_options options = {};
+    options.sh_degree = 3, options.full = 1, options.eps_a = 1e-3;
+    svrgs_images images = {};
+    images.rgb = rgb.data();
+    measure("render", [&] { return svrgs_forward(context, &scene, &camera, &options, &images); });
+    scene.masks = c.masks.data(), images.mask = mask.data(), options.mask_kind = SVRGS_MASK_SVR;
+    measure("forward", [&] { return svrgs_forward(context, &scene, &camera, &options, &images); });
+  }
 
-  const uint32_t* ids;
-  int64_t rows, bad;
-  require(svrgs_visible(context, &ids, &rows) == SVRGS_OK);
-  std::vector<float> means(3 * rows), log_scales(3 * rows), quats(4 * rows), logits(rows), sh(values * rows), masks(rows), means2d(2 * rows);
-  const svrgs_image_grads in = {rgb_grad.data(), nullptr, nullptr, mask_grad.data()};
-  const svrgs_grads out = {means.data(), log_scales.data(), quats.data(), logits.data(), sh.data(), masks.data(), means2d.data()};
-  measure("backward", [&] { return svrgs_backward(context, &in, &out); });
+  void loss() {
+    double values[2];
+    const std::vector<float> target(rgb.size(), 0.5f);
+    measure("loss", [&] { return svrgs_loss(context, rgb.data(), target.data(), height, width, 0.8, 0.2, rgb_grad.data(), values); });
+  }
 
-  std::vector<double> sum(n), through(n), moments(SVRGS_MOMENTS * rows);
-  std::vector<float> most(n);
-  std::vector<int64_t> hits(n);
-  measure("scores", [&] { return svrgs_scores(context, sum.data(), most.data(), hits.data(), through.data()); });
-  measure("moments", [&] { return svrgs_moments(context, moments.data()); });
+  void backward() {
+    require(svrgs_visible(context, &ids, &rows) == SVRGS_OK);
+    means.resize(3 * rows), log_scales.resize(3 * rows), quats.resize(4 * rows), logits.resize(rows);
+    sh.resize(3 * coefficients * rows), masks.resize(rows), means2d.resize(2 * rows);
+    const svrgs_image_grads in = {rgb_grad.data(), nullptr, nullptr, mask_grad.data()};
+    const svrgs_grads out = {means.data(), log_scales.data(), quats.data(), logits.data(), sh.data(), masks.data(), means2d.data()};
+    measure("backward", [&] { return svrgs_backward(context, &in, &out); });
+  }
 
-  const std::vector<double> rates(values, 1e-3);
-  svrgs_adam_settings settings = {rates.data(), 0.9, 0.999, 1e-15, 1, 0};
-  std::vector<float> param(c.means);
-  std::vector<uint32_t> words(values * n);
-  measure("adam", [&] { return svrgs_adam(context, &settings, param.data(), words.data(), means.data(), ids, rows, 3, &bad); });
-  settings.shared = 1, param = c.sh;
-  words.assign(words.size(), 0);
-  measure("adam sh", [&] { return svrgs_adam(context, &settings, param.data(), words.data(), sh.data(), ids, rows, int32_t(values), &bad); });
-  svrgs_context_destroy(context);
-}
+  void statistics() {
+    std::vector<double> sum(count), transmittance(count), moments(SVRGS_MOMENTS * rows);
+    std::vector<float> most(count);
+    std::vector<int64_t> hits(count);
+    measure("scores", [&] { return svrgs_scores(context, sum.data(), most.data(), hits.data(), transmittance.data()); });
+    measure("moments", [&] { return svrgs_moments(context, moments.data()); });
+  }
+
+  void adam() {
+    const int32_t values = 3 * coefficients;
+    const std::vector<double> rates(values, 1e-3);
+    svrgs_adam_settings settings = {rates.data(), 0.9, 0.999, 1e-15, 1, 0};
+    std::vector<float> param(c.means);
+    std::vector<uint32_t> words(size_t(values) * count);
+    int64_t bad;
+    measure("adam", [&] { return svrgs_adam(context, &settings, param.data(), words.data(), means.data(), ids, rows, 3, &bad); });
+    settings.shared = 1, param = c.sh;
+    words.assign(words.size(), 0);
+    measure("adam_sh", [&] { return svrgs_adam(context, &settings, param.data(), words.data(), sh.data(), ids, rows, values, &bad); });
+  }
+};
 
 }  // namespace
 
 int main(int argc, char** argv) {
   if (argc != 3) return 2;
   svrgs_set_threads(1);
-  run(read_case(argv[1]), std::atoi(argv[2]));
+  const Case c = read_case(argv[1]);
+  Run run(c, std::atoi(argv[2]));
+  run.forward();
+  run.loss();
+  run.backward();
+  run.statistics();
+  run.adam();
 }

@@ -22,7 +22,7 @@ views::Results drawn(unsigned seed, int32_t level) {
   c.camera.fx = c.camera.fy = 40;
   svrgs_context* context;
   views::require(svrgs_context_create(level, &context) == SVRGS_OK, "a context");
-  views::Results r = views::run(c, context, level);
+  views::Results r = views::run(c, context);
   svrgs_context_destroy(context);
   return r;
 }
@@ -76,7 +76,10 @@ int main() {
   }
   views::require(compared > 10, "views that are drawn");
   std::vector<std::thread> drawing;
-  for (unsigned seed = 0; seed < 4; ++seed) drawing.emplace_back([=] { for (int i = 0; i < 5; ++i) drawn(seed, SVRGS_BASELINE); });
+  for (unsigned seed = 0; seed < 4; ++seed)
+    drawing.emplace_back([=] {
+      for (int i = 0; i < 5; ++i) drawn(seed, SVRGS_BASELINE);
+    });
   for (int i = 0; i < 20; ++i) svrgs_set_threads(1 + i % 5);
   for (auto& thread : drawing) thread.join();
   for (const int microseconds : {0, 300, 3000, 30000}) cancelled(microseconds);

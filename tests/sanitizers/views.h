@@ -58,7 +58,8 @@ struct Case {
     static constexpr int kCoefficients[] = {1, 4, 9, 16};
     count = b.below(40), k = kCoefficients[b.below(4)], width = 1 + b.below(70), height = 1 + b.below(50);
     options.sh_degree = b.below(4), options.antialiased = b.below(2), options.full = b.below(2), options.mask_kind = b.below(SVRGS_MASK_KINDS);
-    b.below(2), options.disabled_skips = b.below(SVRGS_ALL_SKIPS + 1), options.eps_a = 1e-3;
+    b.below(2);  // not used: keeps the meaning of the bytes in tests/fuzz/corpus
+    options.disabled_skips = b.below(SVRGS_ALL_SKIPS + 1), options.eps_a = 1e-3;
     if ((options.sh_degree + 1) * (options.sh_degree + 1) > k) options.sh_degree = 0;
     const double angle = b.below(256) / 40.0, c = std::cos(angle), s = std::sin(angle);
     const double view[16] = {c, 0, s, b.value(), 0, 1, 0, b.value(), -s, 0, c, b.value(), 0, 0, 0, 1};
@@ -94,64 +95,103 @@ struct Results {
 
 inline void append(Results& r, const std::vector<float>& more) { r.values.insert(r.values.end(), more.begin(), more.end()); }
 
-// Forward, loss, backward, statistics and an Adam step of a case, at one level.
-inline Results run(const Case& c, svrgs_context* context, int32_t level) {
-  const size_t pixels = size_t(c.width) * c.height;
-  std::vector<float> rgb(3 * pixels), depth(pixels), alpha(pixels), mask(pixels), left(pixels);
-  std::vector<int32_t> hits(pixels), kept(pixels);
-  const svrgs_images images = {rgb.data(), depth.data(), alpha.data(), mask.data(), hits.data(), kept.data(), left.data()};
-  const svrgs_scene scene = c.scene();
-  Results r;
-  if (svrgs_forward(context, &scene, &c.camera, &c.options, &images) != SVRGS_OK) return r;
-  r.drawn = true;
-  for (size_t i = 0; i < pixels; ++i) require(0 <= kept[i] && kept[i] <= hits[i] && hits[i] <= c.count, "0 <= K <= N <= count");
-  for (const float a : alpha) require(a >= 0 && a <= 1, "alpha within 0..1");
+// The calls on one view of a case, in the order of run(); results are appended to `results`.
+class View {
+ public:
+  View(const Case& from, svrgs_context* in) : c(from), context(in), scene(from.scene()), pixels(size_t(from.width) * from.height) {
+    rgb.resize(3 * pixels), depth.resize(pixels), alpha.resize(pixels), mask.resize(pixels), left.resize(pixels);
+    hits.resize(pixels), kept.resize(pixels);
+    images = {rgb.data(), depth.data(), alpha.data(), mask.data(), hits.data(), kept.data(), left.data()};
+  }
 
-  double losses[2];
-  std::vector<float> target(3 * pixels, 0.5f), d_rgb(3 * pixels), ones(pixels, 1e-2f);
-  require(svrgs_loss(context, rgb.data(), target.data(), c.height, c.width, 0.8, 0.2, d_rgb.data(), losses) == SVRGS_OK, "a loss");
-  const uint32_t* ids;
-  int64_t v, bad = 0;
-  require(svrgs_visible(context, &ids, &v) == SVRGS_OK && v <= c.count, "visible ids");
-  for (int64_t i = 0; i < v; ++i) require(ids[i] < c.count && (i == 0 || ids[i - 1] < ids[i]), "ids ascend");
-  std::vector<float> means(3 * v), scales(3 * v), quats(4 * v), logits(v), sh(3 * c.k * v), d_masks(v), means2d(2 * v);
-  const svrgs_image_grads in = {d_rgb.data(), ones.data(), ones.data(), ones.data()};
-  const svrgs_grads out = {means.data(), scales.data(), quats.data(), logits.data(), sh.data(), d_masks.data(), means2d.data()};
-  require(svrgs_backward(context, &in, &out) == SVRGS_OK, "gradients");
+  bool drawn() {
+    if (svrgs_forward(context, &scene, &c.camera, &c.options, &images) != SVRGS_OK) return false;
+    results.drawn = true;
+    for (size_t i = 0; i < pixels; ++i) require(0 <= kept[i] && kept[i] <= hits[i] && hits[i] <= c.count, "0 <= K <= N <= count");
+    for (const float a : alpha) require(a >= 0 && a <= 1, "alpha within 0..1");
+    return true;
+  }
 
-  std::vector<double> sum(c.count), through(c.count), moments(SVRGS_MOMENTS * v + 1), cost(c.count + 1);
-  std::vector<float> most(c.count);
-  std::vector<int64_t> blended(c.count);
-  require(svrgs_scores(context, sum.data(), most.data(), blended.data(), through.data()) == SVRGS_OK, "scores");
-  require(svrgs_moments(context, moments.data()) == SVRGS_OK, "moments");
-  require(svrgs_removal(context, d_rgb.data(), cost.data()) == SVRGS_OK, "costs of removal");
-  svrgs_work work;
-  require(svrgs_count_work(context, 1, &work) == SVRGS_OK && work.contributing <= work.hits, "work");
-  for (const auto& part : {rgb, depth, alpha, mask, left, d_rgb, means, scales, quats, logits, sh, d_masks, means2d}) append(r, part);
+  void differentiate() {
+    double losses[2];
+    const std::vector<float> target(3 * pixels, 0.5f);
+    d_rgb.resize(3 * pixels), ones.assign(pixels, 1e-2f);
+    require(svrgs_loss(context, rgb.data(), target.data(), c.height, c.width, 0.8, 0.2, d_rgb.data(), losses) == SVRGS_OK, "a loss");
+    require(svrgs_visible(context, &ids, &visible) == SVRGS_OK && visible <= c.count, "visible ids");
+    for (int64_t i = 0; i < visible; ++i) require(ids[i] < c.count && (i == 0 || ids[i - 1] < ids[i]), "ids ascend");
+    means.resize(3 * visible), scales.resize(3 * visible), quats.resize(4 * visible), logits.resize(visible);
+    sh.resize(3 * c.k * visible), d_masks.resize(visible), means2d.resize(2 * visible);
+    in = {d_rgb.data(), ones.data(), ones.data(), ones.data()};
+    out = {means.data(), scales.data(), quats.data(), logits.data(), sh.data(), d_masks.data(), means2d.data()};
+    require(svrgs_backward(context, &in, &out) == SVRGS_OK, "gradients");
+  }
 
-  svrgs_options limited = c.options;
-  limited.depth_limit = c.depth_limit.data();
-  require(svrgs_forward(context, &scene, &c.camera, &limited, &images) == SVRGS_OK, "a view with depth limits");
-  require(svrgs_backward(context, &in, &out) == SVRGS_INVALID, "no gradients of it");
-  for (const auto& part : {rgb, depth, alpha, mask, left}) append(r, part);
+  void measure() {
+    std::vector<double> sum(c.count), transmittance(c.count), moments(SVRGS_MOMENTS * visible + 1), cost(c.count + 1);
+    std::vector<float> most(c.count);
+    std::vector<int64_t> blended(c.count);
+    require(svrgs_scores(context, sum.data(), most.data(), blended.data(), transmittance.data()) == SVRGS_OK, "scores");
+    require(svrgs_moments(context, moments.data()) == SVRGS_OK, "moments");
+    require(svrgs_removal(context, d_rgb.data(), cost.data()) == SVRGS_OK, "costs of removal");
+    svrgs_work work;
+    require(svrgs_count_work(context, 1, &work) == SVRGS_OK && work.contributing <= work.hits, "work");
+    for (const auto& part : {rgb, depth, alpha, mask, left, d_rgb, means, scales, quats, logits, sh, d_masks, means2d}) append(results, part);
+  }
 
-  const std::vector<double> rates(3 * c.k, 1e-3);
-  svrgs_adam_settings adam = {rates.data(), 0.9, 0.999, 1e-15, 1, 0};
-  std::vector<float> param(c.means), moved;
-  std::vector<uint32_t> words(c.means.size());
-  if (v) require(svrgs_adam(context, &adam, param.data(), words.data(), means.data(), ids, v, 3, &bad) == SVRGS_OK, "an Adam step");
-  for (const uint32_t word : words) moved.insert(moved.end(), {std::bit_cast<float>(word & 0xfffff000u), std::bit_cast<float>(word << 20 >> 1)});
-  adam.shared = 1;
-  const size_t row = (3 * c.k + 1) / 2 + 1;
-  param = c.sh, words.assign(c.count * row, 0);
-  if (v) require(svrgs_adam(context, &adam, param.data(), words.data(), sh.data(), ids, v, 3 * c.k, &bad) == SVRGS_OK, "an Adam step on SH");
-  for (size_t i = 0; i < words.size(); ++i)
-    if (i % row == row - 1)
-      moved.push_back(std::bit_cast<float>(words[i]));
-    else
-      moved.insert(moved.end(), {std::bit_cast<float>(words[i] << 16), std::bit_cast<float>(words[i] & 0xffff0000u)});
-  append(r, moved);
-  return r;
+  void draw_with_depth_limits() {
+    svrgs_options limited = c.options;
+    limited.depth_limit = c.depth_limit.data();
+    require(svrgs_forward(context, &scene, &c.camera, &limited, &images) == SVRGS_OK, "a view with depth limits");
+    require(svrgs_backward(context, &in, &out) == SVRGS_INVALID, "no gradients of it");
+    for (const auto& part : {rgb, depth, alpha, mask, left}) append(results, part);
+  }
+
+  void update() {
+    int64_t bad = 0;
+    const std::vector<double> rates(3 * c.k, 1e-3);
+    svrgs_adam_settings adam = {rates.data(), 0.9, 0.999, 1e-15, 1, 0};
+    std::vector<float> param(c.means), moved;
+    std::vector<uint32_t> words(c.means.size());
+    if (visible) require(svrgs_adam(context, &adam, param.data(), words.data(), means.data(), ids, visible, 3, &bad) == SVRGS_OK, "an Adam step");
+    for (const uint32_t word : words) moved.insert(moved.end(), {std::bit_cast<float>(word & 0xfffff000u), std::bit_cast<float>(word << 20 >> 1)});
+    adam.shared = 1;
+    const size_t row = (3 * c.k + 1) / 2 + 1;
+    param = c.sh, words.assign(c.count * row, 0);
+    if (visible) require(svrgs_adam(context, &adam, param.data(), words.data(), sh.data(), ids, visible, 3 * c.k, &bad) == SVRGS_OK, "an Adam step on SH");
+    for (size_t i = 0; i < words.size(); ++i)
+      if (i % row == row - 1)
+        moved.push_back(std::bit_cast<float>(words[i]));
+      else
+        moved.insert(moved.end(), {std::bit_cast<float>(words[i] << 16), std::bit_cast<float>(words[i] & 0xffff0000u)});
+    append(results, moved);
+  }
+
+  Results results;
+
+ private:
+  const Case& c;
+  svrgs_context* context;
+  const svrgs_scene scene;
+  const size_t pixels;
+  std::vector<float> rgb, depth, alpha, mask, left, d_rgb, ones;
+  std::vector<int32_t> hits, kept;
+  svrgs_images images;
+  const uint32_t* ids = nullptr;
+  int64_t visible = 0;
+  std::vector<float> means, scales, quats, logits, sh, d_masks, means2d;  // gradients
+  svrgs_image_grads in;
+  svrgs_grads out;
+};
+
+// Forward, loss, backward, statistics and an Adam step of a case.
+inline Results run(const Case& c, svrgs_context* context) {
+  View view(c, context);
+  if (!view.drawn()) return view.results;
+  view.differentiate();
+  view.measure();
+  view.draw_with_depth_limits();
+  view.update();
+  return view.results;
 }
 
 inline bool finite(const Results& r) {

@@ -52,9 +52,12 @@ def rest(views, seconds: float = 60):
     yield 0.8
 
 
-def steps():
-    overlay, viewport = part("operators.overlay"), part("operators.viewport")
-    seen, scene, looking = {}, bpy.context.scene, bpy.context.scene.svrgs_looking
+def overlay_views() -> list:
+    return [view.live for view in part("operators.overlay")._overlay[0].views.values()]
+
+
+def load() -> bpy.types.SpaceView3D:
+    """The splat and the cameras of its dataset, seen through a camera without anything else."""
     bpy.ops.object.select_all(action="SELECT")
     bpy.ops.object.delete()
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "scene.ply"))
@@ -68,36 +71,49 @@ def steps():
     space = area("VIEW_3D").spaces.active
     space.region_3d.view_perspective = "CAMERA"
     space.overlay.show_extras = space.overlay.show_relationship_lines = False
-    yield from driver.sidebar("SVR-GS")
-    yield from rest(lambda: [view.live for view in overlay._overlay[0].views.values()])
+    return space
+
+
+def see_overlay(space: bpy.types.SpaceView3D, seen: dict):
+    yield from rest(overlay_views)
     seen["region"] = next([region.height, region.width] for region in area("VIEW_3D").regions if region.type == "WINDOW")
-    seen["overlay"] = [list(view.live.picture().result[0].shape[:2]) for view in overlay._overlay[0].views.values()]
+    seen["overlay"] = [list(live.picture().result[0].shape[:2]) for live in overlay_views()]
+    seen["apart"] = {"CAMERA": apart(space)}
     shot("overlay")
 
-    seen["apart"] = {"CAMERA": apart(space)}
+
+def see_parallel_rays(space: bpy.types.SpaceView3D, seen: dict):
     space.region_3d.view_perspective = "ORTHO"
     space.region_3d.view_distance, space.region_3d.view_location = 8, (0, 0, 0)  # else as far away as Blender happens to have been
-    yield from rest(lambda: [view.live for view in overlay._overlay[0].views.values()])
-    seen["parallel"] = [float(view.live.picture().result[0][..., 3].mean()) for view in overlay._overlay[0].views.values()]
+    yield from rest(overlay_views)
+    seen["parallel"] = [float(live.picture().result[0][..., 3].mean()) for live in overlay_views()]
     seen["apart"]["ORTHO"] = apart(space)
     shot("parallel")
     space.region_3d.view_perspective = "CAMERA"
 
+
+def see_rendered_viewport(space: bpy.types.SpaceView3D, seen: dict):
+    scene, viewport = bpy.context.scene, part("operators.viewport")
     scene.render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
     space.shading.type = "RENDERED"
     yield from rest(lambda: [view.live for view in viewport._open])
     seen["rendered"] = [list(view.live.picture().result.shape[:2]) for view in viewport._open]
     shot("rendered")
 
+
+def see_f12(seen: dict):
     bpy.context.preferences.view.render_display_type = "NONE"
     rendered = []
     bpy.app.handlers.render_complete.append(lambda *_: rendered.append(True))
     yield from key("F12", *VIEW)
     yield from until(lambda: rendered, "F12", 60)
     yield 0.3
-    seen["camera"], seen["f12"] = scene.camera.name, str(OUT / "f12.png")
+    seen["camera"], seen["f12"] = bpy.context.scene.camera.name, str(OUT / "f12.png")
     bpy.data.images["Render Result"].save_render(seen["f12"])
 
+
+def see_mask(seen: dict):
+    looking = bpy.context.scene.svrgs_looking
     yield from click(*MASK_HEADER, ctrl=True)  # the other panels close
     yield from click(*MASK_REFRESH)
     yield from until(lambda: looking.mask_result, "the spatial mask")
@@ -105,6 +121,9 @@ def steps():
     seen["mask"] = json.loads(looking.mask_result)
     shot("mask")
 
+
+def see_comparison(seen: dict):
+    looking = bpy.context.scene.svrgs_looking
     bpy.ops.svrgs.prune(method="contribution", target=0.4, iterations=0, recovery=0)
     yield 0.8
     yield from click(*COMPARE_HEADER, ctrl=True)
@@ -113,6 +132,15 @@ def steps():
     yield 0.8
     seen["compare"] = json.loads(looking.compare_result)
     shot("compare")
+
+
+def steps():
+    seen, space = {}, load()
+    yield from driver.sidebar("SVR-GS")
+    for see in (see_overlay, see_parallel_rays, see_rendered_viewport):
+        yield from see(space, seen)
+    for see in (see_f12, see_mask, see_comparison):
+        yield from see(seen)
     (OUT / "seen.json").write_text(json.dumps(seen))
 
 

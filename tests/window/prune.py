@@ -23,9 +23,8 @@ def part(name: str):
     return importlib.import_module(f"{PACKAGE}.{name}")
 
 
-def steps():
-    watch, results, estimate = part("operators.job_watch"), part("operators.job_result"), part("operators.estimate")
-    seen = {}
+def load() -> str:
+    """The name of the splat, with its dataset and settings for a job."""
     bpy.ops.object.select_all(action="SELECT")
     bpy.ops.object.delete()
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "scene.ply"))
@@ -35,14 +34,20 @@ def steps():
     settings = bpy.context.scene.svrgs_prune
     settings.iterations, settings.recovery, settings.goal, settings.share, settings.folder = 6000, 3000, "SHARE", 40, str(OUT / "jobs")
     bpy.ops.ed.undo_push(message="Ready")
-    yield from driver.sidebar("SVR-GS")
+    return splat
 
+
+def ask_for_estimate(splat: str, seen: dict):
+    estimate = part("operators.estimate")
     yield from click(LEFT, START)
     yield from until(lambda: "kept" in estimate.of(bpy.data.objects[splat]), "an estimate")
     yield 0.5
     seen["estimate"] = estimate.sentences(bpy.data.objects[splat])
     shot("estimate")
 
+
+def start_and_pause(seen: dict):
+    watch = part("operators.job_watch")
     job = lambda: watch.current(bpy.context)[1]  # noqa: E731
     yield from click(RIGHT, START)
     yield from until(job, "a job")
@@ -55,13 +60,21 @@ def steps():
     yield 0.5
     seen["paused"] = dict(job().facts)
     shot("paused")
+
+
+def go_on_to_the_result(seen: dict):
+    results = part("operators.job_result")
     yield from click(LEFT, RESUME)
     yield from until(lambda: "pruned" in bpy.context.object.name, "the result", 90)
     yield 0.8
     pruned, kept = bpy.context.object.name, bpy.context.object["svrgs_kept"]
     seen["result"] = [pruned, kept, results.shown_count(bpy.context.object)]
     shot("result")
+    return pruned
 
+
+def apply_fewer_and_undo(pruned: str, seen: dict):
+    results = part("operators.job_result")
     bpy.context.object.svrgs_share = 20
     yield 0.5
     seen["fewer"] = results.shown_count(bpy.context.object)
@@ -75,6 +88,10 @@ def steps():
     yield from key("Z", *VIEW, ctrl=True)
     yield from until(lambda: results.undecided(bpy.data.objects[pruned]), "the undoing of Apply")
     seen["undone"] = [len(bpy.data.objects[pruned].data.attributes["scale"].data), results.shown_count(bpy.data.objects[pruned])]
+
+
+def delete_and_undo(splat: str, pruned: str, seen: dict):
+    results = part("operators.job_result")
     yield from key("DEL", *VIEW)
     yield from until(lambda: pruned not in bpy.context.scene.objects, "the key Delete")
     yield 0.5
@@ -85,6 +102,16 @@ def steps():
     yield 0.5
     pair = bpy.data.objects[splat], bpy.data.objects[pruned]
     seen["back"] = [results.pair_of(pair[0]) == results.pair_of(pair[1]) == pair, pair[0].hide_viewport, results.shown_count(pair[1])]
+
+
+def steps():
+    seen, splat = {}, load()
+    yield from driver.sidebar("SVR-GS")
+    yield from ask_for_estimate(splat, seen)
+    yield from start_and_pause(seen)
+    pruned = yield from go_on_to_the_result(seen)
+    yield from apply_fewer_and_undo(pruned, seen)
+    yield from delete_and_undo(splat, pruned, seen)
     (OUT / "seen.json").write_text(json.dumps(seen))
 
 

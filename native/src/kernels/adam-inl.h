@@ -7,7 +7,8 @@ struct MomentPair {
 };
 using Packed = std::conditional_t<sizeof(R) == 4, uint32_t, MomentPair>;  // both moments of a value: svrgs.h
 
-struct AdamRates {  // constants of a step, in the level's type
+// Constants of a step, in the level's type.
+struct AdamRates {
   R rate[W * kAdamWidth];  // lr / bias1 by column, repeated
   V beta1, beta2, rest1, rest2, root_bias2, eps;
   uint32_t salt;  // of the step's roundings
@@ -47,7 +48,7 @@ inline Moments load_moments(const uint32_t* p) {
   const U word = load_words(p);
   return {(V)(word & 0xfffff000u), (V)(word << 20 >> 1)};
 }
-// The upper 20 of a float, rounded to nearest; and 32 random ones that follow from them and from the step.
+// The upper 20 bits of a float, rounded to nearest; and 32 pseudo-random bits made from them and from the step.
 inline U leading_bits(V m) { return ((U)m + 0x800u) & 0xfffff000u; }
 inline U rounding_noise(const AdamRates& a, U bits) {
   const U x = bits ^ a.salt;
@@ -84,7 +85,7 @@ struct AdamTensors {
   Packed* moments;
 };
 
-// n <= W rows of `width` values through a contiguous copy, so that narrow rows fill whole vectors too; row i is ids[i].
+// n <= W rows of `width` values, copied to contiguous memory so that narrow rows fill whole vectors too; row i is ids[i].
 template <int fixed>
 inline int adam_narrow(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int n, int any_width) {
   const int width = fixed ? fixed : any_width;
@@ -116,8 +117,7 @@ inline int adam_narrow(const AdamRates& a, const AdamTensors& t, const uint32_t*
 
 inline void prefetch_row(const AdamTensors& t, int64_t at, int width) {
   constexpr int kLine = 64 / sizeof(R);
-  for (int k = 0; k < width; k += kLine)
-    __builtin_prefetch(t.param + at + k, 1), __builtin_prefetch(t.moments + at + k, 1);
+  for (int k = 0; k < width; k += kLine) __builtin_prefetch(t.param + at + k, 1), __builtin_prefetch(t.moments + at + k, 1);
 }
 
 inline void prefetch_grads(const R* grad, int values) {
@@ -126,7 +126,7 @@ inline void prefetch_grads(const R* grad, int values) {
 
 constexpr int kNarrowAhead = 256;
 
-// n <= W rows; ids names them in the tensors, grad holds theirs one after the other. Returns how many were left alone.
+// n <= W rows: ids are their indices in the tensors, and grad has their gradients, contiguous. Returns how many rows were left alone.
 inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int n, int width) {
   if (width == 1) return adam_narrow<1>(a, t, ids, grad, n, 1);
   if (width == 3) return adam_narrow<3>(a, t, ids, grad, n, 3);
@@ -134,13 +134,13 @@ inline int adam_group(const AdamRates& a, const AdamTensors& t, const uint32_t* 
   return adam_narrow<0>(a, t, ids, grad, n, width);
 }
 
-// The first and the last of the rows that a thread has to itself.
+// The first and the last row that one thread updates.
 struct OwnedRows {
   uint32_t first, last;
 };
 
-// Narrow rows ids[begin, end), W rows of the tensor at a time where they lie: those that are not named keep their values. Where
-// `own` begins and ends another thread may be at the same W, or the tensor may end within them: there rows are taken one by one.
+// Narrow rows ids[begin, end), updated in place, W rows of the tensor at a time; rows that are not in ids keep their values. At the first
+// and the last W rows of `own` another thread may write to the same W rows, or the tensor may end: there single rows are updated.
 template <int width>
 inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uint32_t* ids, const R* grad, int64_t begin, int64_t end, OwnedRows own) {
   int64_t bad = 0;
@@ -172,7 +172,7 @@ inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uin
   return bad;
 }
 
-// Rows [begin, end) of one tensor; ids null: row r is r, and `own` is not read.
+// Rows [begin, end) of one tensor; without ids row r is r, and `own` is not read.
 int64_t adam_rows(const AdamRates& a, const AdamTensors& t, const R* grad, const uint32_t* ids, int64_t begin, int64_t end, int width, OwnedRows own) {
   if (W >= 8 && ids && width == 1) return adam_in_place<1>(a, t, ids, grad, begin, end, own);
   if (W >= 8 && ids && width == 3) return adam_in_place<3>(a, t, ids, grad, begin, end, own);

@@ -1,5 +1,5 @@
-// Adam on rows of SH coefficients, which share one second moment (svrgs.h): that of the three values of degree 0. A gradient is
-// basis_k(direction) dL/dcolour, and over all directions the mean of basis_k^2 is the same for every k: 1 / (4 pi), which is basis_0^2.
+// Adam on rows of SH coefficients. A row has one second moment (svrgs.h), that of its three values of degree 0. The reason: the gradient of
+// coefficient k is basis_k(direction) dL/dcolour, and the mean of basis_k^2 over all directions is 1 / (4 pi) = basis_0^2 for every k.
 
 using FirstMoment = std::conditional_t<sizeof(R) == 4, uint16_t, R>;  // float: the upper half of its bits
 
@@ -11,7 +11,7 @@ struct ShTensors {
 };
 
 inline void store_first_moments(const AdamRates&, double* p, V m) { __builtin_memcpy(p, &m, sizeof m); }
-inline void store_first_moments(const AdamRates& a, uint16_t* p, V m) {  // rounded up as often as they are near to that
+inline void store_first_moments(const AdamRates& a, uint16_t* p, V m) {  // stochastic rounding
   const U noise = rounding_noise(a, leading_bits(m)) >> 16;
   const Halves halves = __builtin_convertvector(((U)m + noise) >> 16, Halves);
   __builtin_memcpy(p, &halves, sizeof halves);
@@ -50,7 +50,7 @@ inline void adam_sh_values(const AdamRates& a, V scale, R* param, FirstMoment* f
   }
 }
 
-// Returns 1 if the gradient is not finite, and the row left alone.
+// Returns 1 if the gradient is not finite; the row is left alone then.
 template <int width>
 inline int adam_sh_row(const AdamRates& a, R* param, R* moments, const R* grad) {
   if (any_nan(times_zero<width>(grad))) return 1;
@@ -68,8 +68,8 @@ constexpr int kRowsAhead = 8, kGradsAhead = 16;
   write ? __builtin_prefetch(p + values - 1, 1) : __builtin_prefetch(p + values - 1);
 }
 
-// n rows; ids names them in the tensors (null: row r is r), and `known` >= n of those to come; grad holds theirs one after the
-// other, and `ready` >= n of those to come. Returns how many were left alone.
+// n rows: ids are their indices in the tensors (null: row r is r), and grad has their gradients, contiguous. For prefetching there are
+// `known` >= n ids and `ready` >= n gradients. Returns how many rows were left alone.
 template <int width>
 inline int64_t adam_sh_rows(const AdamRates& a, const ShTensors& t, const uint32_t* ids, int64_t known, const R* grad, int64_t ready, int64_t n) {
   const auto row = [&](int64_t i) { return ids ? int64_t{ids[i]} : i; };

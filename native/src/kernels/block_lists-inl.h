@@ -1,6 +1,6 @@
 // Stage 4a: a chunk of a tile's list is sorted into the 4x4 blocks that its Gaussians reach; depth limits of a tile's pixels.
 
-// Up to kChunkEntries entries of a tile's list, and for each block those that reach it.
+// Up to kChunkEntries entries of a tile's list, and for each block the list of the entries that reach it.
 constexpr int kChunkEntries = 256;
 static_assert(kChunkEntries <= 256 && kChunkEntries % 16 == 0);
 
@@ -52,12 +52,12 @@ inline void gather_chunk(const Frame& f, TileOrigin o, const TileEntry* entries,
   for (int b = 0; b < kBlocks; ++b) c.list[b][c.listed[b]] = 0;  // blending looks one entry ahead
 }
 
-// Depths at which a tile's pixels end; 0 outside the image and where the limit is no number.
-struct Limits {
+// Depth limits of a tile's pixels; 0 outside the image and where the limit is NaN.
+struct DepthLimits {
   R pixel[kBlocks][kBlockPixels], block[kBlocks];  // block: the largest of its pixels'
 };
 
-inline void read_limits(const Frame& f, TileOrigin o, Limits& limits) {
+inline void read_limits(const Frame& f, TileOrigin o, DepthLimits& limits) {
   const R* const image = static_cast<const R*>(f.depth_limit);
   for (int b = 0; b < kBlocks; ++b) {
     R largest = 0;
@@ -71,14 +71,14 @@ inline void read_limits(const Frame& f, TileOrigin o, Limits& limits) {
   }
 }
 
-// Blocks that take something at this depth or behind. The margin: lists are in the order of depths as floats.
-inline BlockMask within(const Limits& limits, R depth) {
+// Blocks with a limit behind this depth. The margin is for rounding: lists are sorted by depth as float.
+inline BlockMask within(const DepthLimits& limits, R depth) {
   BlockMask blocks = 0;
-  for (int b = 0; b < kBlocks; ++b) blocks |= static_cast<BlockMask>(depth * R(1 - 1e-6) < limits.block[b]) << b;
+  for (int b = 0; b < kBlocks; ++b) blocks |= block_bit(b, depth * R(1 - 1e-6) < limits.block[b]);
   return blocks;
 }
 
-// Cuts off what a block's list holds behind all of its limits.
+// Removes the entries of a block's list that are behind all of the block's limits.
 inline void trim(Chunk& c, int block, R limit) {
   int& n = c.listed[block];
   while (n && !(c.entry[c.list[block][n - 1]].local.depth < limit)) --n;

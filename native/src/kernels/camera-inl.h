@@ -1,11 +1,9 @@
-// The camera in the level's type.
-
 // The camera in the level's type, made once for many Gaussians.
 struct CameraParams {
-  R axis[3][3];                      // rows of the view rotation
-  R position[3], position_rest[3];   // together the camera centre
+  R axis[3][3];                     // rows of the view rotation
+  R position[3], position_rest[3];  // together the camera centre
   R fx, fy;
-  R low_x, high_x, low_y, high_y;    // x/z, y/z are clamped between these where the Jacobian is taken
+  R low_x, high_x, low_y, high_y;  // x/z, y/z are clamped between these where the Jacobian is taken
   bool orthographic, antialiased;
 
   explicit CameraParams(const Frame& f) : fx(R(f.fx)), fy(R(f.fy)), orthographic(f.orthographic), antialiased(f.antialiased) {

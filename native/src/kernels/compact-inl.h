@@ -1,10 +1,12 @@
-// Sets of lanes as bits: lanes of a set moved together, apart, or listed; rows of a set.
+// Sets of lanes, one bit a lane: compress, expand and list the lanes of a set; sets of rows.
 
-// Which of the W rows from `base` on ascending `ids` name, a bit each; ids[0] is one of them, and `known` are there.
+// Which of the W rows from `base` on are named by ids[0 .. known), a bit each. The ids ascend, and ids[0] is one of these rows.
 inline uint32_t rows_from(uint32_t base, const uint32_t* ids, int64_t known) {
   [[maybe_unused]] constexpr uint32_t all = (1ull << W) - 1;
 #if defined(SVRGS_HAVE_AVX512)
-  if (known >= W) return all & static_cast<uint32_t>(_mm512_reduce_or_epi32(_mm512_sllv_epi32(_mm512_set1_epi32(1), _mm512_sub_epi32(_mm512_loadu_si512(ids), _mm512_set1_epi32(static_cast<int>(base))))));
+  if (known >= W)
+    return all & static_cast<uint32_t>(_mm512_reduce_or_epi32(
+                     _mm512_sllv_epi32(_mm512_set1_epi32(1), _mm512_sub_epi32(_mm512_loadu_si512(ids), _mm512_set1_epi32(static_cast<int>(base))))));
 #elif defined(SVRGS_HAVE_AVX2)
   if (known >= W) {
     const __m256i place = _mm256_sub_epi32(_mm256_loadu_si256(reinterpret_cast<const __m256i*>(ids)), _mm256_set1_epi32(static_cast<int>(base)));
@@ -29,7 +31,7 @@ struct RowBits {  // the row, as a bit, of each value of W rows
 template <int width>
 constexpr RowBits<width> kRowBits;
 
-// The lanes that hold values of `rows` in the kth vector of W rows.
+// The lanes of vector k that hold values of the rows in the set `rows`; W contiguous rows are `width` vectors.
 template <int width>
 inline M lanes_of_rows(uint32_t rows, int k) {
   I bit;
@@ -52,7 +54,7 @@ struct SetRanks {  // how many set bits of every 8 lie below each bit, a byte ea
 constexpr SetRanks kSetRanks;
 #endif
 
-// Values that lie one after the other, the first to the lowest set bit's lane and so on; 0 in the other lanes.
+// Expands contiguous values: the first goes to the lane of the lowest set bit, and so on; other lanes are 0.
 inline V spread(uint32_t set, const R* packed) {
   [[maybe_unused]] const uint32_t first = (1u << __builtin_popcount(set)) - 1;  // as many lanes
 #if defined(SVRGS_HAVE_AVX512)
@@ -80,7 +82,7 @@ struct SetBits {  // the positions of the set bits of every W bits, a byte each
 constexpr SetBits kSetBits;
 #endif
 
-// Appends first + i to list for each set bit i of `set`; writes up to 16 bytes from list + count on. Returns the new count.
+// Appends first + i to the list for each set bit i of `set`. Returns the new count. May write 16 bytes from list + count on.
 inline int append_lanes(uint8_t* list, int count, int first, uint32_t set) {
 #if defined(SVRGS_HAVE_AVX512)
   const __m512i lanes = _mm512_add_epi32(_mm512_set1_epi32(first), _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
@@ -97,7 +99,7 @@ inline int append_lanes(uint8_t* list, int count, int first, uint32_t set) {
   return count + __builtin_popcount(set);
 }
 
-// Writes the lanes of `set` from `to` on, one after the other, and anything behind them: W values in all.
+// Compresses: writes the lanes of `set` to `to`, contiguously. May write W values, of which only these are defined.
 inline void pack(uint32_t set, V v, R* to) {
 #if defined(SVRGS_HAVE_AVX512)
   store(to, _mm512_maskz_compress_ps(static_cast<M>(set), v));
@@ -109,7 +111,7 @@ inline void pack(uint32_t set, V v, R* to) {
 #endif
 }
 
-// The same for first + lane.
+// The same for the values first + lane.
 inline void pack_lanes(uint32_t set, uint32_t first, uint32_t* to) {
 #if defined(SVRGS_HAVE_AVX512)
   const __m512i lanes = _mm512_add_epi32(_mm512_set1_epi32(static_cast<int>(first)), _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));

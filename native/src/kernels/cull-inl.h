@@ -2,20 +2,20 @@
 
 constexpr int kParametersAhead = 128;  // how many ahead what is looked at is fetched
 
-// Asks for so many bytes: SH rows are far apart where not every Gaussian is visible, and the processor does not foresee them.
-// Always inline: GCC drops calls of a function that does nothing else.
+// Prefetches so many bytes. The hardware does not predict these accesses: only some Gaussians are visible, and their rows are far apart.
+// Always inline: GCC drops calls of a function that only prefetches.
 template <int bytes>
 [[gnu::always_inline]] inline void fetch(const void* p) {
   for (int k = 0; k < bytes; k += 64) __builtin_prefetch(static_cast<const char*>(p) + k);
 }
 
-// W rows of `width` values.
+// Prefetches W rows of `width` values.
 template <int width>
 [[gnu::always_inline]] inline void fetch_rows(const void* array, int64_t first) {
   fetch<W * width * sizeof(R)>(static_cast<const R*>(array) + first * width);
 }
 
-// The first n of W rows of `width` values, in columns; what lies behind the scene's end is 0.
+// n <= W rows of `width` values as columns; lanes from n on are 0.
 template <int width>
 inline void columns_from(const void* array, int64_t first, int n, V* columns) {
   const R* at = static_cast<const R*>(array) + first * width;
@@ -25,15 +25,16 @@ inline void columns_from(const void* array, int64_t first, int n, V* columns) {
   columns_of<width>(spare, columns);
 }
 
-// Which of W Gaussians may be seen: in front of the camera, not too faint, and near enough to the image. One bit each.
-// It errs on the side of projecting: a ball of the largest scale, fully opaque, bounds the ellipse, and `doubt` what rounding may do.
+// Which of W Gaussians may be visible, a bit each: in front of the camera, not too faint, and near enough to the image. The test is
+// conservative: the ellipse is bounded by that of an opaque ball with the largest scale, and `doubt` bounds the rounding errors.
 inline uint32_t may_be_seen(const Frame& f, const CameraParams& camera, const V offset[3], V largest_scale, V opacity_logit) {
   const V x = camera.along(0, offset), y = camera.along(1, offset), z = camera.along(2, offset);
   const V depth = max(z, broadcast(R(kNear))), slack = (magnitude(x) + magnitude(y) + depth) * R(1e-5);
   const V inv = camera.inverse_depth(depth), rx = x * inv, ry = y * inv, doubt = fma(slack, inv, broadcast(R(1e-3)));
   V stretch = broadcast(1);  // of what a slanting ray meets
   if (!camera.orthographic) {
-    const V tx = min(magnitude(rx), broadcast(std::max(-camera.low_x, camera.high_x))), ty = min(magnitude(ry), broadcast(std::max(-camera.low_y, camera.high_y)));
+    const V tx = min(magnitude(rx), broadcast(std::max(-camera.low_x, camera.high_x))),
+            ty = min(magnitude(ry), broadcast(std::max(-camera.low_y, camera.high_y)));
     stretch = broadcast(1) + tx * tx + ty * ty;
   }
   const V size = exp(largest_scale) * broadcast(std::max(camera.fx, camera.fy)) * inv;  // across the view, pixels

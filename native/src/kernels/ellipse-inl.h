@@ -1,8 +1,8 @@
-// Where a Gaussian can reach alpha >= 1/255: the ellipse u^2 + v^2 <= t, t = log2(255 opacity). One rule for tile rows and
-// for the 4-pixel bands of a tile. It only ever skips what the alpha test would reject: t and the borders carry a margin.
+// A Gaussian reaches alpha >= 1/255 inside the ellipse u^2 + v^2 <= t, t = log2(255 opacity). The same rule finds the tiles of a row of
+// tiles and the blocks of a row of blocks. t and the borders have a margin, so that only pixels are skipped that the alpha test rejects.
 
-constexpr R kBoundMargin = R(1e-3);   // on t; float rounding of the exponent stays below 1e-4
-constexpr R kBorderMargin = R(4e-3);  // pixels
+constexpr R kBoundMargin = R(1e-3);     // on t; float rounding of the exponent stays below 1e-4
+constexpr R kBorderMargin = R(4e-3);    // pixels
 constexpr R kRelativeMargin = R(1e-6);  // of lengths
 
 struct Extent {
@@ -10,7 +10,7 @@ struct Extent {
   V depth;        // negative: the band misses the ellipse
 };
 
-// The ellipse between dy = low and dy = high (low <= high). slope = -l12 / l11.
+// Extent of the ellipse between dy = low and dy = high (low <= high). slope = -l12 / l11.
 inline Extent ellipse_extent(V t, V l22, V inv_l11, V slope, V y_extreme, V low, V high) {
   const V yr = clamp(y_extreme, low, high), yl = clamp(-y_extreme, low, high);
   const V vr = l22 * yr, vl = l22 * yl;
@@ -23,14 +23,14 @@ inline Extent ellipse_extent(V t, V l22, V inv_l11, V slope, V y_extreme, V low,
 }
 
 const R kLargestDistance = kWhiten * std::sqrt(kBoundMargin - R(kLog2Cut));  // of an opaque Gaussian, in standard deviations
-// Bound of u^2 + v^2 within the ellipse; of one Gaussian or of W.
+// The bound t of the ellipse, for one Gaussian (R) or W of them (V).
 template <class T>
 inline T ellipse_bound(const Frame& f, T log2_opacity) {
   return (f.disabled_skips & SVRGS_OPACITY_BOUNDS ? T{} : log2_opacity) + (kBoundMargin - R(kLog2Cut));
 }
 
-// Pixels [begin, end) of a row or column of `size` that centre +- half covers, none where begin >= end. `half` has a margin for the
-// rounding of the centre.
+// Pixels [begin, end) of a row or column of `size` pixels that centre +- half covers; none if begin >= end. `half` includes a margin for
+// the rounding of the centre.
 struct PixelRange {
   V begin, end;
 };
@@ -41,14 +41,17 @@ inline PixelRange pixel_range(V centre, V half, int size) {
   return {ceil(low), min(floor(high) + R(1), full)};
 }
 
-// Half the width or height of the ellipse u^2 + v^2 <= bound, given the variance along it, with a margin for the rounding of the two.
+// Half the width or height of the ellipse u^2 + v^2 <= bound, given the variance along that axis, with a margin for rounding.
 inline V half_extent(V root_bound, V root_variance) { return root_bound * root_variance * (kWhiten * (1 + kRelativeMargin)) + kBorderMargin; }
 
-// The first of them, and the one behind the last, for vectors of whole numbers with begin < end.
+// Tiles [begin, end) that contain the pixels of a range that is not empty.
 struct TileRange {
   U begin, end;
 };
 inline TileRange tile_range(const PixelRange& r) {
-  const auto tile = [](V pixel) { return (U)__builtin_convertvector(pixel, I) / kTile; };
+  const auto tile = [](V pixel) {
+    const I whole = __builtin_convertvector(pixel, I);
+    return (U)whole / kTile;
+  };
   return {tile(r.begin), tile(r.end - R(1)) + 1};
 }

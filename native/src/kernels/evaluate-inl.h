@@ -1,6 +1,6 @@
 // A Gaussian at the pixels of a tile: its alpha, and which pixels it hits. Forward, backward and statistics use this.
 
-// A Gaussian as seen from one tile: (x, y) from its centre to the tile's corner pixel, the rest as in ProjectedGaussian.
+// A Gaussian relative to a tile: (x, y) from its centre to the tile's first pixel; the rest as in ProjectedGaussian.
 struct LocalGaussian {
   R x, y, l11, l12, l22, log2_opacity, rgb[3], depth, mask;
 };
@@ -9,15 +9,13 @@ struct TileOrigin {
   int x, y;  // tile coordinates
 };
 
-inline TileOrigin tile_origin(const Frame& f, int64_t tile) {
-  return {static_cast<int>(tile % f.tiles_x), static_cast<int>(tile / f.tiles_x)};
-}
+inline TileOrigin tile_origin(const Frame& f, int64_t tile) { return {static_cast<int>(tile % f.tiles_x), static_cast<int>(tile / f.tiles_x)}; }
 
 inline const ProjectedGaussian<R>& gaussian_of(const Frame& f, TileEntry e) { return static_cast<const ProjectedGaussian<R>*>(f.gaussians)[e.place]; }
 
 inline LocalGaussian to_local(const ProjectedGaussian<R>& s, TileOrigin o) {
-  return {static_cast<R>(o.x * kTile + 0.5 - s.x), static_cast<R>(o.y * kTile + 0.5 - s.y), s.l11, s.l12, s.l22, s.log2_opacity,
-          {s.rgb[0], s.rgb[1], s.rgb[2]}, s.depth, s.mask};
+  const R x = static_cast<R>(o.x * kTile + 0.5 - s.x), y = static_cast<R>(o.y * kTile + 0.5 - s.y);
+  return {x, y, s.l11, s.l12, s.l22, s.log2_opacity, {s.rgb[0], s.rgb[1], s.rgb[2]}, s.depth, s.mask};
 }
 
 constexpr int kEntriesAhead = 16;  // list entries fetched before they are needed: the list is in order, the Gaussians it names are not
@@ -26,7 +24,7 @@ inline void prefetch_gaussian(const Frame& f, const TileEntry* entry, const Tile
   if (entry < end) __builtin_prefetch(&gaussian_of(f, *entry));
 }
 
-// Pixel offsets of the lanes of a block from the tile's corner pixel.
+// Offsets of a block's pixels from the tile's first pixel.
 struct Lanes {
   V x[kVectorsPerBlock], y[kVectorsPerBlock];
 };
@@ -52,7 +50,10 @@ inline const AllLanes& all_lanes() {
   return lanes;
 }
 
-// Which of W lanes of a block lie in the image.
+// Bit `block` of a BlockMask if `set`, else none.
+inline BlockMask block_bit(int block, bool set) { return static_cast<BlockMask>(static_cast<BlockMask>(set) << block); }
+
+// Which of W lanes of a block are in the image.
 inline M in_image(const Frame& f, TileOrigin o, const Lanes& lanes, int h) {
   return both(less(lanes.x[h], broadcast(static_cast<R>(f.width - o.x * kTile))), less(lanes.y[h], broadcast(static_cast<R>(f.height - o.y * kTile))));
 }
@@ -62,8 +63,8 @@ struct Hit {
   M hit;          // alpha >= 1/255
 };
 
-// alpha of one Gaussian at W pixels, not yet clamped. Forward, backward and scores call this and nothing else. What it says
-// where `hit` is not set means nothing. Always inline: as a call it costs the backward pass 5 %.
+// alpha of one Gaussian at W pixels, not yet clamped; undefined where `hit` is not set. Every pass computes alpha with this function.
+// Always inline: a call costs the backward pass 5 %.
 [[gnu::always_inline]] inline Hit evaluate(const LocalGaussian& l, V x, V y) {
   Hit r;
   const V dx = broadcast(l.x) + x, dy = broadcast(l.y) + y;

@@ -1,6 +1,6 @@
-// One batch of W Gaussians from world to screen, and back (projection and its vector-Jacobian product, side by side).
-// Equations: 3DGS Eq. 5-6 (covariance, EWA projection), with the full K and the 3DGS clamp of x/z, y/z. Where rays are parallel
-// (Frame::orthographic), 1 stands for 1/z, and x/z, y/z within the Jacobian are 0.
+// Projects a batch of W Gaussians from the world to the screen.
+// Equations: 3DGS Eq. 5-6 (covariance, EWA projection), with the full K and the 3DGS clamp of x/z, y/z. For
+// orthographic cameras 1/z is replaced by 1, and x/z, y/z in the Jacobian by 0.
 
 struct Batch {  // raw parameters of W Gaussians, transposed
   D offset[3];  // mean from the camera centre
@@ -22,8 +22,8 @@ inline Batch batch_of(const Frame& f, const V numbers[kNarrowParameters]) {
 }
 
 inline Batch load_batch(const Frame& f, const uint32_t* ids) {
-  const R *means = static_cast<const R*>(f.means), *scales = static_cast<const R*>(f.log_scales),
-          *quats = static_cast<const R*>(f.quats), *logits = static_cast<const R*>(f.opacity_logits);
+  const R *means = static_cast<const R*>(f.means), *scales = static_cast<const R*>(f.log_scales), *quats = static_cast<const R*>(f.quats),
+          *logits = static_cast<const R*>(f.opacity_logits);
   alignas(64) R rows[W * kPaddedRow] = {};
   for (int i = 0; i < W; ++i) {
     const int64_t g = ids[i];
@@ -37,17 +37,17 @@ inline Batch load_batch(const Frame& f, const uint32_t* ids) {
 }
 
 struct Projection {
-  V c[3];                    // camera-space centre
-  V ratio_x, ratio_y;        // x/z, y/z clamped to the widened frustum
-  V free_x, free_y;          // 1 where not clamped
+  V c[3];              // camera-space centre
+  V ratio_x, ratio_y;  // x/z, y/z clamped to the widened frustum
+  V free_x, free_y;    // 1 where not clamped
   V scale[3], quat[4], inv_norm;
-  V rotation[3][3];          // of the Gaussian
-  V to_screen[2][3];         // P = J W, 2x3
-  V factor[2][3];            // A = P R S: covariance before blur = A A^T
-  V cxx, cxy, cyy;           // covariance after blur, pixels^2
-  V det, det_before;         // of it, and before blur
-  V compensation;            // 1, or sqrt(det_before / det)
-  V opacity;                 // sigmoid, without compensation
+  V rotation[3][3];   // of the Gaussian
+  V to_screen[2][3];  // P = J W, 2x3
+  V factor[2][3];     // A = P R S: covariance before blur = A A^T
+  V cxx, cxy, cyy;    // covariance after blur, pixels^2
+  V det, det_before;  // of it, and before blur
+  V compensation;     // 1, or sqrt(det_before / det)
+  V opacity;          // sigmoid, without compensation
 };
 
 inline void rotation_matrix(const V q[4], V m[3][3]) {

@@ -1,11 +1,11 @@
 // Vector-Jacobian product of gaussian-inl.h: from gradients on the screen to gradients of the parameters.
 
-// dL/d of one batch: what the raster pass sums (moments of g = alpha dL/dalpha in u, v; enum Slot) ...
+// What stage 5 sums for each Gaussian of a batch: moments of g = alpha dL/dalpha in u, v (enum Slot).
 struct ScreenGrads {
   V g, gu, gv, guu, guv, gvv;
   V depth;  // dL/d camera z from the depth image
 };
-// ... and what it means for the parameters.
+// Gradients of a batch's parameters.
 struct ParameterGrads {
   V mean[3], log_scale[3], quat[4], opacity_logit, mean2d[2];
 };
@@ -41,7 +41,7 @@ inline void factor_vjp(const CameraParams& camera, const Projection& p, const Wh
   }
 }
 
-// What dL/dP says of x/z, y/z and z: P = (1/z) [fx (w0 - rx w2); fy (w1 - ry w2)], w = rows of the view rotation.
+// From dL/dP to the gradients of x/z, y/z and z. P = (1/z) [fx (w0 - rx w2); fy (w1 - ry w2)], w = rows of the view rotation.
 inline void jacobian_vjp(const CameraParams& camera, const Projection& p, V inv_z, const V d_screen[2][3], V& d_rx, V& d_ry, V& d_z) {
   const V fx = broadcast(camera.fx), fy = broadcast(camera.fy);
   V radial = broadcast(0);

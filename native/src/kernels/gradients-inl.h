@@ -1,4 +1,4 @@
-// Stage 6: sums each visible Gaussian's slots in tile order and carries them back to its parameters.
+// Stage 6: sums the slots of each visible Gaussian in the order of its tiles, and computes the gradients of its parameters from the sums.
 
 inline void sum_slots(const Frame& f, const R* slots, const GaussianTiles& t, R sums[kSlotWidth]) {
   std::fill_n(sums, kSlotWidth, R(0));
@@ -15,12 +15,13 @@ inline void sum_slots(const Frame& f, const R* slots, const GaussianTiles& t, R 
   for (int k = 0; k < width; k += line) __builtin_prefetch(row + k);
 }
 
-// dL/dcolour of a batch, zero where the colour was clamped at 0 ...
+// dL/dcolour of a batch, zero where the colour was clamped at 0.
 struct ColourGrads {
   V rgb[3];
 };
 
-// ... to its SH coefficients (rows of (V, K, 3), bands above sh_degree zero) and, through the direction, to the mean.
+// From dL/dcolour to the gradients of the SH coefficients (rows of (V, K, 3), bands above sh_degree zero) and of the mean, on which the
+// direction depends.
 inline void sh_vjp(const Frame& f, const CameraParams& camera, const Batch& b, const uint32_t* ids, int n, const ColourGrads& g, R* sh_rows, V mean[3]) {
   const Direction dir = direction(camera, b.mean);
   const int used = (f.sh_degree + 1) * (f.sh_degree + 1), width = 3 * f.sh_coefficients;
@@ -55,14 +56,14 @@ inline void sh_vjp(const Frame& f, const CameraParams& camera, const Batch& b, c
   for (int k = 0; k < 3; ++k) mean[k] += (d[k] - along * dir.d[k]) * dir.inv_length;
 }
 
-// What dL/dM from F is multiplied by: 1, or for EVEN the fixed footprint over the Gaussian's own (its 1/255 ellipse).
+// Factor of dL/dM from F: 1; for SVRGS_MASK_EVEN the fixed footprint divided by the area of the Gaussian's 1/255 ellipse.
 inline R spatial_weight(const Frame& f, const ProjectedGaussian<R>& s) {
   if (f.mask_kind != SVRGS_MASK_EVEN) return 1;
   const R area = R(3.141592653589793) * (s.log2_opacity - R(kLog2Cut)) / (s.l11 * s.l22);
   return R(SVRGS_EVEN_AREA) / std::max(area, R(1));
 }
 
-// n <= W rows of `width` values, from the first-th on.
+// Writes n <= W rows of `width` values, from row `first` on, given their columns.
 template <int width>
 inline void scatter(void* array, int64_t first, int n, const V* columns) {
   if (!array) return;
@@ -75,24 +76,24 @@ inline void scatter(void* array, int64_t first, int n, const V* columns) {
 
 inline AdamTensors tensors(const svrgs_trained& t) { return {static_cast<R*>(t.param), static_cast<Packed*>(t.moments)}; }
 
-// The rates of all tensors of an update, as far as it has them.
-struct Update {
+// Adam's constants for each tensor of an update.
+struct UpdateRates {
   const svrgs_update* settings;
   AdamRates means, log_scales, quats, opacity_logits, sh;
-  Update(const Frame& f, const svrgs_update& u) : settings(&u) {
+  UpdateRates(const Frame& f, const svrgs_update& u) : settings(&u) {
     const auto rates = [&](const svrgs_trained& t, int width) { return t.param ? adam_rates(u.adam, t.lr, width) : AdamRates{}; };
     means = rates(u.means, 3), log_scales = rates(u.log_scales, 3), quats = rates(u.quats, 4), opacity_logits = rates(u.opacity_logits, 1);
     sh = rates(u.sh, 3 * f.sh_coefficients);
   }
 };
 
-// Gradients of the narrow parameters of some visible Gaussians, on their way into an Adam step.
+// Gradients of the narrow parameters of up to kStagedRows visible Gaussians, for the Adam step that follows.
 constexpr int64_t kStagedRows = 256;
 
-struct Staged {
+struct StagedGradients {
   R means[3 * kStagedRows], log_scales[3 * kStagedRows], quats[4 * kStagedRows], opacity_logits[kStagedRows];
 
-  // `out`, but here what is updated, for Gaussians from `first` on.
+  // Like `out`, but with the gradients of updated parameters written here, for Gaussians from `first` on.
   svrgs_grads in_place_of(const svrgs_grads& out, const svrgs_update& u, int64_t first) {
     svrgs_grads to = out;
     if (u.means.param) to.means = means - 3 * first;
@@ -103,7 +104,7 @@ struct Staged {
   }
 };
 
-inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t first, int64_t n, OwnedRows own) {
+inline int64_t apply(const Frame& f, const UpdateRates& u, const StagedGradients& g, int64_t first, int64_t n, OwnedRows own) {
   const auto step = [&](const AdamRates& rates, const svrgs_trained& t, const R* rows, int width) {
     return t.param ? adam_rows(rates, tensors(t), rows, f.visible + first, 0, n, width, own) : 0;
   };
@@ -111,11 +112,10 @@ inline int64_t apply(const Frame& f, const Update& u, const Staged& g, int64_t f
          step(u.quats, u.settings->quats, g.quats, 4) + step(u.opacity_logits, u.settings->opacity_logits, g.opacity_logits, 1);
 }
 
-// Visible Gaussians [first, first + n): gradients into the rows of `out`, or into an Adam step. Returns the rows it left alone.
-template <bool updates>
-inline int gradient_batch(const Frame& f, const CameraParams& camera, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t first, int n) {
-  uint32_t ids[W];
-  alignas(64) R rows[W * kPaddedRow];  // sums, colour and weight of F
+// Ids of n <= W visible Gaussians from `first` on, and in columns the sums of their slots (enum Slot), their colours and their weights of F.
+// Lanes from n on repeat the last Gaussian.
+[[gnu::always_inline]] inline void gather_sums(const Frame& f, const WantedGradients& want, const R* slots, int64_t first, int n, uint32_t* ids, V* columns) {
+  alignas(64) R rows[W * kPaddedRow];
   static_assert(kSlotWidth + 4 == kPaddedRow);
   for (int i = 0; i < W; ++i) {
     ids[i] = f.visible[first + (i < n ? i : n - 1)];
@@ -127,8 +127,17 @@ inline int gradient_batch(const Frame& f, const CameraParams& camera, const Want
     std::copy_n(gaussian.rgb, 3, row + kSlotWidth);
     row[kSlotWidth + 3] = spatial_weight(f, gaussian);
   }
+  columns_of_rows(rows, columns);
+}
+
+// Visible Gaussians [first, first + n): writes gradients to the rows of `out`, or updates the parameters.
+// Returns how many rows an update left alone.
+template <bool updates>
+inline int gradient_batch(const Frame& f, const CameraParams& camera, const WantedGradients& want, const svrgs_grads& out, const UpdateRates* update,
+                          const R* slots, int64_t first, int n) {
+  uint32_t ids[W];
   V s[kPaddedRow];
-  columns_of_rows(rows, s);
+  gather_sums(f, want, slots, first, n, ids, s);
   s[kSlotMask] += s[kSlotWidth + 3] * s[kSlotSpatial];
   ColourGrads colour;
   for (int c = 0; c < 3; ++c) colour.rgb[c] = keep(less(broadcast(0), s[kSlotWidth + c]), s[kSlotRed + c]);
@@ -136,8 +145,7 @@ inline int gradient_batch(const Frame& f, const CameraParams& camera, const Want
   if (!want.shape && !want.colour) return 0;
   const Batch b = load_batch(f, ids);
   ParameterGrads g = {};
-  if (want.shape)
-    g = project_vjp(camera, project(camera, b), {s[kG], s[kGu], s[kGv], s[kGuu], s[kGuv], s[kGvv], want.depth ? s[kSlotDepth] : broadcast(0)});
+  if (want.shape) g = project_vjp(camera, project(camera, b), {s[kG], s[kGu], s[kGv], s[kGuu], s[kGuv], s[kGvv], want.depth ? s[kSlotDepth] : broadcast(0)});
   const int width = 3 * f.sh_coefficients;
   alignas(64) R own[W * 48];
   R* const sh_rows = updates ? own : out.sh ? static_cast<R*>(out.sh) + first * width : nullptr;
@@ -152,25 +160,28 @@ inline int gradient_batch(const Frame& f, const CameraParams& camera, const Want
   scatter<1>(out.opacity_logits, first, n, &g.opacity_logit);
   if (!updates) return 0;
   const svrgs_trained& sh = update->settings->sh;
-  return static_cast<int>(adam_sh_rows(update->sh, {static_cast<R*>(sh.param), static_cast<R*>(sh.moments)}, f.visible + first, f.visible_count - first, own, n, n, width));
+  return static_cast<int>(
+      adam_sh_rows(update->sh, {static_cast<R*>(sh.param), static_cast<R*>(sh.moments)}, f.visible + first, f.visible_count - first, own, n, n, width));
 }
 
 template <bool updates>
-inline int64_t gradient_batches(const Frame& f, const CameraParams& camera, const Wanted& want, const svrgs_grads& out, const Update* update, const R* slots, int64_t begin, int64_t end) {
+inline int64_t gradient_batches(const Frame& f, const CameraParams& camera, const WantedGradients& want, const svrgs_grads& out, const UpdateRates* update,
+                                const R* slots, int64_t begin, int64_t end) {
   int64_t bad = 0;
-  for (int64_t i = begin; i < end; i += W) bad += gradient_batch<updates>(f, camera, want, out, update, slots, i, static_cast<int>(std::min<int64_t>(W, end - i)));
+  for (int64_t i = begin; i < end; i += W)
+    bad += gradient_batch<updates>(f, camera, want, out, update, slots, i, static_cast<int>(std::min<int64_t>(W, end - i)));
   return bad;
 }
 
-// Visible Gaussians [begin, end). Returns how many rows of parameters had a gradient that is not finite, and were left alone.
-int64_t gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update, const void* slots,
-                        int64_t begin, int64_t end) {
+// Visible Gaussians [begin, end). Returns how many rows of parameters were left alone because their gradient was not finite.
+int64_t gradients_range(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update, const void* slots, int64_t begin,
+                        int64_t end) {
   const CameraParams camera(f);
-  const Wanted want = wanted(f, in, out, update);
+  const WantedGradients want = wanted(f, in, out, update);
   const R* const sums = static_cast<const R*>(slots);
   if (!update) return gradient_batches<false>(f, camera, want, out, nullptr, sums, begin, end);
-  const Update u(f, *update);
-  alignas(64) Staged staged;
+  const UpdateRates u(f, *update);
+  alignas(64) StagedGradients staged;
   int64_t bad = 0;
   for (int64_t from = begin; from < end; from += kStagedRows) {
     const int64_t until = std::min(from + kStagedRows, end);

@@ -1,10 +1,10 @@
-// From a tile's kept state to output images, and from image gradients to lanes. Images are row-major, tiles are stored block
-// by block.
+// From a tile's stored state to the output images, and from image gradients to lanes. Images are row-major; tiles are stored block by
+// block.
 
-// 1 / log(1 + n), n whole; 0 for n = 0, so that F := 0 with zero gradient where no Gaussian is on the ray.
+// 1 / log(1 + n) for whole numbers n; 0 for n = 0, so that F and its gradient are 0 where no Gaussian is on the ray.
 inline V inverse_log(V n) { return keep(less(broadcast(0), n), broadcast(R(1.4426950408889634)) / log2(n + R(1))); }
 
-// One of a block's kept values, W lanes of it.
+// W lanes of a stored field.
 inline V kept(const R* state, Field k) { return load(state + k * kBlockPixels); }
 
 // F of W pixels, paper Eq. 5 in closed form (docs/methods.md), or of a scenario.
@@ -58,7 +58,7 @@ inline void read_block(const Frame& f, BlockPlace p, const void* image, R (*valu
   }
 }
 
-// The way back; value(state of W lanes, channel) gives W values. T may be of another type than they are.
+// Writes a block of an image; value(state of W lanes, channel) returns W values. The image may have another type T.
 template <int channels, class T, class F>
 inline void write_block(const Frame& f, BlockPlace p, const R* block, T* image, F&& value) {
   R pixels[channels * kBlockPixels];
@@ -71,8 +71,8 @@ inline void write_block(const Frame& f, BlockPlace p, const R* block, T* image, 
   for_rows(f, p, [&](int64_t at, int lane) { std::copy_n(pixels + channels * lane, channels * columns, image + channels * at); });
 }
 
-// Asks for the rows of an image (H, W, channels) that lie in a tile: many, each of a few lines, which the processor does not foresee.
-// write: they will be written. Always inline, as fetch is (cull-inl.h).
+// Prefetches the rows of an image (H, W, channels) inside a tile. They are many short rows, which the hardware does not predict. write:
+// they will be written. Always inline, as fetch is (cull-inl.h).
 template <bool write>
 [[gnu::always_inline]] inline void fetch_image(const Frame& f, int64_t tile, const void* image, int channels) {
   if (!image) return;
@@ -94,7 +94,8 @@ void write_tile(const Frame& f, int64_t tile, const svrgs_images& out) {
     const auto write = [&](auto* image, auto&& value) { write_block<1>(f, p, block, image, [&](const R* s, int) { return value(s); }); };
     const auto real = [](void* image) { return static_cast<R*>(image); };
     if (out.rgb)
-      write_block<3>(f, p, block, real(out.rgb), [&](const R* s, int c) { return fma(kept(s, kFinalT), broadcast(static_cast<R>(f.background[c])), kept(s, Field(kRed + c))); });
+      write_block<3>(f, p, block, real(out.rgb),
+                     [&](const R* s, int c) { return fma(kept(s, kFinalT), broadcast(static_cast<R>(f.background[c])), kept(s, Field(kRed + c))); });
     if (out.depth) write(real(out.depth), [](const R* s) { return kept(s, kDepth); });
     if (out.alpha) write(real(out.alpha), [](const R* s) { return broadcast(1) - kept(s, kFinalT); });
     if (out.mask) write(real(out.mask), [&](const R* s) { return spatial_mask(f, s); });

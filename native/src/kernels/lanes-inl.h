@@ -1,10 +1,10 @@
 // W lanes of R and their elementary operations: load, store, arithmetic, comparison, selection, sums. W is 1, 4, 8 or 16.
 //
-// Files of this folder are parts of kernels.cc: it includes them in order, once for each SIMD level, inside the namespace of that
-// level. So no code compiled for one instruction set can be linked in place of another's. They are not headers.
+// The files of this folder are parts of kernels.cc, not headers. kernels.cc includes them in order, inside the namespace of a SIMD level,
+// and is compiled once per level. Code for one instruction set can therefore not be linked in place of code for another.
 //
 // native/Makefile defines for each level SVRGS_LANES, SVRGS_REAL (float or double) and, where they may be used, SVRGS_HAVE_AVX2 and
-// SVRGS_HAVE_AVX512. Only lanes, math, transpose and compact contain intrinsics.
+// SVRGS_HAVE_AVX512. Only lanes and compact contain intrinsics.
 
 using R = SVRGS_REAL;
 constexpr int W = SVRGS_LANES;
@@ -12,8 +12,9 @@ using IntR = std::conditional_t<sizeof(R) == 4, int32_t, int64_t>;
 using V = R __attribute__((vector_size(sizeof(R) * W)));
 using I = IntR __attribute__((vector_size(sizeof(R) * W)));
 using U = std::make_unsigned_t<IntR> __attribute__((vector_size(sizeof(R) * W)));  // may wrap around
-constexpr int kVectorsPerBlock = kBlockPixels / W;  // of a block of pixels
-constexpr int kPaddedRow = 16;                      // values in a row that rows_of and columns_of_rows turn, whatever it holds
+
+constexpr int kVectorsPerBlock = kBlockPixels / W;
+constexpr int kPaddedRow = 16;  // values of a row that rows_of writes and columns_of_rows reads, whatever it contains
 static_assert(kBlockPixels % W == 0 && kPaddedRow % W == 0);
 #if defined(SVRGS_HAVE_AVX512)
 static_assert(W == 16 && sizeof(R) == 4);
@@ -25,8 +26,10 @@ using D = double __attribute__((vector_size(sizeof(double) * W)));
 inline D wide(V v) { return __builtin_convertvector(v, D); }
 inline V narrow(D d) { return __builtin_convertvector(d, V); }
 
-inline V broadcast(R x) { return x - V{}; }  // x - 0 is x, -0 included: one broadcast
-inline V iota() {  // 0, 1, 2, ...
+inline V broadcast(R x) { return x - V{}; }  // x - 0 is x, -0 included: one instruction
+
+// 0, 1, 2, ...
+inline V iota() {
   V v;
   for (int i = 0; i < W; ++i) v[i] = static_cast<R>(i);
   return v;
@@ -43,7 +46,7 @@ inline V load(const uint16_t* p) {
   __builtin_memcpy(&halves, p, sizeof halves);
   return (V)(__builtin_convertvector(halves, U) << 16);
 }
-// load(p + N), |N| < 16, near an aligned p: every unaligned load of 64 bytes is two, so these are joined from the aligned ones.
+// load(p + N) for an aligned p and |N| < 16. An unaligned load of 64 bytes costs two loads; this joins two aligned ones instead.
 template <int N>
 inline V load_at(const R* p) {
 #if defined(SVRGS_HAVE_AVX512)
@@ -128,7 +131,7 @@ inline R largest(V v) {
 
 inline bool any_nan(V v) { return bits(at_least(v, v)) != (1ull << W) - 1; }
 
-// One lane a bit of `set`.
+// The mask whose lane i is bit i of `set`.
 inline M lanes_of(uint32_t set) {
 #if defined(SVRGS_HAVE_AVX512)
   return static_cast<M>(set);
@@ -140,7 +143,7 @@ inline M lanes_of(uint32_t set) {
 }
 
 #if defined(SVRGS_HAVE_AVX2)
-// The first n <= 4 and n <= 8 values from p on, 0 behind them.
+// The first n values from p on (n <= 4, n <= 8), then zeros.
 template <int n>
 inline __m128 load_four(const float* p) {
   if constexpr (n == 4) {
@@ -162,8 +165,8 @@ inline __m256 load_eight(const float* p) {
 }
 #endif
 
-// The first n <= W values from p on, 0 behind them. In parts, no longer than they must be: a masked load waits for all the memory it
-// spans, what it leaves out included.
+// The first n <= W values from p on, then zeros. It loads in parts that are as short as possible: a masked load waits for all the memory
+// it spans, including the lanes it leaves out.
 template <int n, class T>
 inline V load_first(const T* p) {
   if constexpr (n == W) {
@@ -184,7 +187,7 @@ inline V load_first(const T* p) {
   }
 }
 
-// The sums of four vectors, to out[0..3].
+// Writes the sums of four vectors to out[0..3].
 #if defined(SVRGS_HAVE_AVX2)
 #if defined(SVRGS_HAVE_AVX2) && !defined(SVRGS_HAVE_AVX512)
 inline __m256 fold(V v) { return v; }
@@ -197,7 +200,7 @@ inline void sum4(V a, V b, V c, V d, R* out) {
 inline void sum4(V a, V b, V c, V d, R* out) { out[0] = sum(a), out[1] = sum(b), out[2] = sum(c), out[3] = sum(d); }
 #endif
 
-// Writes a row of kPaddedRow values past the caches, where the processor can: nobody reads it soon. `to` begins with a line of memory.
+// Writes a row of kPaddedRow values past the caches, if the processor can. For rows that are not read soon. `to` is aligned to a cache line.
 inline void stream_row(const R* row, void* to) {
 #if defined(SVRGS_HAVE_AVX512)
   _mm512_stream_ps(static_cast<R*>(to), load(row));
@@ -207,7 +210,7 @@ inline void stream_row(const R* row, void* to) {
   std::copy_n(row, kPaddedRow, static_cast<R*>(to));
 #endif
 }
-// After the last one, before others read.
+// To be called after the last stream_row, before another thread reads.
 inline void end_of_stream() {
 #if defined(SVRGS_HAVE_AVX2)
   _mm_sfence();

@@ -1,14 +1,17 @@
-// L1 + SSIM with gradient. A tile of the image goes through in blocks of kLossBlockRows rows: the four products whose blurs make
-// SSIM, the three maps of its derivatives with respect to those, and the gradient. Products and maps are kept for two
-// blocks, as far as a blur reaches, so that everything between the images and the gradient stays in the core's cache. A tile
-// computes what it needs of its surroundings too, so tiles do not depend on each other.
+// L1 + SSIM with gradient. A tile of the image is processed in blocks of kLossBlockRows rows: first the four products whose blurs make
+// SSIM, then the three maps of SSIM's derivatives, then the gradient. A blur needs two blocks, so two blocks of products and maps are
+// stored; they fit into the core's cache. A tile also computes the pixels around it that it needs, so tiles are independent.
 //
 // Rows are interleaved RGB: one pixel is three values, a horizontal tap is a step of three.
 
-constexpr int kBlurRadius = 5, kLossBlockRows = 2 * kBlurRadius, kLossHalo = 16;  // kLossHalo: 3 * kBlurRadius values, in whole vectors
-constexpr int kLossProducts = 4, kLossMaps = 3;                      // x, y, x^2 + y^2, x y; dL/d of the blurred x, x^2 and x y
-constexpr int kLossStride = kLossTileValues + 5 * kLossHalo;             // a row from 2 * kLossHalo values left of the tile to as many right of it;
-constexpr int kLossBlockValues = kLossBlockRows * kLossStride;                      // an odd number of vectors, which spreads columns over the cache
+constexpr int kBlurRadius = 5, kLossBlockRows = 2 * kBlurRadius;
+constexpr int kLossHalo = 16;     // 3 * kBlurRadius values, rounded up to whole vectors
+constexpr int kLossProducts = 4;  // x, y, x^2 + y^2 and x y
+constexpr int kLossMaps = 3;      // dL/d of the blurred x, x^2 and x y
+// A row has 2 * kLossHalo more values to the left of the tile and as many to the right; then kLossHalo more, which make it an odd number of
+// vectors, so that the values of a column are spread over the cache.
+constexpr int kLossStride = kLossTileValues + 5 * kLossHalo;
+constexpr int kLossBlockValues = kLossBlockRows * kLossStride;
 constexpr R kC1Ssim = R(1e-4), kC2Ssim = R(9e-4);
 static_assert(kLossTileValues % (2 * kLossHalo) == 0 && kLossHalo % W == 0);
 
@@ -27,7 +30,7 @@ inline Window gaussian_window() {
   return w;
 }
 
-// The window by value, here and below: through a reference the compiler reads it again after every store of a vector.
+// The window is passed by value: given a reference, the compiler would read it again after every store of a vector.
 inline V blur_horizontally(Window w, const R* at) {
   V s = broadcast(w.tap[0]) * load(at);
   s = fma(broadcast(w.tap[1]), load_at<-3>(at) + load_at<3>(at), s);
@@ -37,7 +40,7 @@ inline V blur_horizontally(Window w, const R* at) {
   return fma(broadcast(w.tap[5]), load_at<-15>(at) + load_at<15>(at), s);
 }
 
-// The block of blurred rows that has its middle between two blocks. A column is loaded once for all of its rows.
+// Blurs the rows from the middle of block `above` to the middle of block `below`. A column is loaded once for all of its rows.
 void blur_vertically(Window w, const R* above, const R* below, int64_t values, R* out) {
   for (int64_t i = 0; i < values; i += W) {
     V row[2 * kLossBlockRows];
@@ -71,8 +74,11 @@ struct Picture {
   const R* values;
   int64_t height, row;  // row: values in a row
 
-  void fetch(int64_t y, int64_t i) const { __builtin_prefetch(values + y * row + i); }  // harmless outside, too
-  V at(int64_t y, int64_t i) const {  // zero outside
+  // Prefetches; harmless outside.
+  void fetch(int64_t y, int64_t i) const { __builtin_prefetch(values + y * row + i); }
+
+  // W values; zero outside.
+  V at(int64_t y, int64_t i) const {
     V v = broadcast(0);
     if (y < 0 || y >= height || i < 0) return v;
     if (i + W <= row) return load(values + y * row + i);
@@ -117,7 +123,8 @@ void loss_maps(LossTile& t, Window w, int64_t y, R* maps) {
     Total l1 = {}, total = {};
     for (int64_t i = i0 - kLossHalo, at = r * kLossStride + kLossHalo; i < i1 + kLossHalo; i += W, at += W) {
       const R* from = t.blurred + at;
-      Ssim s = ssim(blur_horizontally(w, from), blur_horizontally(w, from + kLossBlockValues), blur_horizontally(w, from + 2 * kLossBlockValues), blur_horizontally(w, from + 3 * kLossBlockValues));
+      Ssim s = ssim(blur_horizontally(w, from), blur_horizontally(w, from + kLossBlockValues), blur_horizontally(w, from + 2 * kLossBlockValues),
+                    blur_horizontally(w, from + 3 * kLossBlockValues));
       if (!inside || i < 0 || i + W > row) {
         const M seen = less(lanes, broadcast(inside && i >= 0 ? static_cast<R>(row - i) : 0));
         s = {keep(seen, s.value), keep(seen, s.d_mean), keep(seen, s.d_square), keep(seen, s.d_product)};
@@ -148,8 +155,10 @@ void loss_grads(const LossTile& t, Window w, int64_t y) {
       g = add_if(less(broadcast(0), d), g, up);
       g = add_if(less(d, broadcast(0)), g, -up);
       R* out = t.grad + y * row + i;
-      if (i + W <= row) store(out, g);
-      else for (int k = 0; i + k < row; ++k) out[k] = g[k];
+      if (i + W <= row)
+        store(out, g);
+      else
+        for (int k = 0; i + k < row; ++k) out[k] = g[k];
     }
 }
 
@@ -165,10 +174,13 @@ void loss_tile(LossTile& t, R* scratch) {
   for (int64_t y = t.y0, step = 1; y < t.y1 + kLossBlockRows; y += kLossBlockRows, ++step) {  // maps lag half a block behind products, gradients a whole one
     R *above = products[(step - 1) % 2], *below = products[step % 2], *map = maps[step % 2];
     loss_products(t, y, below);
-    for (int p = 0; p < kLossProducts; ++p) blur_vertically(w, above + p * kLossBlockValues, below + p * kLossBlockValues, values, t.blurred + p * kLossBlockValues);
+    for (int p = 0; p < kLossProducts; ++p)
+      blur_vertically(w, above + p * kLossBlockValues, below + p * kLossBlockValues, values, t.blurred + p * kLossBlockValues);
     loss_maps(t, w, y - kBlurRadius, map);
     if (step == 1 || !t.grad) continue;
-    for (int m = 0; m < kLossMaps; ++m) blur_vertically(w, maps[(step - 1) % 2] + m * kLossBlockValues + kLossHalo, map + m * kLossBlockValues + kLossHalo, values - 2 * kLossHalo, t.blurred + m * kLossBlockValues + kLossHalo);
+    for (int m = 0; m < kLossMaps; ++m)
+      blur_vertically(w, maps[(step - 1) % 2] + m * kLossBlockValues + kLossHalo, map + m * kLossBlockValues + kLossHalo, values - 2 * kLossHalo,
+                      t.blurred + m * kLossBlockValues + kLossHalo);
     loss_grads(t, w, y - kLossBlockRows);
   }
 }

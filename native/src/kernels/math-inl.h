@@ -33,7 +33,7 @@ constexpr R kExp2[] = {R(1), R(6.932829300e-1), R(2.422109769e-1), R(5.500892575
 inline V exp2_end(V) { return broadcast(0); }
 #endif
 
-// 2^x for -126 <= x <= 127, relative error below 2e-7 in float; meaningless outside.
+// 2^x for -126 <= x <= 127, relative error below 2e-7 in float; undefined outside.
 inline V exp2(V x) {
   if constexpr (sizeof(R) == 8) {
     for (int i = 0; i < W; ++i) x[i] = std::exp2(x[i]);
@@ -48,7 +48,7 @@ inline V exp2(V x) {
     return (V)((U)p + ((U)t << 23));
   }
 }
-// log2 x for normal x > 0, error below 2e-7 of the larger of 1 and the result.
+// log2 x for normal x > 0, error below 2e-7 max(1, |result|).
 inline V log2(V x) {
   if constexpr (sizeof(R) == 8) {
     for (int i = 0; i < W; ++i) x[i] = std::log2(x[i]);

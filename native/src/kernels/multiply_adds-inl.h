@@ -1,4 +1,4 @@
-// What the processor reaches at this level, for the floors of svrgs bench.
+// Measures the arithmetic peak of this level, for the lower bounds that svrgs bench prints.
 
 // `rounds` rounds of independent multiply-adds in registers; returns the operations done (2 a lane each).
 double multiply_adds(int64_t rounds) {

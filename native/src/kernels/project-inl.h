@@ -1,10 +1,10 @@
-// Stage 1c: projects the Gaussians that may be seen and writes the visible ones. The only visibility gate: comparisons are written so that
-// NaN fails them.
+// Stage 1c: projects the Gaussians that may be visible and writes those that are. No other place decides what is visible. NaN fails every
+// comparison here.
 
 inline M finite(V x) { return at_least(broadcast(std::numeric_limits<R>::max()), magnitude(x)); }
 inline M sane(V colour) { return at_least(broadcast(R(kColourMax)), magnitude(colour)); }
 
-// W Gaussians on the screen: what ProjectedGaussian and GaussianTiles hold, colours aside.
+// W Gaussians on the screen: the values of ProjectedGaussian and TileRect, except colours.
 struct ScreenGaussians {
   D x, y;
   V l11, l12, l22, log2_opacity, depth, inv_l11, y_extreme, slope;
@@ -38,11 +38,11 @@ struct ScreenGaussians {
   return s;
 }
 
-constexpr int kCulledAtOnce = 128;        // Gaussians looked at before those of them that may be seen are projected
+constexpr int kCulledAtOnce = 128;  // Gaussians looked at before those of them that may be seen are projected
 
 constexpr int kQueueRoom = 3 * kCulledAtOnce + 2 * W + kShRowsAhead;  // room, so that those that wait are moved seldom
 
-// Gaussians of a range on their way: those that may be seen, in columns, and where the visible ones go, one after the other.
+// Gaussians of a range that may be visible and wait to be projected, in columns; and where the next visible one is written.
 struct ProjectionQueue {
   alignas(64) R numbers[kNarrowParameters][kQueueRoom], masks[kQueueRoom];  // as far as they wait
   uint32_t ids[kQueueRoom] = {};
@@ -61,7 +61,7 @@ inline void record_columns(const ScreenGaussians& s, const V rgb[3], V mask, V* 
   std::fill(columns + 2 * words + 12, columns + kPaddedRow, broadcast(0));
 }
 
-// Projects the n <= W Gaussians that wait from `first` on and adds the visible ones.
+// Projects n <= W waiting Gaussians, from `first` on, and writes the visible ones.
 [[gnu::always_inline]] inline void project_batch(const Frame& f, const CameraParams& camera, int first, int n, ProjectionQueue& out) {
   V rgb[3], columns[kPaddedRow], numbers[kNarrowParameters];
   for (int k = 0; k < kNarrowParameters; ++k) numbers[k] = load(out.numbers[k] + first);
@@ -92,7 +92,7 @@ inline void record_columns(const ScreenGaussians& s, const V rgb[3], V mask, V* 
   out.place = place;
 }
 
-// 1 or 0 of each; those behind the scene's end are 0.
+// The masks of n <= W Gaussians, 0 or 1; lanes from n on are 0.
 inline V load_masks(const Frame& f, int64_t first, int n) {
   int8_t __attribute__((vector_size(W))) bytes = {};
   if (n == W)
@@ -102,7 +102,7 @@ inline V load_masks(const Frame& f, int64_t first, int n) {
   return -__builtin_convertvector(__builtin_convertvector(bytes != 0, I), V);  // by way of I: else lane by lane
 }
 
-// Adds those of the n <= W Gaussians from `first` on that may be seen to those that wait.
+// Of the n <= W Gaussians from `first` on, adds those that may be visible to the queue.
 inline void enqueue(const Frame& f, const CameraParams& camera, int64_t first, int n, ProjectionQueue& p) {
   const int64_t coming = first + kParametersAhead;
   V numbers[kNarrowParameters];
@@ -125,7 +125,7 @@ inline void enqueue(const Frame& f, const CameraParams& camera, int64_t first, i
   p.last = at + __builtin_popcount(set);
 }
 
-// Projects those that wait, as long as `enough` do, and makes room for the next stretch.
+// Projects waiting Gaussians while at least `enough` wait, then makes room for the next kCulledAtOnce.
 inline void project_waiting(const Frame& f, const CameraParams& camera, int enough, ProjectionQueue& p) {
   for (; p.last - p.first >= enough; p.first += W) project_batch(f, camera, p.first, std::min(W, p.last - p.first), p);
   if (p.last + kCulledAtOnce + W <= kQueueRoom) return;
@@ -137,7 +137,8 @@ inline void project_waiting(const Frame& f, const CameraParams& camera, int enou
   p.last -= p.first, p.first = 0;
 }
 
-// Gaussians [begin, end): writes the visible ones, their ids and depth keys, from place `begin` on. Their (Gaussian, tile) pairs are not counted yet.
+// Gaussians [begin, end): writes the visible ones, their ids and depth keys, from place `begin` on. Their
+// (Gaussian, tile) pairs are not counted yet.
 ProjectionCounts project_range(const Frame& f, int64_t begin, int64_t end, uint32_t* visible, uint32_t* depth_keys) {
   const CameraParams camera(f);
   ProjectionQueue p;

@@ -1,6 +1,6 @@
-// Stage 5: gradients of one tile. It walks the list front to back as the forward pass did, and gets what lies behind a
-// Gaussian as (total - what was blended so far): no reverse walk, no division to recover T. Each (Gaussian, tile) pair
-// writes its own slot, so sums do not depend on the number of threads.
+// Stage 5: gradients of one tile. It walks the list front to back, as the forward pass did. The colour behind a Gaussian is the total
+// minus the colour blended so far: there is no reverse walk and no division to recover T. Each (Gaussian, tile) pair writes to its own
+// slot, so sums do not depend on the number of threads.
 //
 //   dL/dM_i     = alpha_i (T_i c_i.g - S_i / (1 - M_i alpha_i)),  S_i = g.(colour still to come)     (docs/methods.md)
 //   dL/dalpha_i = M_i     (T_i c_i.g - S_i / (1 - M_i alpha_i))
@@ -8,12 +8,14 @@
 
 // Running values and image gradients of one block.
 struct alignas(64) BackwardBlock {
-  R T[kBlockPixels], behind[kBlockPixels];  // behind: g.(everything not yet blended, background included)
-  R rgb[3][kBlockPixels], depth[kBlockPixels], alpha[kBlockPixels];  // g
-  R mask[kBlockPixels];     // dL/dF over F's denominator
+  R rgb[3][kBlockPixels], depth[kBlockPixels], alpha[kBlockPixels];  // image gradients g
+
+  R T[kBlockPixels];
+  R behind[kBlockPixels];   // g.(everything not yet blended, background included)
+  R mask[kBlockPixels];     // dL/dF divided by F's denominator
   R mask_T[kBlockPixels];   // the same times T_N
-  R value[kBlockPixels];    // F, scenario A
-  R to_come[kBlockPixels];  // scenarios: sum behind of (M - F) alpha T w^2 (A), of M T (B)
+  R value[kBlockPixels];    // scenario A: F
+  R to_come[kBlockPixels];  // scenarios: the sum behind of (M - F) alpha T w^2 (A), of M T (B)
 };
 
 inline void read_gradients(const Frame& f, const svrgs_image_grads& g, BlockPlace place, BackwardBlock& t) {
@@ -23,12 +25,11 @@ inline void read_gradients(const Frame& f, const svrgs_image_grads& g, BlockPlac
   if (g.mask && f.mask_kind != SVRGS_MASK_NONE) read_block<1>(f, place, g.mask, &t.mask);
 }
 
-// What the lanes from `h` on start with, given their image gradients and kept state.
+// Initial values of the lanes from `h` on, given their image gradients and their stored state.
 inline void start_lanes(const Frame& f, const svrgs_image_grads& g, const R* state, BackwardBlock& t, int h) {
   const V final_T = kept(state, kFinalT);
   V behind = load(t.alpha + h) * (broadcast(1) - final_T);
-  for (int c = 0; c < 3; ++c)
-    behind = fma(load(t.rgb[c] + h), fma(final_T, broadcast(static_cast<R>(f.background[c])), kept(state, Field(kRed + c))), behind);
+  for (int c = 0; c < 3; ++c) behind = fma(load(t.rgb[c] + h), fma(final_T, broadcast(static_cast<R>(f.background[c])), kept(state, Field(kRed + c))), behind);
   if (g.depth) behind = fma(load(t.depth + h), kept(state, kDepth), behind);
   store(t.T + h, broadcast(1));
   store(t.behind + h, behind);
@@ -62,7 +63,7 @@ struct Sums {
   V g, gu, gv, guu, guv, gvv, red, green, blue, mask, depth, spatial;  // see enum Slot
 };
 
-struct Wanted {
+struct WantedGradients {
   bool shape, colour, mask, depth, alpha, spatial;  // spatial: a gradient of F came in
 };
 
@@ -85,7 +86,7 @@ inline V spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha, V T, V in
   }
 }
 
-// What one Gaussian does to W pixels of a block.
+// Contributions of W pixels of a block to one Gaussian's gradients.
 struct PixelGrads {
   V weight;      // of its colour
   V alpha_grad;  // alpha dL/dalpha from the images of colour, depth and alpha
@@ -94,9 +95,10 @@ struct PixelGrads {
   M counted;
 };
 
-// Of the lanes from `h` on. drawn: its mask is 1; depth_alpha: gradients of depth or of alpha may have come in.
+// For the lanes from `h` on. drawn: the Gaussian's mask is 1. depth_alpha: there may be gradients of depth or alpha.
 template <bool spatial, bool scenario, bool depth_alpha>
-[[gnu::always_inline]] inline PixelGrads pixel_grads(const Frame& f, const Wanted& want, BackwardBlock& t, const LocalGaussian& l, bool drawn, const Hit& e, int h) {
+[[gnu::always_inline]] inline PixelGrads pixel_grads(const Frame& f, const WantedGradients& want, BackwardBlock& t, const LocalGaussian& l, bool drawn,
+                                                     const Hit& e, int h) {
   const V one = broadcast(1), stop = broadcast(R(kStop));
   const V alpha = clamped(e.alpha), T = load(t.T + h);
   V image_grad = fma(broadcast(l.rgb[0]), load(t.rgb[0] + h), fma(broadcast(l.rgb[1]), load(t.rgb[1] + h), broadcast(l.rgb[2]) * load(t.rgb[2] + h)));
@@ -126,9 +128,10 @@ template <bool spatial, bool scenario, bool depth_alpha>
   return p;
 }
 
-// One Gaussian over one block: the sums of all its pixels are touched once.
+// Adds one Gaussian's gradients over one block to its sums, one sum after the other for all pixels.
 template <bool spatial, bool scenario, bool depth_alpha>
-[[gnu::always_inline]] inline void accumulate(const Frame& f, const Wanted& want, BackwardBlock& t, const LocalGaussian& l, const BlockHits& hits, Sums& a) {
+[[gnu::always_inline]] inline void accumulate(const Frame& f, const WantedGradients& want, BackwardBlock& t, const LocalGaussian& l, const BlockHits& hits,
+                                              Sums& a) {
   const bool drawn = l.mask != 0;
   PixelGrads p[kVectorsPerBlock];
   for (int h = 0; h < kVectorsPerBlock; ++h) p[h] = pixel_grads<spatial, scenario, depth_alpha>(f, want, t, l, drawn, hits.part[h], h * W);
@@ -157,8 +160,8 @@ inline void write_slot(const Sums& a, R* slot) {
   sum4(a.blue, a.mask, a.depth, a.spatial, slot + 8);
 }
 
-inline Wanted wanted(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update) {
-  Wanted w;
+inline WantedGradients wanted(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update) {
+  WantedGradients w;
   w.shape = update || out.means || out.log_scales || out.quats || out.opacity_logits || out.means2d;
   w.colour = (update || out.sh || out.means) && in.rgb;
   w.mask = out.masks;
@@ -176,7 +179,7 @@ struct Visit {
 
 constexpr int kVisitsAhead = 8;  // a visit takes longer than a look at a list entry: fewer ahead than in the forward pass
 
-// The next marked entry; false at the end of the list, where `visit` keeps what it held.
+// Finds the next marked entry. At the end of the list it returns false and leaves `visit` as it is.
 inline bool next_visit(const Frame& f, TileOrigin o, const TileEntry*& entry, const TileEntry* end, R* slots, Visit& visit) {
   for (; entry < end; ++entry) {
     if (entry + kVisitsAhead < end) {
@@ -194,18 +197,18 @@ inline bool next_visit(const Frame& f, TileOrigin o, const TileEntry*& entry, co
   return false;
 }
 
-// Of a tile. Beside the loop's own, inline, it costs that its registers where a block is four vectors (SSE: gradients of pixels +1 to +3 %).
+// The first block of a tile. Not inlined on SSE, where a block is four vectors: inlining takes registers from the loop (stage 5: +1 to +3 %).
 #if defined(SVRGS_HAVE_AVX2)
 inline
 #else
 [[gnu::noinline]]
 #endif
-BlockHits evaluate_first(const Visit& visit, const AllLanes& lanes) {
+    BlockHits evaluate_first(const Visit& visit, const AllLanes& lanes) {
   return evaluate_block(visit.local, lanes.block[__builtin_ctzll(visit.blocks)]);
 }
 
 template <bool spatial, bool scenario, bool depth_alpha>
-void backward_tile_as(const Frame& f, const Wanted& want, const svrgs_image_grads& in, int64_t tile, R* slots) {
+void backward_tile_as(const Frame& f, const WantedGradients& want, const svrgs_image_grads& in, int64_t tile, R* slots) {
   const TileOrigin o = tile_origin(f, tile);
   const AllLanes& lanes = all_lanes();
   BackwardBlock blocks[kBlocks];
@@ -233,7 +236,7 @@ void backward_tile_as(const Frame& f, const Wanted& want, const svrgs_image_grad
 }
 
 template <bool spatial, bool scenario>
-void backward_tile_with(const Frame& f, const Wanted& want, const svrgs_image_grads& in, int64_t tile, R* slots) {
+void backward_tile_with(const Frame& f, const WantedGradients& want, const svrgs_image_grads& in, int64_t tile, R* slots) {
   if (want.depth || want.alpha)
     backward_tile_as<spatial, scenario, true>(f, want, in, tile, slots);
   else
@@ -241,7 +244,7 @@ void backward_tile_with(const Frame& f, const Wanted& want, const svrgs_image_gr
 }
 
 void backward_tile(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update, int64_t tile, void* slots) {
-  const Wanted want = wanted(f, in, out, update);
+  const WantedGradients want = wanted(f, in, out, update);
   R* const own = static_cast<R*>(slots);
   if (!want.spatial)
     backward_tile_with<false, false>(f, want, in, tile, own);

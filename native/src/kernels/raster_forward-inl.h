@@ -1,21 +1,21 @@
-// Stage 4: blends one tile front to back. The list is taken in chunks; each chunk is sorted into the 4x4 blocks its Gaussians
-// reach, and each block walks its own list with its 16 pixels in registers. A lane carries the running transmittance T of
-// every hit; colours stop at the first T below 1e-4 (T never rises again), F goes on where Frame::full asks for it.
+// Stage 4b: blends one tile front to back. The tile's list is taken in chunks. Each chunk is sorted into the 4x4 blocks that its Gaussians
+// reach, and each block walks its own list with its 16 pixels in registers. Colours stop at the first hit that would take the
+// transmittance T below 1e-4. F walks on to the end of the ray if Frame::full is set.
 
-// What is counted beside the colours, and whether pixels have depth limits; fixed when compiling.
-struct Walk {
+// Which values are computed besides colours, and whether pixels have depth limits; known at compile time.
+struct WalkOptions {
   bool count, full, scenario, limited;
 };
 
-// Running values of W pixels; their home is Frame::state.
-struct Pixels {
+// Running values of W pixels; between chunks they are stored in Frame::state.
+struct PixelState {
   V T, final_T, red, green, blue, depth, count, dropped, sums[4];
   M open;  // T has not fallen below the stop
 };
 
 // Per-pixel sums behind scenarios A and B (paper Eq. 12-16), over counted hits:
 // A: sum w, sum M w, sum alpha T w^2, sum M alpha T w^2 with w = 1 / (alpha T + eps).  B: sum M (1 - T), sum M T.
-inline void add_scenario(const Frame& f, Pixels& p, V alpha, V T, R mask, M counted) {
+inline void add_scenario(const Frame& f, PixelState& p, V alpha, V T, R mask, M counted) {
   if (f.mask_kind == SVRGS_MASK_A) {
     const V weight = alpha * T, w = broadcast(1) / (weight + broadcast(static_cast<R>(f.eps_a))), slope = weight * w * w;
     p.sums[0] = add_if(counted, p.sums[0], w);
@@ -29,21 +29,21 @@ inline void add_scenario(const Frame& f, Pixels& p, V alpha, V T, R mask, M coun
   }
 }
 
-template <Walk walk>
-inline void count_hit(const Frame& f, Pixels& p, V alpha, V T, R mask, M counted) {
+template <WalkOptions walk>
+inline void count_hit(const Frame& f, PixelState& p, V alpha, V T, R mask, M counted) {
   if constexpr (walk.count) p.count = add_if(counted, p.count, broadcast(1));
   if (walk.count && mask == 0) p.dropped = add_if(counted, p.dropped, broadcast(1));
   if constexpr (walk.scenario) add_scenario(f, p, alpha, T, mask, counted);
 }
 
-// Pixels of a block: where they are, and the depths at which they end.
+// The pixels of a block: their offsets and their depth limits.
 struct BlockPixels {
   const Lanes& lanes;
   V limit[kVectorsPerBlock];
 };
 
-// A Gaussian hits pixels only where it lies before their depth limit.
-template <Walk walk>
+// Evaluates a Gaussian at a block; it hits only pixels whose depth limit is behind it.
+template <WalkOptions walk>
 [[gnu::always_inline]] inline BlockHits evaluate_before(const BlockPixels& pixels, const LocalGaussian& l) {
   BlockHits hits = evaluate_block(l, pixels.lanes);
   if constexpr (walk.limited)
@@ -52,8 +52,8 @@ template <Walk walk>
 }
 
 // Blends one Gaussian into W pixels; returns whether it hits one.
-template <Walk walk>
-[[gnu::always_inline]] inline bool blend(const Frame& f, const LocalGaussian& l, const Hit& e, Pixels& p) {
+template <WalkOptions walk>
+[[gnu::always_inline]] inline bool blend(const Frame& f, const LocalGaussian& l, const Hit& e, PixelState& p) {
   const V alpha = clamped(e.alpha), T = p.T;
   const M hit = walk.full ? e.hit : both(e.hit, p.open);
   M counted = hit;
@@ -73,25 +73,25 @@ template <Walk walk>
   return any(hit);
 }
 
-// The same behind the stop, where only F is left.
-template <Walk walk>
-[[gnu::always_inline]] inline bool count_behind(const Frame& f, const LocalGaussian& l, const Hit& e, Pixels& p) {
+// The same after the stop of the colours, where only F goes on.
+template <WalkOptions walk>
+[[gnu::always_inline]] inline bool count_behind(const Frame& f, const LocalGaussian& l, const Hit& e, PixelState& p) {
   const V alpha = clamped(e.alpha), T = p.T;
   if (l.mask != 0) p.T = T - keep(e.hit, alpha * T);
   count_hit<walk>(f, p, alpha, T, l.mask, e.hit);
   return any(e.hit);
 }
 
-[[gnu::always_inline]] inline bool any_open(const Pixels* p) {
+[[gnu::always_inline]] inline bool any_open(const PixelState* p) {
   M open = p[0].open;
   for (int h = 1; h < kVectorsPerBlock; ++h) open = either(open, p[h].open);
   return any(open);
 }
 
-// Blends a block's list into its pixels until all have stopped; returns whether one goes on. All pixels side by side, also where
-// they are several vectors: what a Gaussian brings is fetched once for them.
-template <Walk walk>
-[[gnu::always_inline]] inline bool blend_list(const Frame& f, Chunk& c, int block, const BlockPixels& pixels, Pixels* p) {
+// Blends a block's list into its pixels until all of them have stopped. Returns whether a pixel goes on. A Gaussian's values are loaded
+// once for all vectors of the block.
+template <WalkOptions walk>
+[[gnu::always_inline]] inline bool blend_list(const Frame& f, Chunk& c, int block, const BlockPixels& pixels, PixelState* p) {
   const uint8_t *at = c.list[block], *const end = at + c.listed[block];
   const bool to_end = f.disabled_skips & SVRGS_TERMINATION;
   Entry* next = &c.entry[*at];
@@ -104,27 +104,26 @@ template <Walk walk>
       next_hits = evaluate_before<walk>(pixels, next->local);  // early: its long chain runs beside what follows
       bool hit = false;
       for (int h = 0; h < kVectorsPerBlock; ++h) hit |= take(entry.local, hits.part[h], p[h]);
-      entry.visit |= static_cast<BlockMask>(hit) << block;
+      entry.visit |= block_bit(block, hit);
     }
   };
-  walk_on([&] { return any_open(p) || to_end; }, [&](const LocalGaussian& l, const Hit& e, Pixels& some) { return blend<walk>(f, l, e, some); });
+  walk_on([&] { return any_open(p) || to_end; }, [&](const LocalGaussian& l, const Hit& e, PixelState& some) { return blend<walk>(f, l, e, some); });
   const bool goes_on = any_open(p);
   if constexpr (walk.full)
-    walk_on([] { return true; }, [&](const LocalGaussian& l, const Hit& e, Pixels& some) { return count_behind<walk>(f, l, e, some); });
+    walk_on([] { return true; }, [&](const LocalGaussian& l, const Hit& e, PixelState& some) { return count_behind<walk>(f, l, e, some); });
   return goes_on;
 }
 
-inline R* tile_state(const Frame& f, int64_t tile) {
-  return static_cast<R*>(f.state) + tile * (kBlocks * kFields * kBlockPixels);
-}
+inline R* tile_state(const Frame& f, int64_t tile) { return static_cast<R*>(f.state) + tile * (kBlocks * kFields * kBlockPixels); }
 
 inline R* block_state(R* tile, int block, int h) { return tile + block * (kFields * kBlockPixels) + h * W; }
 
-template <Walk walk>
-inline Pixels load_pixels(const Frame& f, const R* at) {
+template <WalkOptions walk>
+inline PixelState load_pixels(const Frame& f, const R* at) {
   const auto field = [&](Field k) { return load(at + k * kBlockPixels); };
-  Pixels p = {};
-  p.T = field(kFullT), p.open = at_least(p.T, broadcast(R(kStop))), p.final_T = field(kFinalT), p.red = field(kRed), p.green = field(kGreen), p.blue = field(kBlue);
+  PixelState p = {};
+  p.T = field(kFullT), p.open = at_least(p.T, broadcast(R(kStop))), p.final_T = field(kFinalT), p.red = field(kRed), p.green = field(kGreen),
+  p.blue = field(kBlue);
   if (f.want_depth) p.depth = field(kDepth);
   if constexpr (walk.count) p.count = field(kCount), p.dropped = field(kDropped);
   if constexpr (walk.scenario)
@@ -132,8 +131,8 @@ inline Pixels load_pixels(const Frame& f, const R* at) {
   return p;
 }
 
-template <Walk walk>
-inline void store_pixels(const Frame& f, R* at, const Pixels& p) {
+template <WalkOptions walk>
+inline void store_pixels(const Frame& f, R* at, const PixelState& p) {
   const auto field = [&](Field k, V v) { store(at + k * kBlockPixels, v); };
   field(kFullT, p.T), field(kFinalT, p.final_T), field(kRed, p.red), field(kGreen, p.green), field(kBlue, p.blue);
   if (f.want_depth) field(kDepth, p.depth);
@@ -142,22 +141,22 @@ inline void store_pixels(const Frame& f, R* at, const Pixels& p) {
     for (int k = 0; k < 4; ++k) field(Field(kSum0 + k), p.sums[k]);
 }
 
-// Clears a tile; returns its blocks with a pixel in the image. Pixels outside start with T = 0 and so never count as open.
-template <Walk walk>
+// Clears a tile. Returns the blocks that have a pixel in the image. Pixels outside start with T = 0, so they are never open.
+template <WalkOptions walk>
 inline BlockMask start_tile(const Frame& f, TileOrigin o, R* state) {
   BlockMask inside = 0;
   for (int b = 0; b < kBlocks; ++b)
     for (int h = 0; h < kVectorsPerBlock; ++h) {
       const M in = in_image(f, o, all_lanes().block[b], h);
-      Pixels p = {};
+      PixelState p = {};
       p.T = p.final_T = keep(in, broadcast(1));
       store_pixels<walk>(f, block_state(state, b, h), p);
-      inside |= static_cast<BlockMask>(any(in)) << b;
+      inside |= block_bit(b, any(in));
     }
   return inside;
 }
 
-// Where F stops with the colours, the transmittance behind the last hit is theirs.
+// If F stops with the colours, the transmittance behind the last hit is that of the colours.
 inline void end_with_colours(R* state) {
   for (int b = 0; b < kBlocks; ++b) {
     R* const block = block_state(state, b, 0);
@@ -165,14 +164,14 @@ inline void end_with_colours(R* state) {
   }
 }
 
-template <Walk walk>
+template <WalkOptions walk>
 void forward_tile_as(const Frame& f, int64_t tile) {
   const TileOrigin o = tile_origin(f, tile);
   R* const state = tile_state(f, tile);
   BlockMask inside = start_tile<walk>(f, o, state), open = inside;
   const TileEntry *entry = f.entries + f.tile_begin[tile], *const end = f.entries + f.tile_begin[tile + 1];
   Chunk c;
-  Limits limits;
+  DepthLimits limits;
   if constexpr (walk.limited) read_limits(f, o, limits);
   while (entry < end && (walk.full || open || f.disabled_skips & SVRGS_TERMINATION)) {
     if constexpr (walk.limited) {
@@ -188,14 +187,14 @@ void forward_tile_as(const Frame& f, int64_t tile) {
       if constexpr (walk.limited) trim(c, b, limits.block[b]);
       if (!c.listed[b]) continue;
       BlockPixels pixels = {all_lanes().block[b], {}};
-      Pixels p[kVectorsPerBlock];
+      PixelState p[kVectorsPerBlock];
       for (int h = 0; h < kVectorsPerBlock; ++h) {
         p[h] = load_pixels<walk>(f, block_state(state, b, h));
         if constexpr (walk.limited) pixels.limit[h] = load(limits.pixel[b] + h * W);
       }
       const bool goes_on = blend_list<walk>(f, c, b, pixels, p);
       for (int h = 0; h < kVectorsPerBlock; ++h) store_pixels<walk>(f, block_state(state, b, h), p[h]);
-      if (!goes_on) open &= ~(BlockMask(1) << b);
+      if (!goes_on) open &= static_cast<BlockMask>(~block_bit(b, true));
     }
     for (int k = 0; k < n; ++k) f.hits[entry[k].slot] = c.entry[k].visit;
     entry += n;
@@ -208,11 +207,11 @@ template <bool limited>
 void forward_tile_with(const Frame& f, int64_t tile) {
   const bool scenario = f.mask_kind == SVRGS_MASK_A || f.mask_kind == SVRGS_MASK_B;
   if (f.mask_kind == SVRGS_MASK_NONE)
-    forward_tile_as<Walk{false, false, false, limited}>(f, tile);
+    forward_tile_as<WalkOptions{false, false, false, limited}>(f, tile);
   else if (scenario)
-    f.full ? forward_tile_as<Walk{true, true, true, limited}>(f, tile) : forward_tile_as<Walk{true, false, true, limited}>(f, tile);
+    f.full ? forward_tile_as<WalkOptions{true, true, true, limited}>(f, tile) : forward_tile_as<WalkOptions{true, false, true, limited}>(f, tile);
   else
-    f.full ? forward_tile_as<Walk{true, true, false, limited}>(f, tile) : forward_tile_as<Walk{true, false, false, limited}>(f, tile);
+    f.full ? forward_tile_as<WalkOptions{true, true, false, limited}>(f, tile) : forward_tile_as<WalkOptions{true, false, false, limited}>(f, tile);
 }
 
 void forward_tile(const Frame& f, int64_t tile) { f.depth_limit ? forward_tile_with<true>(f, tile) : forward_tile_with<false>(f, tile); }

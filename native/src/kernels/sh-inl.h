@@ -1,9 +1,10 @@
 // Spherical harmonics colour, degree 0-3 (3DGS sign convention), and its vector-Jacobian product.
-// colour = max(0, 0.5 + sum_k basis_k(dir) sh_k), dir = (mean - camera position) normalised; the camera's axis where rays are parallel.
+// colour = max(0, 0.5 + sum_k basis_k(dir) sh_k), dir = (mean - camera position) normalised; for orthographic cameras the camera's axis.
 
 constexpr R kC0 = R(0.28209479177387814), kC1 = R(0.4886025119029199);
 constexpr R kC2[5] = {R(1.0925484305920792), R(-1.0925484305920792), R(0.31539156525252005), R(-1.0925484305920792), R(0.5462742152960396)};
-constexpr R kC3[7] = {R(-0.5900435899266435), R(2.890611442640554), R(-0.4570457994644658), R(0.3731763325901154), R(-0.4570457994644658), R(1.445305721320277), R(-0.5900435899266435)};
+constexpr R kC3[7] = {R(-0.5900435899266435), R(2.890611442640554), R(-0.4570457994644658), R(0.3731763325901154),
+                      R(-0.4570457994644658), R(1.445305721320277), R(-0.5900435899266435)};
 
 struct Direction {
   V d[3], inv_length;
@@ -51,8 +52,8 @@ inline void sh_basis_vjp(int degree, const V d[3], const V w[16], V out[3]) {
   const V xx = x * x, yy = y * y, zz = z * z, xy = x * y, yz = y * z, xz = x * z;
   out[0] += R(6) * kC3[0] * xy * w[9] + kC3[1] * yz * w[10] - R(2) * kC3[2] * xy * w[11] - R(6) * kC3[3] * xz * w[12] +
             kC3[4] * (R(4) * zz - R(3) * xx - yy) * w[13] + R(2) * kC3[5] * xz * w[14] + R(3) * kC3[6] * (xx - yy) * w[15];
-  out[1] += R(3) * kC3[0] * (xx - yy) * w[9] + kC3[1] * xz * w[10] + kC3[2] * (R(4) * zz - xx - R(3) * yy) * w[11] -
-            R(6) * kC3[3] * yz * w[12] - R(2) * kC3[4] * xy * w[13] - R(2) * kC3[5] * yz * w[14] - R(6) * kC3[6] * xy * w[15];
-  out[2] += kC3[1] * xy * w[10] + R(8) * kC3[2] * yz * w[11] + R(3) * kC3[3] * (R(2) * zz - xx - yy) * w[12] +
-            R(8) * kC3[4] * xz * w[13] + kC3[5] * (xx - yy) * w[14];
+  out[1] += R(3) * kC3[0] * (xx - yy) * w[9] + kC3[1] * xz * w[10] + kC3[2] * (R(4) * zz - xx - R(3) * yy) * w[11] - R(6) * kC3[3] * yz * w[12] -
+            R(2) * kC3[4] * xy * w[13] - R(2) * kC3[5] * yz * w[14] - R(6) * kC3[6] * xy * w[15];
+  out[2] += kC3[1] * xy * w[10] + R(8) * kC3[2] * yz * w[11] + R(3) * kC3[3] * (R(2) * zz - xx - yy) * w[12] + R(8) * kC3[4] * xz * w[13] +
+            kC3[5] * (xx - yy) * w[14];
 }

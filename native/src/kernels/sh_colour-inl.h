@@ -1,18 +1,19 @@
-// Stage 1b: SH colours of W Gaussians whose rows of coefficients lie anywhere.
+// Stage 1b: SH colours of W Gaussians whose rows of coefficients are anywhere in memory.
 
-constexpr int kShRowsAhead = 32;         // of those that may be seen, how many ahead SH rows are fetched
+constexpr int kShRowsAhead = 32;  // of those that may be seen, how many ahead SH rows are fetched
 
 constexpr int kCoefficientsPerVector = W / 4;  // SH coefficients that lie side by side in a vector, three values each
 
-// Adds basis_k sh_k of one Gaussian, from the block-th vector of coefficients on, to lanes 3 apart. basis[k], k = 0, 4, 8 ...: in the
-// quad-th four lanes its values of four coefficients.
+// Adds basis_k sh_k of one Gaussian, for the coefficients from vector `block` on; the channels of a coefficient are in three adjacent
+// lanes. Lanes 4 quad ... 4 quad + 3 of basis[k], k = 0, 4, 8 ..., hold this Gaussian's values of basis functions k ... k + 3.
 template <int used, int quad, int block = 0>
 inline V sh_sum(const V* basis, const R* row, V sum) {
   constexpr int first = block * kCoefficientsPerVector, left = 3 * (used - first);
   if constexpr (left <= 0) {
     return sum;
   } else {
-    const V four = basis[first / 4 * 4], weights = shuffle(four, four, [](int lane) { return 4 * quad + first % 4 + std::min(lane / 3, kCoefficientsPerVector - 1); });
+    const V four = basis[first / 4 * 4],
+            weights = shuffle(four, four, [](int lane) { return 4 * quad + first % 4 + std::min(lane / 3, kCoefficientsPerVector - 1); });
     V values;
     if constexpr (left >= W)
       values = load(row + 3 * first);
@@ -22,7 +23,7 @@ inline V sh_sum(const V* basis, const R* row, V sum) {
   }
 }
 
-// The same for W Gaussians, four after four; what lies behind them is fetched.
+// The same for W Gaussians; prefetches the rows of the Gaussians behind them.
 template <int used, int quad = 0, class Row>
 [[gnu::always_inline]] inline void sh_sums(const V* basis, Row row, V* sums) {
   if constexpr (quad < W / 4) {
@@ -34,8 +35,8 @@ template <int used, int quad = 0, class Row>
   }
 }
 
-// Adds the first and the second half of what counts, three lanes of four, in each `size` lanes of a and of b: those of a come to lie
-// before those of b, in half as many lanes each.
+// In each group of `size` lanes three of four are used. Adds the second half of the used lanes to the first, for a and for b; the
+// results of a are put before those of b, in half as many lanes each.
 template <int size>
 constexpr int lane_of_half(int lane, int half) {
   const int group = lane / (size / 2), at = lane % (size / 2), counts = 3 * size / 8;
@@ -45,7 +46,8 @@ template <int size>
 inline V fold_pair(V a, V b) {
   return shuffle(a, b, [](int lane) { return lane_of_half<size>(lane, 0); }) + shuffle(a, b, [](int lane) { return lane_of_half<size>(lane, 1); });
 }
-// W rows of kCoefficientsPerVector coefficients, three values each, become their sums: those of rows i, i + 4, i + 8 ... in rows[i], four lanes each.
+// W rows of kCoefficientsPerVector coefficients, three values each, become their sums:
+// the sums of rows i, i + 4, i + 8 ... are in rows[i], four lanes each.
 template <int size = W>
 [[gnu::always_inline]] inline void fold_rows(V* rows) {
   if constexpr (size > 4) {
@@ -53,14 +55,14 @@ template <int size = W>
     fold_rows<size / 2>(rows);
   }
 }
-// One lane of every four of rows[0..3], in the order of the rows they were.
+// Lane `lane` of every group of four in rows[0..3], in the order of the original rows.
 template <int lane>
 inline V fourth(const V* rows) {
   constexpr auto pair = [](int l) { return l % 2 * W + l / 4 * 4 + lane; };
   return shuffle(shuffle(rows[0], rows[1], pair), shuffle(rows[2], rows[3], pair), [](int l) { return l % 4 < 2 ? l : W + l - 2; });
 }
 
-// Colours of W Gaussians, before they are clamped; what lies behind them in `ids` is fetched.
+// Colours of W Gaussians before they are clamped at 0. Prefetches the rows of those behind them in `ids`.
 template <int degree>
 [[gnu::always_inline]] inline void colours(const Frame& f, const V direction[3], const uint32_t* ids, const R* sh, V rgb[3]) {
   constexpr int used = (degree + 1) * (degree + 1);

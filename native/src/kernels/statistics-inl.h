@@ -1,5 +1,4 @@
-// Per-Gaussian statistics of a view, and how much work it was: both walk the tile lists again, for what the last forward pass
-// blended.
+// Per-Gaussian statistics of the last view. They walk its tile lists again.
 
 // Transmittance of a tile's pixels, block-major; starts at 1 inside the image and 0 outside.
 struct Transmittance {
@@ -10,7 +9,7 @@ struct Transmittance {
   }
 };
 
-// One Gaussian over one part of a block: its hits, what it blends where, and T moved on.
+// One Gaussian at W pixels of a block: its hits and its weights; T is updated.
 struct Blended {
   M hit, live;
   V weight, transmittance;  // alpha T, T
@@ -27,7 +26,7 @@ inline Blended blend_again(const LocalGaussian& l, int block, int h, V& T) {
   return {e.hit, live, keep(live, weight), keep(live, before)};
 }
 
-// Slot of each pair: sum of alpha T, its maximum, pixels blended, sum of T.
+// Writes to the slot of each (Gaussian, tile) pair: the sum of alpha T, its maximum, the pixels blended, and the sum of T.
 void scores_tile(const Frame& f, int64_t tile, void* slots) {
   const TileOrigin o = tile_origin(f, tile);
   Transmittance t(f, o);
@@ -65,10 +64,10 @@ void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end,
   }
 }
 
-// A tile's pixels on the way to the stop: T, and what is still to come of each channel, background included.
-struct Remaining {
+// Running values of a tile's pixels: T, and the colour still to come, background included.
+struct RemainingColour {
   V T[kBlocks][kVectorsPerBlock], rgb[kBlocks][kVectorsPerBlock][3];
-  Remaining(const Frame& f, int64_t tile) {
+  RemainingColour(const Frame& f, int64_t tile) {
     const TileOrigin o = tile_origin(f, tile);
     R* const state = tile_state(f, tile);
     for (int b = 0; b < kBlocks; ++b)
@@ -76,22 +75,21 @@ struct Remaining {
         const R* const at = block_state(state, b, h);
         const M inside = in_image(f, o, all_lanes().block[b], h);
         T[b][h] = keep(inside, broadcast(1));
-        for (int c = 0; c < 3; ++c)
-          rgb[b][h][c] = keep(inside, fma(kept(at, kFinalT), broadcast(static_cast<R>(f.background[c])), kept(at, Field(kRed + c))));
+        for (int c = 0; c < 3; ++c) rgb[b][h][c] = keep(inside, fma(kept(at, kFinalT), broadcast(static_cast<R>(f.background[c])), kept(at, Field(kRed + c))));
       }
   }
 };
 
-// What a Gaussian makes of the colours of one part of a block, d = alpha T (c - b) with b the colour behind it: without it they
-// would be lower by d. With the colour S still to come behind it, d = alpha (T c - S / (1 - alpha)); `left` and T are moved on.
-struct Share {
+// A Gaussian's share of the colours of W pixels: d = alpha T (c - b), with b the colour behind it. Without the Gaussian the colours would be
+// lower by d. If S is the colour still to come behind it, d = alpha (T c - S / (1 - alpha)). Updates `left` and T.
+struct ColourShare {
   V rgb[3];
   M live;
 };
-inline Share share(const LocalGaussian& l, const Hit& e, V& T, V left[3]) {
+inline ColourShare share(const LocalGaussian& l, const Hit& e, V& T, V left[3]) {
   const V alpha = clamped(e.alpha), weight = keep(e.hit, alpha * T), before = T, inv = reciprocal(broadcast(1) - alpha);
   T -= weight;
-  Share s;
+  ColourShare s;
   s.live = both(e.hit, at_least(T, broadcast(R(kStop))));
   for (int c = 0; c < 3; ++c) {
     left[c] -= keep(s.live, weight * broadcast(l.rgb[c]));
@@ -102,14 +100,14 @@ inline Share share(const LocalGaussian& l, const Hit& e, V& T, V left[3]) {
 
 // w = sum over the channels of (alpha dC/dalpha)^2, 0 where alpha is clamped; alpha dC/dalpha is the share.
 inline V sensitivity(const LocalGaussian& l, const Hit& e, V& T, V left[3]) {
-  const Share s = share(l, e, T, left);
+  const ColourShare s = share(l, e, T, left);
   return keep(less(e.alpha, broadcast(R(kAlphaMax))), fma(s.rgb[0], s.rgb[0], fma(s.rgb[1], s.rgb[1], s.rgb[2] * s.rgb[2])));
 }
 
-// Slot of each pair: by how much the sum of squared residuals (H, W, 3) would grow without the Gaussian, sum of d^2 - 2 r d.
+// Writes to the slot of each pair by how much the sum of squared residuals (H, W, 3) would grow without the Gaussian: sum of d^2 - 2 r d.
 void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slots) {
   const TileOrigin o = tile_origin(f, tile);
-  Remaining t(f, tile);
+  RemainingColour t(f, tile);
   R residual[kBlocks][3][kBlockPixels] = {};
   for_blocks(f, tile, [&](int b, BlockPlace place) { read_block<3>(f, place, residuals, residual[b]); });
   for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
@@ -120,7 +118,7 @@ void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slo
     for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
       for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const Lanes& lanes = all_lanes().block[b];
-        const Share s = share(l, evaluate(l, lanes.x[h], lanes.y[h]), t.T[b][h], t.rgb[b][h]);
+        const ColourShare s = share(l, evaluate(l, lanes.x[h], lanes.y[h]), t.T[b][h], t.rgb[b][h]);
         for (int c = 0; c < 3; ++c) cost = fma(s.rgb[c], s.rgb[c] - R(2) * load(residual[b][c] + h * W), cost);
       }
     static_cast<R*>(slots)[entry.slot] = sum(cost);
@@ -137,10 +135,10 @@ void removal_range(const Frame& f, const void* slots, int64_t begin, int64_t end
   }
 }
 
-// Slot of each pair: the moments of w in (u, v), in the order of SVRGS_MOMENTS.
+// Writes to the slot of each pair the moments of w in (u, v), in the order of svrgs_moments.
 void moments_tile(const Frame& f, int64_t tile, void* slots) {
   const TileOrigin o = tile_origin(f, tile);
-  Remaining t(f, tile);
+  RemainingColour t(f, tile);
   for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
     const TileEntry entry = f.entries[e];
     const LocalGaussian l = to_local(gaussian_of(f, entry), o);

@@ -1,4 +1,4 @@
-// Stage 2: the exact tiles of one visible Gaussian of several tile rows, W rows at a time; returns how many.
+// Stage 2: finds the exact tiles of a visible Gaussian that covers several rows of tiles, W rows at a time. Returns how many tiles.
 uint32_t fill_spans(const Frame& f, uint32_t place, Span* spans) {
   const ProjectedGaussian<R>& s = static_cast<const ProjectedGaussian<R>*>(f.gaussians)[place];
   const TileRect& t = f.rects[place];

@@ -1,6 +1,6 @@
 // Rows to columns and back, in registers.
 
-// Lane i of the result is lane from(i) of a or, from W on, of b; any where from(i) is -1. `from` captures nothing.
+// Lane i of the result is lane from(i) of a, or lane from(i) - W of b; -1: any value. `from` captures nothing.
 template <class From, int... lane>
 inline V shuffle(V a, V b, From, std::integer_sequence<int, lane...>) {
   return __builtin_shufflevector(a, b, From{}(lane)...);
@@ -10,7 +10,7 @@ inline V shuffle(V a, V b, From from) {
   return shuffle(a, b, from, std::make_integer_sequence<int, W>{});
 }
 
-// Column `column` of W rows of `width` values that lie one after the other, as far as their first part + 1 vectors hold it.
+// Column `column` of W contiguous rows of `width` values, as far as the first part + 1 vectors hold it.
 template <int width, int column, int part = width - 1>
 inline V column_of(const R* rows) {
   if constexpr (part == 0) {
@@ -31,7 +31,7 @@ inline void columns_of(const R* rows, V* out) {
   columns_of<width>(rows, out, std::make_integer_sequence<int, width>{});
 }
 
-// The kth vector of the W rows of `width` values that columns make.
+// Vector k of the W contiguous rows of `width` values that have these columns.
 template <int width, int k, int column = width - 1>
 inline V of_columns(const V* columns) {
   if constexpr (column == 0)
@@ -42,7 +42,7 @@ inline V of_columns(const V* columns) {
       return at % width == column ? W + at / width : lane;
     });
 }
-// The way back from columns_of.
+// Inverse of columns_of.
 template <int width, int k = 0>
 inline void interleave(const V* columns, R* rows) {
   if constexpr (k < width) {
@@ -51,8 +51,7 @@ inline void interleave(const V* columns, R* rows) {
   }
 }
 
-// W rows of W values become columns, or columns rows; with half = 2, each four rows by themselves, in every four lanes. Always inline,
-// as rows_of is: in registers.
+// Transposes a W x W matrix; with half = 2, every 4 x 4 block of it by itself. Always inline, as rows_of is, so that it stays in registers.
 template <int half = W / 2>
 [[gnu::always_inline]] inline void transpose(V* rows) {
   if constexpr (half > 0) {
@@ -66,7 +65,7 @@ template <int half = W / 2>
   }
 }
 
-// W rows of kPaddedRow values from their columns.
+// Writes W rows of kPaddedRow values, given their columns.
 [[gnu::always_inline]] inline void rows_of(V* columns, R* rows) {
   for (int part = 0; part < kPaddedRow; part += W) {
     transpose(columns + part);
@@ -74,7 +73,7 @@ template <int half = W / 2>
   }
 }
 
-// The way back, as far as the first `used` columns.
+// Inverse of rows_of, for the first `used` columns.
 template <int used = kPaddedRow>
 [[gnu::always_inline]] inline void columns_of_rows(const R* rows, V* columns) {
   for (int part = 0; part < used; part += W) {

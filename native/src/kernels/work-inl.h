@@ -1,6 +1,6 @@
-// How much work a view was: its tile lists are walked again.
+// Counts the work of the last view by walking its tile lists again.
 
-// Adds a tile's work. `blocks` are those whose alpha the forward pass computed.
+// Adds the work of one tile.
 void count_tile(const Frame& f, int64_t tile, svrgs_work& work) {
   const TileOrigin o = tile_origin(f, tile);
   Transmittance t(f, o);

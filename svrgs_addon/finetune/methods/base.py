@@ -32,7 +32,7 @@ class Method:
     lambda_f_help: str = field(default="", repr=False)  # what lambda_F means here
     lambda_f: float = 0.0  # default weight of mean F^2; 0: the method has no spatial mask
     lambda_m: float = 0.0  # default weight of the method's term over all masks or opacities
-    mask_kind: str = "none"  # spatial mask and its gradient while masks are learned: a name of native.MASK_KINDS
+    mask_kind: str = "none"  # spatial mask and its gradient while masks are learned: a name of native.mask_kinds()
     mask_init: float = 9.0  # existence logit at the start
     share: float = 0.0  # share of the Gaussians to keep where no target is asked for
     prunes: bool = True

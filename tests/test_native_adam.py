@@ -1,124 +1,15 @@
-"""The loss, Adam and the sampling of masks: against the reference loss, torch's Adam and the logistic distribution."""
+"""The native Adam against torch's, and on SH coefficients against its formula."""
 
 import numpy as np
 import pytest
 import torch
 
-from native_helpers import FLOAT_LEVELS, LEVELS, rasterizer, relative_l2
-from reference import loss as ref_loss
+from native_helpers import FLOAT_LEVELS, LEVELS, rasterizer
 from svrgs_addon import native
 from svrgs_addon.errors import NativeError
 from svrgs_addon.finetune.moments import none_yet, packed, unpacked
-from svrgs_addon.native import sample_masks
 
-
-@pytest.fixture(autouse=True)
-def default_threads():
-    yield
-    native.set_threads(0)
-
-
-# --- loss
-
-
-VALUE_BOUND = 1.0e-7  # relative; worst seen 8.4e-8, scalar and baseline
-LOSS_GRADIENT_BOUND = 5.2e-7  # relative L2; worst seen 4.82e-7, scalar and baseline
-SIZES = [(1, 1), (1, 40), (3, 5), (11, 11), (17, 33), (40, 29), (95, 170)]  # three smaller than the window, one of four tiles
-
-
-def image_pair(height: int, width: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A smooth image and a noisy copy, a little outside [0, 1], a tenth of the values equal."""
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[:height, :width][..., None]
-    target = 0.5 + 0.4 * np.sin(0.3 * x + np.arange(3)) * np.cos(0.2 * y)
-    image = target + rng.normal(0, 0.2, target.shape) * (rng.random(target.shape) > 0.1)
-    return image.astype(np.float32), target.astype(np.float32)
-
-
-def reference_loss(image, target, l1_weight=0.8, ssim_weight=0.2):
-    x = torch.tensor(image, dtype=torch.float64, requires_grad=True)
-    y = torch.tensor(target, dtype=torch.float64)
-    l1, ssim = ref_loss.l1(x, y), ref_loss.ssim(x, y)
-    (l1_weight * l1 + ssim_weight * (1 - ssim)).backward()
-    return l1.item(), ssim.item(), x.grad.numpy()
-
-
-def native_loss(level: str, image, target, **options):
-    r = rasterizer(level)
-    l1, ssim, grad = r.loss(image.astype(r.dtype), target.astype(r.dtype), **options)
-    return l1, ssim, None if grad is None else grad.copy()
-
-
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("weights", [(0.8, 0.2), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
-def test_float64_loss_equals_the_reference(size, weights):
-    image, target = image_pair(*size)
-    l1, ssim, grad = native_loss("float64", image, target, l1_weight=weights[0], ssim_weight=weights[1])
-    expected = reference_loss(image, target, *weights)
-    assert (l1, ssim) == pytest.approx(expected[:2], rel=1e-13)
-    np.testing.assert_allclose(grad, expected[2], rtol=1e-9, atol=1e-15)
-
-
-@pytest.mark.parametrize("level", FLOAT_LEVELS)
-@pytest.mark.parametrize("size", SIZES)
-def test_float_losses_agree_with_the_reference(size, level):
-    for seed in range(3):
-        image, target = image_pair(*size, seed)
-        l1, ssim, grad = native_loss(level, image, target)
-        expected = reference_loss(image, target)
-        assert (l1, ssim) == pytest.approx(expected[:2], rel=VALUE_BOUND)
-        assert relative_l2(grad, expected[2]) <= LOSS_GRADIENT_BOUND
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_identical_images_have_ssim_one_and_no_l1_gradient(level):
-    image, _ = image_pair(17, 33)
-    l1, ssim, grad = native_loss(level, image, image, l1_weight=1.0, ssim_weight=0.0)
-    assert l1 == 0 and ssim == pytest.approx(1, abs=1e-6 if level != "float64" else 1e-14)
-    assert not grad.any()
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_l1_gradient_is_a_sign_and_zero_at_ties(level):
-    image, target = image_pair(17, 33)
-    assert (image == target).mean() > 0.05
-    grad = native_loss(level, image, target, l1_weight=1.0, ssim_weight=0.0)[2]
-    np.testing.assert_allclose(grad, np.sign(image - target) / image.size, rtol=1e-6)
-
-
-def test_loss_gradient_is_the_finite_difference():
-    image, target = (x.astype(np.float64) for x in image_pair(6, 8, 1))
-    image[image == target] += 0.01  # away from the kink
-    grad = native_loss("float64", image, target)[2]
-    for at in np.ndindex(image.shape):
-        values = []
-        for step in (-1e-6, 1e-6):
-            moved = image.copy()
-            moved[at] += step
-            l1, ssim, _ = native_loss("float64", moved, target, want_grad=False)
-            values.append(0.8 * l1 + 0.2 * (1 - ssim))
-        assert grad[at] == pytest.approx((values[1] - values[0]) / 2e-6, rel=1e-6, abs=1e-9)
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_loss_values_do_not_depend_on_the_gradient_being_wanted(level):
-    image, target = image_pair(40, 29)
-    with_grad, without = (native_loss(level, image, target, want_grad=want) for want in (True, False))
-    assert with_grad[:2] == without[:2] and without[2] is None
-
-
-@pytest.mark.parametrize("level", [native.best_level(), "float64"])
-def test_loss_has_the_same_bits_for_any_number_of_threads(level):
-    image, target = image_pair(190, 330)
-    results = []
-    for threads in (1, 2, 3, 7, 16):
-        native.set_threads(threads)
-        l1, ssim, grad = native_loss(level, image, target)
-        results.append((l1, ssim, grad.tobytes()))
-    assert len(set(results)) == 1
-
-
-# --- Adam
+pytestmark = pytest.mark.usefixtures("default_threads")
 
 
 def steps_of(n: int, width: int, dtype, steps: int = 20, seed: int = 0):
@@ -244,6 +135,46 @@ def test_adam_skips_and_counts_rows_that_are_not_finite(level, ids):
         assert now[rows].tobytes() == was[rows].tobytes()
 
 
+@pytest.mark.parametrize("level", LEVELS)
+def test_adam_with_zero_gradient_and_moments_stays_put(level):
+    r = rasterizer(level)
+    param, zero = np.ones((9, 3), r.dtype), np.zeros((9, 3), r.dtype)
+    assert r.adam(param, none_yet(zero), zero, None, lr=1.0, step=1) == 0
+    assert (param == 1).all()
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_adam_of_no_rows_does_nothing(level):
+    r = rasterizer(level)
+    param = np.ones((9, 3), r.dtype)
+    assert r.adam(param, none_yet(param), np.empty((0, 3), r.dtype), np.empty(0, np.uint32), lr=1.0, step=1) == 0
+    assert (param == 1).all()
+
+
+@pytest.mark.parametrize("ids", [[0, 9], [5, 3], [3, 3]])
+def test_adam_refuses_rows_outside_the_array_or_out_of_order(ids):
+    r = rasterizer("scalar")
+    param = np.ones((9, 3), np.float32)
+    with pytest.raises(ValueError, match="ids"):
+        r.adam(param, none_yet(param), np.ones((2, 3), np.float32), np.array(ids, np.uint32), lr=1.0, step=1)
+    assert (param == 1).all()
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
+def test_adam_has_the_same_bits_for_any_number_of_threads(share):
+    r = rasterizer(native.best_level())
+    start, grads = steps_of(20_000, 3, r.dtype, steps=2)
+    ids = np.flatnonzero(np.random.default_rng(2).random(20_000) < share).astype(np.uint32)
+    results = set()
+    for threads in (1, 2, 3, 7, 16):
+        native.set_threads(threads)
+        arrays = [start.copy(), none_yet(start)]
+        for step, grad in enumerate(grads, 1):
+            r.adam(*arrays, np.ascontiguousarray(grad[ids]), None if share == 1 else ids, lr=0.02, step=step)
+        results.add(b"".join(a.tobytes() for a in arrays))
+    assert len(results) == 1
+
+
 # --- Adam on SH coefficients: one second moment a Gaussian
 
 
@@ -335,153 +266,3 @@ def test_sh_rows_of_another_width_are_refused():
     param = np.zeros((5, 2, 3), np.float32)
     with pytest.raises(NativeError, match="SH coefficients"):
         rasterizer("scalar").adam(param, none_yet(param), param.copy(), None, lr=0.1, step=1)
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_adam_with_zero_gradient_and_moments_stays_put(level):
-    r = rasterizer(level)
-    param, zero = np.ones((9, 3), r.dtype), np.zeros((9, 3), r.dtype)
-    assert r.adam(param, none_yet(zero), zero, None, lr=1.0, step=1) == 0
-    assert (param == 1).all()
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_adam_of_no_rows_does_nothing(level):
-    r = rasterizer(level)
-    param = np.ones((9, 3), r.dtype)
-    assert r.adam(param, none_yet(param), np.empty((0, 3), r.dtype), np.empty(0, np.uint32), lr=1.0, step=1) == 0
-    assert (param == 1).all()
-
-
-@pytest.mark.parametrize("ids", [[0, 9], [5, 3], [3, 3]])
-def test_adam_refuses_rows_outside_the_array_or_out_of_order(ids):
-    r = rasterizer("scalar")
-    param = np.ones((9, 3), np.float32)
-    with pytest.raises(ValueError, match="ids"):
-        r.adam(param, none_yet(param), np.ones((2, 3), np.float32), np.array(ids, np.uint32), lr=1.0, step=1)
-    assert (param == 1).all()
-
-
-@pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
-def test_adam_has_the_same_bits_for_any_number_of_threads(share):
-    r = rasterizer(native.best_level())
-    start, grads = steps_of(20_000, 3, r.dtype, steps=2)
-    ids = np.flatnonzero(np.random.default_rng(2).random(20_000) < share).astype(np.uint32)
-    results = set()
-    for threads in (1, 2, 3, 7, 16):
-        native.set_threads(threads)
-        arrays = [start.copy(), none_yet(start)]
-        for step, grad in enumerate(grads, 1):
-            r.adam(*arrays, np.ascontiguousarray(grad[ids]), None if share == 1 else ids, lr=0.02, step=step)
-        results.add(b"".join(a.tobytes() for a in arrays))
-    assert len(results) == 1
-
-
-# --- sampling of masks
-
-
-def sigmoid(x):
-    return 1 / (1 + np.exp(-np.asarray(x, np.float64)))
-
-
-def draw(logit: float, n: int, seed: int = 1, step: int = 0):
-    return sample_masks(np.full(n, logit, np.float32), seed, step)
-
-
-def noise_of(n: int, seed: int, step: int) -> np.ndarray:
-    """The logistic noise, read from a draw at logit 0: slope = y (1 − y), M tells on which side of 1/2 y lies."""
-    masks, slope = draw(0, n, seed, step)
-    root = np.sqrt(1 - 4 * slope.astype(np.float64).clip(max=0.25))
-    small = 2 * slope / (1 + root)  # the smaller of y and 1 − y, without cancellation
-    y = np.where(masks == 1, 1 - small, small)
-    return np.log(y) - np.log1p(-y)
-
-
-@pytest.mark.parametrize("logit", [-4.0, -1.0, 0.0, 2.0, 9.0])
-def test_gaussians_are_kept_with_the_probability_of_their_logit(logit):
-    n = 1_000_000
-    masks, _ = draw(logit, n)
-    p = sigmoid(logit)
-    assert masks.mean() == pytest.approx(p, abs=5 * np.sqrt(p * (1 - p) / n))
-    assert set(np.unique(masks)) == {0, 1}
-
-
-def test_initial_logit_keeps_all_but_one_in_8104():
-    assert sigmoid(9) == pytest.approx(0.999877, abs=5e-7)
-    dropped = sum((draw(9, 500_000, step=step)[0] == 0).sum() for step in range(4))
-    assert dropped == pytest.approx(2_000_000 / 8104, abs=5 * np.sqrt(247))
-
-
-def test_noise_is_logistic():
-    """Kolmogorov–Smirnov distance of sigma(noise) from uniform, at the 1e-6 level."""
-    n = 100_000
-    u = np.sort(sigmoid(noise_of(n, 3, 4)))
-    distance = np.abs(u - (np.arange(n) + 0.5) / n).max()
-    assert distance < 2.7 / np.sqrt(n)
-
-
-def test_mask_and_slope_are_those_of_logit_plus_noise():
-    n = 50_000
-    noise = noise_of(n, 5, 6)
-    logits = np.random.default_rng(0).normal(0, 3, n).astype(np.float32)
-    masks, slope = sample_masks(logits, 5, 6)
-    z = logits + noise
-    clear = np.abs(z) > 0.01
-    np.testing.assert_array_equal(masks[clear], z[clear] > 0)
-    usual = np.abs(noise) < 7  # beyond, and within 0.05 of 0, the float32 slope no longer tells the noise
-    usual &= np.abs(noise) > 0.05
-    np.testing.assert_allclose(slope[usual], (sigmoid(z) * sigmoid(-z))[usual], rtol=1e-4)
-    assert usual.mean() > 0.9 and slope.min() > 0 and slope.max() <= 0.25
-
-
-def test_draws_depend_on_seed_step_and_index_alone():
-    n = 10_000
-    expected = draw(0.5, n, 7, 8)
-    for array, again in zip(expected, draw(0.5, n, 7, 8), strict=True):
-        np.testing.assert_array_equal(array, again)
-    for array, longer in zip(expected, draw(0.5, n + 12_345, 7, 8), strict=True):
-        np.testing.assert_array_equal(array, longer[:n])  # a Gaussian's draw does not depend on how many follow
-    assert draw(0.5, n, 2**64 - 1, 2**64 - 1)[0].mean() == pytest.approx(sigmoid(0.5), abs=0.03)
-
-
-def test_draws_differ_without_correlation():
-    """Between steps, seeds and neighbours; also where step + 1 of one seed might meet another seed."""
-    n = 200_000
-    series = {key: noise_of(n, *key) for key in [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (0, 1000)]}
-    keys = list(series)
-    for i, first in enumerate(keys):
-        for second in keys[i + 1 :]:
-            assert abs(np.corrcoef(series[first], series[second])[0, 1]) < 5 / np.sqrt(n), (first, second)
-        for lag in (1, 2, 64):
-            assert abs(np.corrcoef(series[first][lag:], series[first][:-lag])[0, 1]) < 5 / np.sqrt(n), (first, lag)
-    assert len({values.tobytes() for values in series.values()}) == len(keys)
-
-
-def test_draws_do_not_depend_on_the_number_of_threads():
-    logits = np.random.default_rng(0).normal(0, 3, 50_000).astype(np.float32)
-    results = set()
-    for threads in (1, 2, 3, 7, 16):
-        native.set_threads(threads)
-        results.add(b"".join(a.tobytes() for a in sample_masks(logits, 1, 2)))
-    assert len(results) == 1
-
-
-def test_ten_draws_remove_a_one_in_ten_gaussian_with_probability_0_3487():
-    n = 200_000
-    drawn = np.zeros(n, bool)
-    for step in range(10):
-        drawn |= draw(np.log(0.1 / 0.9), n, 11, step)[0] == 1
-    p = 0.9**10
-    assert p == pytest.approx(0.3487, abs=5e-5)
-    assert (~drawn).mean() == pytest.approx(p, abs=5 * np.sqrt(p * (1 - p) / n))
-
-
-@pytest.mark.parametrize(("logit", "mask"), [(np.inf, 1), (1e30, 1), (60, 1), (-60, 0), (-1e30, 0), (-np.inf, 0)])
-def test_settled_logits_draw_a_certain_mask_with_a_finite_slope(logit, mask):
-    masks, slope = draw(logit, 10_000)
-    assert (masks == mask).all() and (slope >= 0).all() and slope.max() < 1e-15
-
-
-def test_no_gaussians_draw_nothing():
-    masks, slope = draw(0, 0)
-    assert masks.shape == slope.shape == (0,)

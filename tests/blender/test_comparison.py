@@ -1,0 +1,58 @@
+"""Comparisons of two splats: pictures, measures, the wipe, and the contact sheet."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import bpy
+import numpy as np
+import pytest
+from extension import DATA
+from view_helpers import LEVEL, mark_removed, pixels
+
+pytestmark = pytest.mark.usefixtures("stage")
+
+
+def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage, bridge, ply):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat = bpy.context.object
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.view_layer.objects.active = splat
+    scene = bridge.scene_from_object(splat)
+    with pytest.raises(RuntimeError, match="nothing to compare"):
+        bpy.ops.svrgs.compare()
+    mark_removed(splat, np.arange(scene.count) % 3 == 0)
+    bpy.ops.svrgs.compare()
+    result = json.loads(stage.svrgs_looking.compare_result)
+    assert result["original"]["count"] == scene.count and result["pruned"]["count"] == scene.count - len(range(0, scene.count, 3))
+    ply.write_ply(tmp_path / "scene.ply", scene)
+    assert result["original"]["bytes"] == (tmp_path / "scene.ply").stat().st_size
+    original, pruned, difference = (pixels(bpy.data.images[f"SVR-GS {name}"])[..., :3] for name in ("Original", "Pruned", "Difference"))
+    np.testing.assert_allclose(difference, np.minimum(4 * np.abs(original - pruned), 1), atol=3 * LEVEL)
+    photo = pixels(bpy.data.images.load(str(DATA / f"tiny/images/{result['camera']}")))[..., :3]
+    for picture, row in ((original, result["original"]), (pruned, result["pruned"])):
+        assert math.isclose(row["psnr"], -10 * math.log10(np.mean((picture - photo) ** 2)), rel_tol=1e-3)
+        assert 0 < row["ssim"] <= 1 and 0 <= row["flip"] < 1
+
+
+def test_the_wipe_moves(stage, bridge, room, camera):
+    mark_removed(room, np.arange(bridge.count(room)) % 2)
+    bpy.ops.svrgs.compare()
+    original, pruned = (pixels(bpy.data.images[f"SVR-GS {name}"]) for name in ("Original", "Pruned"))
+    for share in (0.0, 0.3, 1.0):
+        stage.svrgs_looking.wipe = share
+        wipe, edge = pixels(bpy.data.images["SVR-GS Wipe"]), round(share * 101)
+        np.testing.assert_array_equal(wipe[:, :edge], original[:, :edge])
+        np.testing.assert_array_equal(wipe[:, edge:], pruned[:, edge:])
+
+
+def test_a_contact_sheet_of_all_cameras(stage, bridge):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat = bpy.context.object
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.view_layer.objects.active = splat
+    stage.svrgs_looking.pruned = splat
+    bpy.ops.svrgs.contact_sheet()
+    width, height = bpy.data.images["SVR-GS Contact Sheet"].size
+    assert width == 2 * (3 * 64 + 2 * 4) + 12 and height == 6 * 48 + 5 * 4

@@ -1,0 +1,51 @@
+"""Gaussians kept for drawing: read anew when they change, and gone with their splat."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from extension import part
+
+pytestmark = pytest.mark.usefixtures("stage")
+
+
+def seen_number(obj) -> int:
+    """Of what is kept of the splat for drawing."""
+    return part("operators.scene_cache").number(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+
+
+def test_gaussians_that_change_by_frame_are_read_anew_and_others_are_not(stage, bridge, gaussians, room, camera):
+    """Geometry nodes that move the points up with time."""
+    still = bridge.object_from_scene("still", gaussians, stage.collection)
+    group = bpy.data.node_groups.new("rising", "GeometryNodeTree")
+    for side in ("INPUT", "OUTPUT"):
+        group.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
+    kinds = "NodeGroupInput", "NodeGroupOutput", "GeometryNodeSetPosition", "ShaderNodeCombineXYZ", "GeometryNodeInputSceneTime"
+    into, out, move, offset, time = (group.nodes.new(kind) for kind in kinds)
+    wires = (
+        (into.outputs[0], move.inputs[0]),
+        (time.outputs["Frame"], offset.inputs[2]),
+        (offset.outputs[0], move.inputs["Offset"]),
+        (move.outputs[0], out.inputs[0]),
+    )
+    for socket, to in wires:
+        group.links.new(socket, to)
+    room.modifiers.new("rising", "NODES").node_group = group
+    stage.frame_set(1)
+    before = seen_number(room), seen_number(still)
+    stage.frame_set(3)
+    shown = part("operators.scene_cache").read(room.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+    np.testing.assert_allclose(shown.means[:, 2].mean(), gaussians.means[:, 2].mean() + 3, atol=1e-4)
+    assert seen_number(room) != before[0] and seen_number(still) == before[1]
+
+
+def test_nothing_is_kept_of_a_splat_that_is_gone(stage, bridge, gaussians, room, camera):
+    cache = part("operators.scene_cache")
+    other = bridge.object_from_scene("other", gaussians, stage.collection)
+    bpy.context.view_layer.update()
+    cache._entries.clear()
+    seen_number(room), seen_number(other)
+    bpy.data.objects.remove(other)
+    bpy.context.view_layer.update()
+    assert set(cache._entries) == {room.session_uid}

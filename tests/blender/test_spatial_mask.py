@@ -1,0 +1,99 @@
+"""The spatial mask as an image that follows what it shows, and contributions as an attribute."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import bpy
+import numpy as np
+import pytest
+from extension import part
+from view_helpers import drawn, mark_removed, pixels
+
+pytestmark = pytest.mark.usefixtures("stage")
+
+
+def test_the_spatial_mask_is_an_image_and_a_texture(stage, bridge, gaussians, room, camera):
+    looking = stage.svrgs_looking
+    looking.mask_size, looking.mask_colors, looking.mask_top = 101, "values", 0
+    bpy.ops.svrgs.spatial_mask()
+    image = bpy.data.images["SVR-GS Spatial Mask"]
+    assert image.is_float and image.colorspace_settings.name == "Non-Color" and tuple(image.size) == (101, 61)
+    assert bpy.data.textures["SVR-GS Spatial Mask"].image == image
+    expected = drawn(bridge, gaussians, camera, room.matrix_world, ("mask",), mask_kind="svr")["mask"]
+    np.testing.assert_allclose(pixels(image)[..., 0], expected, atol=1e-3, rtol=1e-3)
+    result = json.loads(looking.mask_result)
+    assert result["camera"] == "camera" and math.isclose(result["largest"], expected.max(), rel_tol=1e-3)
+
+
+def test_colours_of_the_mask_change_without_another_drawing(stage, room, camera):
+    looking = stage.svrgs_looking
+    looking.mask_colors = "inferno"
+    bpy.ops.svrgs.spatial_mask()
+    image = bpy.data.images["SVR-GS Spatial Mask"]
+    before = pixels(image).copy()
+    looking.mask_colors = "viridis"
+    assert bpy.data.images["SVR-GS Spatial Mask"] == image and np.abs(pixels(image) - before).max() > 0.1
+    looking.mask_top = 1e9
+    assert np.ptp(pixels(image)[..., :3], axis=(0, 1)).max() < 1e-3, "everything is near the lowest colour"
+    looking.mask_top = 0
+
+
+def test_the_mask_follows_edits(stage, bridge, gaussians, room, camera):
+    bpy.ops.svrgs.spatial_mask()
+    before = json.loads(stage.svrgs_looking.mask_result)["mean"]
+    mark_removed(room, np.arange(gaussians.count) % 2)
+    bpy.ops.svrgs.spatial_mask()
+    assert json.loads(stage.svrgs_looking.mask_result)["mean"] < before
+
+
+def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, room, camera):
+    mask_image = part("operators.mask_image")
+    bpy.ops.svrgs.spatial_mask()
+    assert not mask_image.is_stale(bpy.context)
+    for move in (lambda: setattr(camera, "location", (0, -5, 1)), lambda: setattr(room, "scale", (2, 2, 2)), lambda: setattr(room, "hide_viewport", True)):
+        move()
+        bpy.context.view_layer.update()
+        assert mask_image.is_stale(bpy.context)
+        if not room.hide_viewport:
+            bpy.ops.svrgs.spatial_mask()
+            assert not mask_image.is_stale(bpy.context)
+
+
+def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(bridge, gaussians, room, camera, monkeypatch):
+    mask_image = part("operators.mask_image")
+    monkeypatch.setattr(mask_image, "id", lambda _: 0, raising=False)
+    bpy.ops.svrgs.spatial_mask()
+    mark_removed(room, np.arange(gaussians.count) % 2)
+    assert mask_image.is_stale(bpy.context)
+
+
+def test_the_mask_follows_in_the_scene_that_changed(stage, bridge, gaussians, room, camera):
+    """Whichever scene is active when the time has come to draw."""
+    follower = part("operators.spatial_mask")
+    other = bpy.data.scenes.new("other")
+    try:
+        stage.svrgs_looking.mask_follow, other.svrgs_looking.mask_follow = False, True
+        stage.svrgs_looking.mask_result = ""
+        other.camera = bpy.data.objects.new("of the other", camera.data)
+        for obj in (other.camera, room):
+            other.collection.objects.link(obj)
+        with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+            follower._after_change(other, bpy.context.evaluated_depsgraph_get())  # as Blender does for a scene in a window
+        follower._follow()
+        assert not stage.svrgs_looking.mask_result
+        assert json.loads(other.svrgs_looking.mask_result)["camera"] == "of the other"
+    finally:
+        bpy.data.scenes.remove(other)
+        stage.svrgs_looking.mask_follow = False
+
+
+def test_contribution_is_the_score(stage, bridge, gaussians, room, camera):
+    bpy.ops.svrgs.contribution(cameras="ACTIVE")
+    values = np.empty(gaussians.count, np.float32)
+    room.data.attributes["contribution"].data.foreach_get("value", values)
+    native = part("svrgs_addon.native")
+    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage)).moved(room.matrix_world)
+    expected, _, _ = part("svrgs_addon.finetune.scores").contribution(gaussians, [view], native.Rasterizer(), native.RenderOptions())
+    np.testing.assert_allclose(values, expected, rtol=1e-3, atol=1e-3)

@@ -1,0 +1,68 @@
+"""cameras.json of a 3DGS run: its conventions, and entries that are refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from svrgs_addon.errors import FormatError
+from svrgs_addon.photographs.cameras_json import load_cameras_json
+from svrgs_addon.photographs.dataset import load_dataset
+
+pytest.importorskip("pycolmap")
+pytest.importorskip("OpenImageIO")
+
+
+def test_cameras_json_of_a_3dgs_run(shared_data):
+    scene = shared_data / "snowmiku_plush"
+    cameras = load_cameras_json(scene / "upstream_3dgs" / "cameras.json")
+    others = {camera.name.split(".")[0]: camera for camera in load_dataset(scene, cameras_only=True).cameras}
+    assert len(cameras) == 97
+    distances = [np.linalg.norm(camera.position - others[camera.name].position) for camera in cameras]
+    turns = [np.trace(camera.viewmat[:3, :3] @ others[camera.name].viewmat[:3, :3].T) for camera in cameras]
+    assert max(distances) < 0.05 and min(turns) > 1 + 2 * np.cos(np.radians(0.6))
+
+
+GOOD_ENTRY = {
+    "id": 0, "img_name": "a", "width": 64, "height": 48, "position": [1, 2, 3],
+    "rotation": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "fy": 58.0, "fx": 60.0,
+}  # fmt: skip
+
+
+def test_cameras_json_conventions(tmp_path):
+    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY]))
+    (camera,) = load_cameras_json(tmp_path / "cameras.json")
+    assert np.allclose(camera.position, [1, 2, 3])
+    assert np.allclose(camera.viewmat[:3, :3] @ [0, 1, 0], [1, 0, 0])  # camera x is the rotation's first column
+    assert np.allclose(camera.K, [[60, 0, 32], [0, 58, 24], [0, 0, 1]]) and not camera.orthographic
+    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY | {"orthographic": True}]))
+    assert load_cameras_json(tmp_path / "cameras.json")[0].orthographic
+    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY | {"orthographic": 1}]))
+    with pytest.raises(FormatError, match="orthographic is 1; true or false is expected"):
+        load_cameras_json(tmp_path / "cameras.json")
+
+
+@pytest.mark.parametrize(
+    "key, value",
+    [
+        ("img_name", "../a"), ("width", 0), ("width", 10**6), ("height", 48.5), ("fx", -1), ("fx", None),
+        ("fy", float("nan")), ("position", [1, 2]), ("position", [1, 2, float("inf")]), ("position", [10**400, 0, 0]),
+        ("rotation", [[1, 0, 0]] * 3), ("rotation", [[1, 0], [0, 1]]), ("rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+    ],
+)  # fmt: skip
+def test_unusable_cameras_json_entries(tmp_path, key, value):
+    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY, GOOD_ENTRY | {key: value}]))
+    with pytest.raises(FormatError, match=r"cameras\.json: camera 1 is not usable"):
+        load_cameras_json(tmp_path / "cameras.json")
+    (tmp_path / "cameras.json").write_text(json.dumps([{k: v for k, v in GOOD_ENTRY.items() if k != key}]))
+    with pytest.raises(FormatError, match=f"lacks '{key}'"):
+        load_cameras_json(tmp_path / "cameras.json")
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "[1]", "[" * 100_000, "\xff"])
+def test_other_json(tmp_path, text):
+    (tmp_path / "cameras.json").write_text(text, encoding="latin-1")
+    with pytest.raises(FormatError, match=r"cameras\.json"):
+        load_cameras_json(tmp_path / "cameras.json")

@@ -1,0 +1,170 @@
+"""`svrgs prune`: its result, file and report, every method, budgets, and the first cut."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pycolmap")
+pytest.importorskip("OpenImageIO")
+
+import tiny_dataset
+from command_checks import MEASURES, TEST_VIEWS, files, refused
+from svrgs_addon.files.ply import read_ply
+from svrgs_addon.finetune import scores
+from svrgs_addon.finetune.methods import METHODS
+from svrgs_addon.metrics.evaluate import render_options
+from svrgs_addon.native import Rasterizer
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+SHORT = ("--iterations", 8, "--recovery", 4, "--quiet")
+
+
+def measures(result: dict) -> dict:
+    """The part of a result that is the same for every run."""
+    return {name: result[name] for name in MEASURES - {"ms_per_frame"}}
+
+
+@pytest.fixture(scope="module")
+def pruned(tiny, tmp_path_factory) -> dict:
+    """Result of one real pruning run with a report; 'folder' beside its keys."""
+    folder = tmp_path_factory.mktemp("pruned")
+    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--iterations", 300, "--recovery", 200, "--target", 0.4, "--json"]
+    command = [sys.executable, "-m", "svrgs_addon", *words, "--out", folder / "small.ply", "--report", folder / "report"]
+    done = subprocess.run([str(word) for word in command], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"recover 500/500 .* Gaussians", done.stderr), "progress belongs on stderr"
+    assert done.stdout.count("\n") == 1
+    return {"folder": folder, **json.loads(done.stdout)}
+
+
+def test_prune_result(tiny, pruned):
+    assert MEASURES | {"before", "after", "seconds", "method", "lambda_f", "out"} <= pruned.keys()
+    assert pruned["before"].keys() == pruned["after"].keys() == MEASURES
+    assert (pruned["method"], pruned["lambda_f"]) == ("pressure", None), "the target says how many stay"
+    assert tiny_dataset.FAINT <= pruned["first_cut"] < tiny_dataset.COUNT
+    assert pruned["count"] == round(0.4 * tiny_dataset.COUNT) and pruned["before"]["count"] == tiny_dataset.COUNT
+    assert pruned["psnr"] > pruned["before"]["psnr"] + 1, "fine-tuning does not fit the photographs"
+    assert sorted(files(pruned["folder"])) == ["report/index.html", "small.ply"]
+
+
+def test_prune_measures_what_eval_measures(tiny, pruned, svrgs):
+    for scene, part in ((pruned["out"], "after"), (tiny.splat, "before")):
+        assert measures(svrgs("eval", scene, "--colmap", tiny.folder, "--json").json) == pytest.approx(measures(pruned[part]), rel=1e-12)
+    assert measures(pruned) == measures(pruned["after"])
+
+
+def test_pruned_file_keeps_the_form_of_its_source(tiny, pruned):
+    source, small = read_ply(tiny.splat), read_ply(pruned["out"])
+    assert (small.count, small.sh_degree, small.antialiased) == (pruned["count"], source.sh_degree, source.antialiased)
+    assert small.property_order == source.property_order and small.attributes.keys() == source.attributes.keys()
+
+
+def test_report_is_one_page_with_table_plots_and_pictures(pruned):
+    page = (pruned["folder"] / "report/index.html").read_text()
+    assert "no LPIPS weight file was given" in page
+    assert f"{pruned['before']['psnr']:.2f} dB" in page and f"{pruned['psnr']:.2f} dB" in page
+    assert page.count("<svg") >= 3 and len(re.findall('src="data:image/[a-z]+;base64,', page)) == 6 * len(TEST_VIEWS)
+    assert not re.search(r'(src|href)="(?!data:)', page) and "http-equiv" in page and "@import" not in page
+
+
+@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if not method.ranks and not method.share])
+def test_every_method_runs(tiny, svrgs, tmp_path, method):
+    result = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *SHORT, "--out", tmp_path / "o.ply", "--json").json
+    assert result["method"] == method and result["lambda_f"] == (METHODS[method].lambda_f or None)
+    left = tiny_dataset.COUNT - result["first_cut"]
+    assert result["count"] < left if method in ("pressure", "saliency") else result["count"] == left, "masks cannot have learned in so few steps"
+    assert result["first_cut"] > tiny_dataset.FAINT if METHODS[method].learns_masks else result["first_cut"] == tiny_dataset.FAINT
+    assert result["iterations"] == (4 if method == "3dgs" else 12)
+
+
+@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if method.ranks or method.share])
+def test_every_method_with_a_budget_prunes_to_it(tiny, svrgs, tmp_path, method):
+    """Asked for, or its own where it has one."""
+    for target in (("--target-count", 70), ("--target", 0.5), ()):
+        words = ("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *target, *SHORT, "--out", tmp_path / "o.ply", "--json")
+        if not target and not METHODS[method].share:
+            refused(svrgs(*words), f"method '{method}' needs --target")
+            continue
+        share = METHODS[method].share or 0.5
+        expected = {"--target-count": 70, "--target": tiny_dataset.COUNT // 2}.get(target and target[0], round(share * tiny_dataset.COUNT))
+        assert svrgs(*words).json["count"] == expected
+
+
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "3dgs"])
+def test_every_method_trains_to_a_share(tiny, svrgs, tmp_path, method):
+    """Of the Gaussians there are when densification ends: here of the sparse points, which none has multiplied."""
+    words = ("--method", method, "--target", 0.5, "--iterations", 60, "--recovery", 5, "--sh-degree", 0, "--densify-until", 20, "--quiet", "--json")
+    result = svrgs("train", "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json
+    assert result["count"] == result["target"] == tiny_dataset.SEEN // 2 and result["iterations"] == 65
+
+
+def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
+    words = ("--colmap", tiny.folder, "--paper", "--method", "svr", *SHORT, "--out", tmp_path / "o.ply", "--json")
+    result = svrgs("prune", tiny.splat, *words).json
+    assert (result["method"], result["lambda_f"], result["first_cut"]) == ("svr-paper", 1e-4, tiny_dataset.FAINT)
+    refused(svrgs("prune", tiny.splat, *words, "--method", "maskgs"), "--paper", "'maskgs'")
+    refused(svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", "svr-paper", "--out", tmp_path / "p.ply"), "unknown")
+
+
+def test_help_lists_every_method(svrgs):
+    for command in ("train", "prune"):
+        text = "".join(svrgs(command, "--help").out.split())  # lines break at hyphens
+        assert all(name.removeprefix("maskgs") in text for name in METHODS)
+
+
+def test_opacity_keeps_the_most_opaque(tiny, svrgs, tmp_path):
+    words = ("--method", "opacity", "--target-count", 50, "--recovery", 0, "--quiet", "--json")
+    assert svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"] == 50
+    logits = read_ply(tiny.splat).opacity_logits
+    assert np.array_equal(np.sort(read_ply(tmp_path / "o.ply").opacity_logits), np.sort(logits)[-50:])
+
+
+def test_contribution_keeps_what_contributes_most(tiny, svrgs, tmp_path):
+    words = ("--method", "contribution", "--target", 0.2, "--recovery", 0, "--quiet", "--json")
+    assert svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"] == 50
+    scene = read_ply(tiny.splat)
+    train = [camera for i, camera in enumerate(tiny.cameras) if i % 8]
+    sums, _, _ = scores.contribution(scene, train, Rasterizer(), render_options(scene))
+    expected = scene.means[np.sort(np.argsort(-sums)[:50])]
+    assert np.array_equal(read_ply(tmp_path / "o.ply").means, expected)
+
+
+def first_cut(tiny, svrgs, out: Path, *words: object) -> dict:
+    """Result of a pruning run that takes no step."""
+    words = ("--iterations", 0, "--recovery", 0, "--quiet", "--json", *words)
+    return svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", out).json
+
+
+def test_the_first_cut_drops_what_contributes_little_to_every_training_view(tiny, svrgs, tmp_path):
+    result = first_cut(tiny, svrgs, tmp_path / "o.ply", "--min-contribution", 0.3)
+    scene = read_ply(tiny.splat)
+    train = [camera for i, camera in enumerate(tiny.cameras) if i % 8]
+    _, peaks, _ = scores.contribution(scene, train, Rasterizer(), render_options(scene))
+    assert 10 < result["count"] == (peaks >= 0.3).sum() < 200 and result["first_cut"] == tiny_dataset.COUNT - result["count"]
+    assert np.array_equal(read_ply(tmp_path / "o.ply").means, scene.means[peaks >= 0.3])
+
+
+def test_the_first_cut_spares_enough_for_a_target(tiny, svrgs, tmp_path):
+    words = ("--min-contribution", 0.9, "--iterations", 2, "--recovery", 0, "--target-count", 200, "--quiet", "--json")
+    assert svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"] == 200
+
+
+def test_only_the_invisible_goes_where_nothing_else_is_asked_for(tiny, svrgs, tmp_path):
+    result = first_cut(tiny, svrgs, tmp_path / "o.ply", "--min-contribution", 0)
+    assert result["count"] == tiny_dataset.COUNT - tiny_dataset.FAINT and result["psnr"] == result["before"]["psnr"]
+
+
+def test_a_scene_that_would_lose_everything_is_refused(tiny, svrgs, tmp_path):
+    words = ("--lambda-f", 1e9, "--iterations", 2500, "--recovery", 0, "--quiet")
+    done = svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply", "--report", tmp_path / "report")
+    refused(done, "pruning would leave", "smaller lambda-f")
+    assert not list(tmp_path.iterdir())

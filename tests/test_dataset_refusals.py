@@ -1,0 +1,100 @@
+"""COLMAP datasets that do not fit are refused with clear words."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+pytest.importorskip("pycolmap")
+pytest.importorskip("OpenImageIO")
+
+from row_dataset import OPENCV, make_dataset, make_model, only_the_three_files
+from svrgs_addon.errors import FormatError, SceneError
+from svrgs_addon.photographs.dataset import load_dataset
+
+
+def test_missing_photographs_are_counted_and_named(tmp_path):
+    make_dataset(tmp_path)
+    for name in ("01.png", "03.png", "04.png", "07.png"):
+        (tmp_path / "images" / name).unlink()
+    with pytest.raises(SceneError, match=r"4 of 9 photographs are missing: 01\.png, 03\.png, 04\.png, \.\.\."):
+        load_dataset(tmp_path)
+
+
+def test_missing_folders(tmp_path):
+    with pytest.raises(SceneError, match="no COLMAP model"):
+        load_dataset(tmp_path)
+    with pytest.raises(SceneError, match="no COLMAP model"):
+        load_dataset(tmp_path / "nowhere")
+    make_dataset(tmp_path)
+    with pytest.raises(SceneError, match="no image folder images_8"):
+        load_dataset(tmp_path, "images_8")
+
+
+def test_no_views_and_no_points(tmp_path):
+    make_dataset(tmp_path, points=[])
+    assert load_dataset(tmp_path).points.shape == (0, 3)
+    with pytest.raises(SceneError, match="no 3-D points"):
+        load_dataset(tmp_path, need_points=True)
+    make_model([]).write_binary(tmp_path / "sparse/0")
+    with pytest.raises(SceneError, match="no view"):
+        load_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../a.png", "/etc/a.png", "b/../../a.png", "C:\\a.png", "..\\a.png"])
+def test_image_names_cannot_leave_the_folder(tmp_path, name):
+    make_model([name]).write_binary(tmp_path)
+    with pytest.raises(FormatError, match="does not stay inside"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+@pytest.mark.parametrize("params", [[0.0, 58, 30, 25], [float("nan"), 58, 30, 25], [60, -58, 30, 25]])
+def test_unusable_cameras_are_refused(tmp_path, params):
+    make_model(["a.png"], ("PINHOLE", params)).write_binary(tmp_path)
+    with pytest.raises(SceneError, match="not usable"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+def test_cameras_of_absurd_size_are_refused(tmp_path):
+    make_dataset(tmp_path, model=OPENCV)
+    path = tmp_path / "sparse/0/cameras.bin"
+    data = path.read_bytes()
+    path.write_bytes(data[:16] + struct.pack("<Q", 2**50) + data[24:])
+    with pytest.raises(FormatError, match="the limit is 16384 per side"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+def test_points_far_out_are_refused(tmp_path):
+    make_dataset(tmp_path, points=[[1e39, 0, 0]])
+    with pytest.raises(FormatError, match="finite place"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
+def test_truncated_binary_models(tmp_path, name):
+    make_dataset(tmp_path)
+    only_the_three_files(tmp_path / "sparse/0")
+    path = tmp_path / "sparse/0" / f"{name}.bin"
+    data = path.read_bytes()
+    for size in range(len(data)):
+        path.write_bytes(data[:size])
+        with pytest.raises(FormatError, match=f"{name}.bin is truncated"):
+            load_dataset(tmp_path, cameras_only=True)
+    path.write_bytes(struct.pack("<Q", 2**60) + data[8:])
+    with pytest.raises(FormatError, match="truncated"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+@pytest.mark.parametrize(
+    "name, old, new",
+    [("cameras", "PINHOLE", "HOLE"), ("images", "01.png", ""), ("points3D", "10 20 30", "x"), ("cameras", "64", "nan")],
+)
+def test_broken_text_models(tmp_path, name, old, new):
+    make_dataset(tmp_path, text=True)
+    only_the_three_files(tmp_path / "sparse/0")
+    path = tmp_path / "sparse/0" / f"{name}.txt"
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(FormatError) as caught:
+        load_dataset(tmp_path, cameras_only=True)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,88 @@
+"""Scores and visible ids of the native core, against the float64 reference."""
+
+import functools
+
+import numpy as np
+import pytest
+import torch
+
+import scenes
+from native_helpers import CAMERA, LEVELS, assert_same_bits, backward, everything, image_weights, rasterizer, render
+from reference import rasterize as ref
+
+
+def reference_weights(scene, masks, camera) -> np.ndarray:
+    """M α T of every Gaussian (N) at every pixel (P) where it was blended, (P, N)."""
+    p = scenes.leaves(scene, requires_grad=False)
+    splats = ref.project(
+        *p.values(), torch.tensor(camera.viewmat), torch.tensor(camera.K), camera.width, camera.height,
+        scene.sh_degree, scene.antialiased, camera.orthographic,
+    )  # fmt: skip
+    alpha, _ = ref.alphas(splats, ref.pixel_centres(camera.width, camera.height))
+    M = torch.as_tensor(masks, dtype=torch.float64)[splats.index]
+    T = ref.transmittance(alpha, M)
+    blended = torch.cumprod((T[:, 1:] >= ref.T_MIN).long(), 1).bool()
+    weights = np.zeros((len(alpha), scene.count))
+    weights[:, splats.index] = torch.where(blended, M * alpha * T[:, :-1], 0.0)
+    return weights
+
+
+SCORED = {
+    "open": (scenes.random_scene(60, 4, 0), [CAMERA, scenes.camera(18, 35, eye=(1, -1, -3.5))]),
+    "stopping": (scenes.opaque_stack(24, 4, 0), [scenes.camera(5, 4)] * 2),
+}
+
+
+@functools.cache
+def scored(name: str):
+    """Scene and masks away from every threshold of the views, and what the scores must be."""
+    scene, cameras = SCORED[name]
+    masks = scenes.random_masks(scene.count, 4)
+    for camera in cameras:
+        rounds = 300 if name == "stopping" else 0
+        scene, masks = scenes.away_from_thresholds(scene, camera, masks, rounds=rounds)
+    weights = np.concatenate([reference_weights(scene, masks, camera) for camera in cameras])
+    assert len(set((weights > 0).sum(0))) > 5  # many different footprints
+    return scene, masks, weights
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("name", SCORED)
+@pytest.mark.parametrize("full", [True, False])
+def test_scores_add_up_over_views(level, name, full):
+    scene, masks, weights = scored(name)
+    sum_, max_, pixels = np.zeros(scene.count), np.zeros(scene.count, np.float32), np.zeros(scene.count, np.int64)
+    for camera in SCORED[name][1]:
+        render(level, scene, camera, masks, full=full)
+        rasterizer(level).add_scores(sum_, max_, pixels)
+    np.testing.assert_allclose(sum_, weights.sum(0), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(max_, weights.max(0), rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(pixels, (weights > 0).sum(0))
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_scores_and_gradients_do_not_disturb_each_other(level):
+    scene = scenes.random_scene(60, 4, 1, scale=0.3)
+    scores = np.zeros(60), np.zeros(60, np.float32), np.zeros(60, np.int64)
+    render(level, scene, CAMERA)
+    grads = {f"d{k}": g for k, g in backward(level, image_weights(CAMERA), 60).items()}
+    rasterizer(level).add_scores(*scores)
+    expected = everything(level, scene)  # scores first
+    result = grads | dict(zip(("sum", "max", "pixels"), scores, strict=True))
+    assert_same_bits(result, {k: expected[k] for k in result})
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("model", [lambda camera: camera, scenes.parallel], ids=["perspective", "orthographic"])
+def test_visible_are_ascending_and_hold_every_hit(level, model):
+    scene, masks = scenes.random_scene(300, 4, 0, scale=0.05), scenes.random_masks(300, 4)
+    camera = model(scenes.camera(40, 27, fov=25))
+    render(level, scene, camera, np.ones(300))
+    visible = rasterizer(level).visible()
+    hit = reference_weights(scene, np.ones(300), camera).any(0)
+    assert (np.diff(visible.astype(np.int64)) > 0).all() and visible.dtype == np.uint32
+    assert set(np.flatnonzero(hit)) <= set(visible) and len(visible) < 300
+    assert len(visible) < 1.3 * hit.sum()  # little more than what hits
+    expected = visible.copy()
+    render(level, scene, camera, masks)
+    np.testing.assert_array_equal(rasterizer(level).visible(), expected)  # masked out, yet visible

@@ -1,0 +1,80 @@
+"""Cancelling, renderers side by side, and fewer threads than asked for."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scenes
+from native_helpers import CAMERA, FLOAT_IMAGES, assert_same_bits, typed
+from svrgs_addon.errors import Cancelled, NativeError
+from svrgs_addon.native import Rasterizer, RenderOptions
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_cancel_stops_every_call_and_the_next_one_works():
+    r, scene = Rasterizer(), scenes.random_scene(50, 1, 1)
+    arrays, options = typed(scene, r.dtype), RenderOptions(mask_kind="svr")
+    expected = r.forward(arrays, CAMERA, options, outputs=FLOAT_IMAGES)
+    ones, scores = np.ones((27, 40), r.dtype), (np.zeros(50), np.zeros(50, np.float32), np.zeros(50, np.int64))
+    gradient = r.backward({"alpha": ones}, ("masks",))["masks"].copy()
+    r.cancel[0] = 1
+    for call in (
+        lambda: r.backward({"alpha": ones}, ("masks",)),
+        lambda: r.add_scores(*scores),
+        lambda: r.forward(arrays, CAMERA, options),
+    ):
+        with pytest.raises(Cancelled):
+            call()
+    assert not any(s.any() for s in scores)
+    with pytest.raises(NativeError, match="forward"):  # the cancelled view is not there
+        r.backward({"alpha": ones}, ("masks",))
+    r.cancel[0] = 0
+    assert_same_bits(r.forward(arrays, CAMERA, options, outputs=FLOAT_IMAGES), expected)
+    assert r.backward({"alpha": ones}, ("masks",))["masks"].tobytes() == gradient.tobytes()
+
+
+def test_cancel_from_another_thread():
+    r, scene = Rasterizer(), scenes.random_scene(2000, 1, 1)
+    arrays, camera = typed(scene, r.dtype), scenes.camera(300, 200)
+    threading.Timer(0.05, r.cancel.fill, (1,)).start()
+    deadline = time.monotonic() + 20
+    with pytest.raises(Cancelled):
+        while time.monotonic() < deadline:
+            r.forward(arrays, camera)
+
+
+def test_renderers_work_side_by_side():
+    """One per Python thread; the pool is shared."""
+    jobs = [(scenes.random_scene(500, seed, 1), Rasterizer()) for seed in range(4)]
+    views = [(typed(scene, r.dtype), r) for scene, r in jobs]
+    expected = [r.forward(arrays, CAMERA)["rgb"].tobytes() for arrays, r in views]
+    got = [[] for _ in jobs]
+
+    def work(k: int):
+        arrays, r = views[k]
+        got[k] = [r.forward(arrays, CAMERA)["rgb"].tobytes() for _ in range(20)]
+
+    workers = [threading.Thread(target=work, args=(k,)) for k in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert all(set(images) == {expected[k]} for k, images in enumerate(got))
+
+
+@pytest.mark.skipif("LD_PRELOAD" in os.environ, reason="a sanitizer needs the address space for itself")
+def test_fewer_threads_where_the_system_gives_no_more():
+    """In a process of its own whose address space holds few stacks."""
+    code = (
+        "import resource\nfrom svrgs_addon import native\nnative.threads()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30))\nnative.set_threads(4000)\nassert 1 <= native.threads() < 4000, native.threads()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
