@@ -32,7 +32,13 @@ def write_report(rows: list[dict], folder: Path):
     charts = folder / "results"
     charts.mkdir(parents=True, exist_ok=True)
     findings = charts / "findings.md"  # written by people
-    parts = [INTRO.format(commands=commands(rows)), findings.read_text() if findings.exists() else "", table_part(rows), scenario_part(rows)]
+    parts = [
+        INTRO.format(commands=commands(rows)),
+        findings.read_text() if findings.exists() else "",
+        table_part(rows),
+        scenario_part(rows),
+        printed_part(rows),
+    ]
     parts += [schedule_part(rows), lambda_part(rows, charts), pareto_part(rows, charts), ablation_part(rows)]
     (folder / "results.md").write_text("\n".join(part for part in parts if part))
 
@@ -127,6 +133,17 @@ def ratios(rows: list[dict]) -> str:
         drop = mean(by_run[PAPER,], "psnr") - mean(by_run[other,], "psnr")
         sentences.append(f"{fewer:.2f} times fewer Gaussians than {other} at {drop:+.2f} dB")
     return f"SVR-GS here: {'; '.join(sentences)}. The paper: 1.79 times fewer than MaskGS at -0.50 dB, 5.63 times fewer than 3DGS at -0.40 dB."
+
+
+def printed_part(rows: list[dict]) -> str:
+    """The paper's printed weights of the image loss next to the usual ones, on the scenes that have both."""
+    printed = groups((row for row in rows if row["study"] == "printed"), "scene", "schedule", "shrink")
+    lines = ["## The printed weights: L1 + (1 - SSIM)", ""] if printed else []
+    for key, those in printed.items():
+        usual = [row for row in rows if row["study"] == "table" and (row["scene"], row["schedule"], row["shrink"]) == key]
+        shown = [row for row in usual if row["run"] in (BASE, RIVAL, *SCENARIOS)]
+        lines += [*table([*shown, *those], f"{key[0]}, schedule {key[1]:g}, photographs 1/{key[2]}"), ""]
+    return "\n".join(lines)
 
 
 def scenario_part(rows: list[dict]) -> str:

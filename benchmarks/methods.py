@@ -1,6 +1,6 @@
 """Every method in the same trainer: scenes x methods x seeds, one row of figures a run.
 
-    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study table|lambda|pareto|ablation] [--schedule 0.1] [--shrink 2] [--seeds 1]
+    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study table|printed|lambda|pareto|ablation] [--schedule 0.1] [--shrink 2] [--seeds 1]
     .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # the generated scene, made if it is not there
     .venv/bin/python benchmarks/methods.py --show docs                              # rows -> docs/results.md and its charts
 
@@ -8,6 +8,7 @@ Rows go to --rows (default docs/results/rows.jsonl), one JSON object a line; run
 experiment that was stopped goes on where it was. Scenes between runs lie in --work (default build/methods).
 
     table   `svrgs train` with each method from the sparse points, all with the published schedule times --schedule
+    printed the paper's printed weights of the image loss, from the sparse points
     lambda  the paper's sweep of lambda_F, from the sparse points
     pareto  `svrgs prune` of the table's 3DGS scene (of --trained, share of the schedule), every method at several counts
     ablation  the same with `pressure`, one part of it left out at a time
@@ -39,7 +40,6 @@ TABLE = {
     "MaskGS gamma": ["--method", "maskgs-gamma"],
     "GNS pressure": ["--method", "gns"],
     "SVR-GS": ["--method", "svr"],
-    "SVR-GS --paper": ["--method", "svr", "--paper"],
     "Scenario A": ["--method", "svr-a"],
     "Scenario B": ["--method", "svr-b"],
     "SVR-GS, self term": ["--method", "svr-self"],
@@ -72,6 +72,7 @@ ABLATION = {  # what is changed in the program before it runs
 }
 STUDIES = {
     "table": TABLE,
+    "printed": {"SVR-GS --paper": ["--method", "svr", "--paper"]},
     "lambda": {f"lambda_F {value}": ["--method", "svr", "--lambda-f", value] for value in LAMBDAS},
     "pareto": pareto(),
     "ablation": {f"{label} {target}": ["--method", "pressure", "--target", target] for target in ("0.17", "0.08") for label in ABLATION},
