@@ -20,7 +20,7 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def option_property(name: str, **more):
+def option_property(name: str, /, **more):
     """The property of one option; more: what the property has beyond the option, or instead of it."""
     option, default = options_of(PruneOptions)[name], PruneOptions.__dataclass_fields__[name].default
     kind = option.kind
