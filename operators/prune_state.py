@@ -67,7 +67,7 @@ def _of_result(context) -> list[str]:
     texts = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {file_size(pruned, count)}"]
     if job_result.PSNR in pruned:
         before, after = pruned[job_result.PSNR]
-        texts.append(f"PSNR {before:.2f} → {after:.2f} dB with the {kept:,} recovered Gaussians")
+        texts.append(f"PSNR {before:.2f} → {after:.2f} dB, {kept:,} recovered")
     return [*texts, f"{count - kept:,} more than were recovered: shown as in the original"] if count > kept else texts
 
 
