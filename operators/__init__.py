@@ -1,4 +1,4 @@
-"""What the user can do: one file per verb. bridge*.py turn Blender's data into the product's and back."""
+"""What the user can do: one file per operator or topic. Only bridge*.py turn Blender's data into arrays."""
 
 from . import (
     active_camera,
@@ -8,6 +8,7 @@ from . import (
     contribution,
     estimate,
     export_ply,
+    former_methods,
     import_colmap,
     import_ply,
     job,
@@ -26,7 +27,7 @@ from . import (
 )
 
 MODULES = (
-    import_ply, import_colmap, export_ply, prune, prune_settings, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
+    import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
     active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
 )  # fmt: skip
 

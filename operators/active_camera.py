@@ -1,6 +1,6 @@
-"""A photograph's camera brings the size and pixel aspect of its picture along when it becomes the scene's camera.
+"""When the camera of a photograph becomes the scene's camera, the scene gets the image size and the pixel aspect of the photograph.
 
-Only then: who wants a smaller render of the same view afterwards gets it.
+This happens once per change of the camera. A user who sets another size afterwards keeps it.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ from bpy.app.handlers import persistent
 
 from . import bridge
 
-_seen: dict[int, int] = {}  # session_uid of a scene: of the camera it had last
+_seen: dict[int, int] = {}  # session_uid of a scene -> session_uid of its last camera; 0: none
 
 
 @persistent
 def follow(scene, *_):
+    """Called after every change of the scene."""
     camera = scene.camera
     now = camera.session_uid if camera is not None else 0
     before = _seen.get(scene.session_uid)
@@ -25,7 +26,7 @@ def follow(scene, *_):
 
 @persistent
 def remember(*_):
-    """Cameras that a file was saved with have had their turn."""
+    """After a file was opened: its render size stays as it was saved."""
     _seen.clear()
     for scene in bpy.data.scenes:
         _seen[scene.session_uid] = scene.camera.session_uid if scene.camera is not None else 0

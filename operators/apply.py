@@ -1,4 +1,8 @@
-"""What was pruned becomes final; afterwards the original can go."""
+"""Apply and Discard: the two ways to end the comparison of an original with its pruned splat.
+
+Apply keeps the Gaussians that are shown, including those of the original that the slider Keep brought back. The original stays,
+hidden, until it is discarded.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +10,21 @@ import bpy
 
 from ..svrgs_addon.errors import SplatError
 from . import bridge, edit_guard, job_result
-from .job import file_size, forget_job
+from .job import delete_job, file_size
 from .select import select
 
 
 class SVRGS_OT_apply(bpy.types.Operator):
     bl_idname = "svrgs.apply"
     bl_label = "Apply"
-    bl_description = "Keep the Gaussians that are shown, delete the others from the pruned splat. The original stays, hidden"
+    bl_description = "Keep the Gaussians that are shown and delete the others from the pruned splat. The original stays, hidden"
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context):
         _, pruned = job_result.pair_of(context.object)
         undecided = job_result.undecided(pruned)
-        problem = edit_guard.problem(context, pruned) if undecided else "Select a splat that was pruned and not applied yet"
+        problem = edit_guard.problem(context, pruned) if undecided else "Select a pruned splat that was not applied yet"
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -28,9 +32,9 @@ class SVRGS_OT_apply(bpy.types.Operator):
     def execute(self, context):
         original, pruned = job_result.pair_of(context.object)
         try:
-            scene = job_result.chosen(pruned)
+            scene = job_result.shown_gaussians(pruned)
             if not scene.count:
-                raise SplatError("nothing would be left: keep more")
+                raise SplatError("no Gaussian would be left: keep more")
             bridge.replace_gaussians(pruned, scene)
         except SplatError as error:
             self.report({"ERROR"}, str(error))
@@ -50,12 +54,12 @@ class SVRGS_OT_apply(bpy.types.Operator):
 class SVRGS_OT_discard(bpy.types.Operator):
     bl_idname = "svrgs.discard"
     bl_label = "Discard"
-    bl_description = "Remove one side of a pruning from the file, and the job's files"
+    bl_description = "Delete the original or the pruned splat from the file, and the files of the job"
     bl_options = {"REGISTER", "UNDO"}
 
     what: bpy.props.EnumProperty(
-        name="What", description="The side that goes",
-        items=[("ORIGINAL", "Original", "The splat as it was before pruning"), ("RESULT", "Result", "The pruned splat; the original is as it was")],
+        name="What", description="The splat to delete",
+        items=[("ORIGINAL", "Original", "The splat as it was before pruning"), ("RESULT", "Result", "The pruned splat. The original is as it was")],
     )  # fmt: skip
 
     @classmethod
@@ -69,17 +73,17 @@ class SVRGS_OT_discard(bpy.types.Operator):
     def execute(self, context):
         original, pruned = job_result.pair_of(context.object)
         if self.what == "ORIGINAL" and job_result.undecided(pruned):
-            self.report({"ERROR"}, "Apply the result first: it may still bring Gaussians of the original back")
+            self.report({"ERROR"}, "Apply the result first: it still needs the original")
             return {"CANCELLED"}
         try:
-            forget_job(original)
+            delete_job(original)
         except OSError as error:
             self.report({"WARNING"}, str(error))
-        gone, left = (original, pruned) if self.what == "ORIGINAL" else (pruned, original)
-        said = f"Discarded '{gone.name}' with {bridge.count(gone):,} Gaussians; '{left.name}' stays"
-        (job_result.forget if gone is pruned else job_result.remove)(original)
+        deleted, left = (original, pruned) if self.what == "ORIGINAL" else (pruned, original)
+        message = f"Discarded '{deleted.name}' with {bridge.count(deleted):,} Gaussians; '{left.name}' stays"
+        (job_result.discard_result if deleted is pruned else job_result.delete_object)(original)
         select(context, [left])
-        self.report({"INFO"}, said)
+        self.report({"INFO"}, message)
         return {"FINISHED"}
 
 

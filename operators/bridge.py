@@ -1,8 +1,15 @@
-"""Blender's data <-> the product's: the only place where one becomes the other.
+"""Blender's objects <-> Scene and Camera of svrgs_addon: splats, cameras, and the empties above them.
 
-A splat is a point cloud, or a mesh of points where Blender cannot make one (4.2), with the attributes of Blender 5.3's own
-splats (svrgs_addon/attribute_layout.py). Its coordinates are the file's; the object's matrix, or its root's, turns them into
-Blender's. A posed photograph is a camera that knows the size of its picture.
+A splat is a point cloud, or a mesh of points in Blender 4.2, which has no point clouds. Its attributes are those of Blender 5.3's own
+splats (svrgs_addon/blender/attribute_layout.py):
+
+- The numbers are those of the file. The matrix of the object, or of its root, turns them into Blender's coordinates.
+- `scale` and opacity are activated and `rotation` is normalised. The raw values lie in attributes `svrgs:...`; one is used as long as
+  its activation equals the attribute. After an edit, and in splats of Blender's own import, the activation is inverted.
+- Each further column of a file is an attribute of its own. Types and order of the columns, and the file's comments, are a property
+  of the data-block.
+
+A posed photograph is a camera with properties that hold the size and the pixel aspect of its image.
 """
 
 from __future__ import annotations
@@ -21,38 +28,38 @@ from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.scene import Scene
 
-NOTES = "svrgs"  # property of a splat's data-block
+NOTES = "svrgs"  # property of a splat's data-block: types and order of further columns, comments
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
-ROOT = "svrgs_root"  # property of the empty that holds what shares file coordinates
-DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: where its photographs are, the name of their folder
+ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
+DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: folder of its dataset, name of the image folder in it
 TYPES = ("MESH", "POINTCLOUD")
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
-VALUE = {"FLOAT_VECTOR": "vector", "FLOAT2": "vector", "FLOAT4": "vector", "FLOAT_COLOR": "color"}  # others: value
-WIDTH = {"FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "FLOAT4": 4, "QUATERNION": 4, "INT32_2D": 2}  # others: 1
+VALUE = {"FLOAT_VECTOR": "vector", "FLOAT2": "vector", "FLOAT4": "vector", "FLOAT_COLOR": "color"}  # name of the values; other types: value
+WIDTH = {"FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "FLOAT4": 4, "QUATERNION": 4, "INT32_2D": 2}  # numbers per value; other types: 1
 
 
 # --- splats
 
 
 def is_splat(obj: bpy.types.Object | None) -> bool:
-    """Whether the object is a splat: ours, or Blender 5.3's own."""
+    """Whether the object is a splat: of this extension, or of Blender 5.3's own import."""
     return obj is not None and obj.type in TYPES and all(_attribute(obj.data, name) for name in REQUIRED)
 
 
 def count(obj: bpy.types.Object) -> int:
-    """Gaussians of a splat."""
+    """Number of Gaussians of a splat."""
     return len(obj.data.vertices if obj.type == "MESH" else obj.data.points)
 
 
 def sh_degree(obj: bpy.types.Object) -> int:
-    """Degree of the spherical harmonics that a splat's file would have: a band that is not complete ends them."""
+    """SH degree that a file of the splat would have: up to the first band that is not complete."""
     bands = (all(_attribute(obj.data, f"{SH}{k}") for k in range(n * n - 1, (n + 1) ** 2 - 1)) for n in (1, 2, 3))
     return len(list(itertools.takewhile(bool, bands)))
 
 
 def object_from_scene(name: str, scene: Scene, collection: bpy.types.Collection, matrix: Matrix = AXES) -> bpy.types.Object:
-    """A new splat in the collection, its data in the scene's coordinates; matrix: from these to Blender's world."""
+    """A new splat in the collection. matrix: from the scene's coordinates to Blender's world."""
     obj = bpy.data.objects.new(name, _mesh(name, scene))
     if "POINTCLOUD" in bpy.ops.object.convert.get_rna_type().properties["target"].enum_items:  # from 4.5 on
         _to_point_cloud(obj)
@@ -62,34 +69,34 @@ def object_from_scene(name: str, scene: Scene, collection: bpy.types.Collection,
 
 
 def scene_from_object(obj: bpy.types.Object) -> Scene:
-    """The Gaussians of a splat, in its local coordinates: those of the file. Raises SceneError."""
+    """The Gaussians of a splat in its local coordinates, which are those of the file. Raises SceneError."""
     if not is_splat(obj):
-        raise SceneError(f"'{obj.name}' is no Gaussian splat" if obj else "there is no object")
-    with _out_of_edit_mode(obj) as data:
+        raise SceneError(f"'{obj.name}' is not a Gaussian splat" if obj else "there is no object")
+    with _current_data(obj) as data:
         numbers = [a.name for a in data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
         return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
 
 
 def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
-    """(N,) or (N, width) numbers of a splat's further attribute; None where it has none of that name."""
+    """(N,) or (N, width) values of an attribute of a splat; None if it has no attribute of that name."""
     return _get(obj.data, name)
 
 
 def set_values(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray):
-    """Gives the splat a further attribute of Blender's data type `kind`, one row a Gaussian."""
+    """Writes an attribute of Blender's data type `kind`, one row per Gaussian."""
     _set(obj.data, name, kind, values)
     obj.data.update_tag()
 
 
-def forget_values(obj: bpy.types.Object, *names: str):
-    """Removes further attributes, as far as there are any."""
+def remove_values(obj: bpy.types.Object, *names: str):
+    """Removes attributes that exist."""
     for name in names:
         if name in obj.data.attributes:
             obj.data.attributes.remove(obj.data.attributes[name])
 
 
 def replace_gaussians(obj: bpy.types.Object, scene: Scene):
-    """Gives the splat other Gaussians; it stays the same object, with its materials. Objects that share its data keep the former ones."""
+    """Gives the splat other Gaussians. Object, materials and properties stay. Objects that share its data keep the former Gaussians."""
     old, name = obj.data, obj.data.name
     new = _mesh(name, scene) if obj.type == "MESH" else _point_cloud(name, scene)
     for material in old.materials:
@@ -103,7 +110,7 @@ def replace_gaussians(obj: bpy.types.Object, scene: Scene):
 
 
 def _mesh(name: str, scene: Scene) -> bpy.types.Mesh:
-    """Data of a splat where Blender makes no point clouds."""
+    """A mesh of points with the attributes of a splat."""
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(scene.count)
     for attribute, kind, values in to_attributes(scene):
@@ -113,7 +120,7 @@ def _mesh(name: str, scene: Scene) -> bpy.types.Mesh:
 
 
 def _point_cloud(name: str, scene: Scene) -> bpy.types.PointCloud:
-    """Data of a splat where Blender makes point clouds, without an object."""
+    """A point cloud with the attributes of a splat; Blender makes one only by converting an object."""
     made = object_from_scene(name, scene, bpy.context.scene.collection)
     data = made.data
     bpy.data.objects.remove(made)
@@ -121,8 +128,8 @@ def _point_cloud(name: str, scene: Scene) -> bpy.types.PointCloud:
 
 
 @contextlib.contextmanager
-def _out_of_edit_mode(obj: bpy.types.Object):
-    """The object's data as it now is: of a mesh in Edit Mode that lies elsewhere."""
+def _current_data(obj: bpy.types.Object):
+    """The object's data with all edits: Blender keeps those of a mesh in Edit Mode apart."""
     if obj.type != "MESH" or obj.mode != "EDIT":
         yield obj.data
         return
@@ -135,19 +142,20 @@ def _out_of_edit_mode(obj: bpy.types.Object):
 
 
 def _to_point_cloud(obj: bpy.types.Object):
-    """Turns the mesh object into a point cloud, in a scene of its own: the user's selection and mode stay as they are."""
+    """Converts the mesh object to a point cloud, in a temporary scene: the user's selection and mode do not change."""
     mesh, name = obj.data, obj.data.name
-    aside = bpy.data.scenes.new("svrgs")
+    temp_scene = bpy.data.scenes.new("svrgs")
     try:
-        aside.collection.objects.link(obj)
-        layer = aside.view_layers[0]
+        temp_scene.collection.objects.link(obj)
+        layer = temp_scene.view_layers[0]
         layer.objects.active = obj
         obj.select_set(True, view_layer=layer)
-        with bpy.context.temp_override(scene=aside, view_layer=layer, active_object=obj, object=obj, selected_objects=[obj], selected_editable_objects=[obj]):
+        override = {"active_object": obj, "object": obj, "selected_objects": [obj], "selected_editable_objects": [obj]}
+        with bpy.context.temp_override(scene=temp_scene, view_layer=layer, **override):
             bpy.ops.object.convert(target="POINTCLOUD")
-        aside.collection.objects.unlink(obj)
+        temp_scene.collection.objects.unlink(obj)
     finally:
-        bpy.data.scenes.remove(aside)
+        bpy.data.scenes.remove(temp_scene)
     obj.data[NOTES] = mesh[NOTES]
     bpy.data.meshes.remove(mesh)
     obj.data.name = name
@@ -166,13 +174,13 @@ def _set(data: bpy.types.Mesh, name: str, kind: str, values: np.ndarray):
 
 
 def _get(data, name: str) -> np.ndarray | None:
-    """(N,) or (N, width) values of an attribute; None where there is none."""
+    """(N,) or (N, width) values of an attribute; None if there is none."""
     attribute = _attribute(data, name)
     if attribute is None:
         return None
     kind = attribute.data_type
     width = WIDTH.get(kind, 1)
-    dtype = bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32  # of another type it takes a thousand times as long
+    dtype = bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32  # with another type, foreach_get takes a thousand times as long
     values = np.empty(len(attribute.data) * width, dtype)
     attribute.data.foreach_get(VALUE.get(kind, "value"), values)
     return values.reshape(-1, width) if width > 1 else values
@@ -187,17 +195,17 @@ def _attribute(data, name: str):
 
 
 def camera_from_object(obj: bpy.types.Object, scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> Camera:
-    """What a camera object sees, in Blender's world.
+    """The view of a camera object, in Blender's world.
 
-    size: (width, height) in pixels of the scene's aspect; default: the photograph's, or of other cameras the scene's render.
-    obj: an evaluated one where animation counts. Raises SceneError for objects that are no cameras (Blender makes any the scene's
-    camera), and for cameras that are neither perspective nor orthographic.
+    size: (width, height) in pixels, with the scene's pixel aspect. Default: the size and aspect of the photograph, or of the scene's
+    render if the camera has no photograph. obj: an evaluated object if animation matters. Raises SceneError if the object is not a
+    camera (Blender accepts any object as the scene's camera), and if the camera is neither perspective nor orthographic.
     """
     if obj.type != "CAMERA":
-        raise SceneError(f"'{obj.name}' is no camera: choose another object as the scene's camera")
+        raise SceneError(f"'{obj.name}' is no camera: choose a camera as the scene's camera")
     data, render = obj.data, scene.render
     if data.type not in ("PERSP", "ORTHO"):
-        raise SceneError(f"camera '{obj.name}' is neither perspective nor orthographic; splats are drawn for those alone")
+        raise SceneError(f"camera '{obj.name}' is neither perspective nor orthographic: splats cannot be drawn from other cameras")
     aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
     if size is None:
         size, aspect = (tuple(data[SIZE]), tuple(data[ASPECT])) if SIZE in data else (render_size(scene), aspect)
@@ -209,7 +217,7 @@ def camera_from_object(obj: bpy.types.Object, scene: bpy.types.Scene, size: tupl
 
 
 def camera_to_object(camera: Camera, obj: bpy.types.Object):
-    """Gives the camera object the view's lens, the size of its picture, and its pose in the coordinates of its parent."""
+    """Gives the camera object the lens, the image size and the pose of a view, in the coordinates of the object's parent."""
     data, lens = obj.data, lenses.lens_of(camera)
     data.type, data.sensor_fit = "PERSP", lens.fit
     data.sensor_width, data.sensor_height = lens.sensor
@@ -221,13 +229,13 @@ def camera_to_object(camera: Camera, obj: bpy.types.Object):
 
 
 def render_size(scene: bpy.types.Scene) -> tuple[int, int]:
-    """(width, height) of a render, in pixels."""
+    """(width, height) of a render in pixels."""
     render = scene.render
     return tuple(max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y))
 
 
 def apply_camera_size(scene: bpy.types.Scene):
-    """Sets the render's size and pixel aspect to those of the active camera's photograph, if it has one."""
+    """Gives the scene the image size and the pixel aspect of its camera's photograph, if it has one."""
     data = scene.camera.data if scene.camera is not None and scene.camera.type == "CAMERA" else {}
     if SIZE in data:
         scene.render.resolution_x, scene.render.resolution_y = data[SIZE]
@@ -240,7 +248,7 @@ def _without_scale(matrix: Matrix) -> np.ndarray:
     return pose
 
 
-# --- what belongs together
+# --- roots: empties whose children share the coordinates of the files
 
 
 def points_object(name: str, points: np.ndarray, colors: np.ndarray, collection: bpy.types.Collection) -> bpy.types.Object:
@@ -256,13 +264,14 @@ def points_object(name: str, points: np.ndarray, colors: np.ndarray, collection:
 
 
 def root_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
-    """The empty above the object, or the object itself, in whose coordinates files are."""
+    """The root above the object, or the object itself if it is one; None if there is none."""
     while obj is not None and ROOT not in obj:
         obj = obj.parent
     return obj
 
 
 def new_root(name: str, collection: bpy.types.Collection, matrix: Matrix = AXES) -> bpy.types.Object:
+    """matrix: from the coordinates of the files to Blender's world."""
     root = bpy.data.objects.new(name, None)
     root[ROOT] = True
     root.matrix_world = matrix
@@ -270,8 +279,8 @@ def new_root(name: str, collection: bpy.types.Collection, matrix: Matrix = AXES)
     return root
 
 
-def hang_below(obj: bpy.types.Object, root: bpy.types.Object):
-    """Makes the object share the root's coordinates."""
+def parent_to_root(obj: bpy.types.Object, root: bpy.types.Object):
+    """Makes the object a child of the root, in the coordinates of the files."""
     obj.parent = root
     obj.matrix_parent_inverse.identity()
     obj.matrix_basis.identity()

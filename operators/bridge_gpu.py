@@ -1,4 +1,4 @@
-"""Quads of Gaussians on the graphics card, blended in display sRGB as in training, and pictures laid over the viewport."""
+"""Drawing with the graphics card: one quad per Gaussian, blended in display sRGB as in training; and textures over the viewport."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from gpu_extras.batch import batch_for_shader
 
 from ..svrgs_addon.native_library import thresholds
 
-WIDTH = 4096  # texels in a row of a texture that holds a list
+WIDTH = 4096  # texels in a row of a texture that stores a list
 
-# A Gaussian's ellipse and alpha are the rasterizer's (native/src/kernels/). Names in capitals: thresholds of the native library.
+# Ellipse and alpha of a Gaussian are computed as in native/src/kernels/. Names in capitals: thresholds of the native library.
 VERTEX = """
 ivec2 place(int k) { return ivec2(k % WIDTH, k / WIDTH); }
 
@@ -21,7 +21,7 @@ void main() {
   color = texelFetch(colors, place(id), 0).rgb;
   vec3 t = (modelview * vec4(a.xyz, 1.0)).xyz;
   float z = -t.z;
-  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside: not drawn
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside the viewport: not drawn
   corner = vec2(0.0);
   opacity = 0.0;
   if (z < near || a.w < ALPHA_CUT) return;
@@ -58,10 +58,10 @@ void main() {
 }
 """
 
-LAY_VERTEX = "void main() { uv = 0.5 * pos + 0.5; gl_Position = vec4(pos, 0.0, 1.0); }"
+PICTURE_VERTEX = "void main() { uv = 0.5 * pos + 0.5; gl_Position = vec4(pos, 0.0, 1.0); }"
 
-# Display sRGB times alpha to linear times alpha: the viewport encodes what is drawn into it.
-LAY_FRAGMENT = """
+# From display sRGB times alpha to linear times alpha: Blender encodes the viewport for the display afterwards.
+PICTURE_FRAGMENT = """
 void main() {
   vec4 c = texture(image, uv);
   vec3 s = c.rgb / max(c.a, 1e-5);
@@ -72,7 +72,7 @@ void main() {
 
 
 def defines() -> dict[str, float]:
-    """The thresholds that the shaders use, by their names there."""
+    """The thresholds of the native library, by their names in the shaders."""
     found = thresholds()
     return {name.upper(): getattr(found, name) for name in ("alpha_cut", "alpha_max", "blur", "frustum_margin", "compensation_floor")}
 
@@ -81,19 +81,19 @@ CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1))
 
 
 class Shaders:
-    """Compiled once, in a drawing context."""
+    """The shaders; to be compiled in a drawing context."""
 
     def __init__(self):
         self.quads = self._quads()
-        self.lay = self._lay()
-        self.corners, self.screen = (batch_for_shader(shader, "TRIS", {"pos": CORNERS}) for shader in (self.quads, self.lay))
+        self.picture = self._picture()
+        self.corners, self.screen = (batch_for_shader(shader, "TRIS", {"pos": CORNERS}) for shader in (self.quads, self.picture))
 
     def _quads(self) -> gpu.types.GPUShader:
         info, passed = gpu.types.GPUShaderCreateInfo(), gpu.types.GPUStageInterfaceInfo("svrgs_quad")
         passed.smooth("VEC2", "corner")
         passed.flat("VEC3", "color")
         passed.flat("FLOAT", "opacity")
-        info.push_constant("MAT4", "modelview")  # 120 bytes of constants in all; graphics cards promise 128
+        info.push_constant("MAT4", "modelview")  # 120 bytes of push constants in all; every graphics card has 128
         info.push_constant("VEC4", "lens")
         info.push_constant("VEC2", "size")
         for name in ("parallel", "depth_scale", "depth_shift", "near", "enlarge", "antialiased", "reduction"):
@@ -109,20 +109,20 @@ class Shaders:
         info.fragment_source(FRAGMENT)
         return gpu.shader.create_from_info(info)
 
-    def _lay(self) -> gpu.types.GPUShader:
-        info, passed = gpu.types.GPUShaderCreateInfo(), gpu.types.GPUStageInterfaceInfo("svrgs_lay")
+    def _picture(self) -> gpu.types.GPUShader:
+        info, passed = gpu.types.GPUShaderCreateInfo(), gpu.types.GPUStageInterfaceInfo("svrgs_picture")
         passed.smooth("VEC2", "uv")
         info.sampler(0, "FLOAT_2D", "image")
         info.vertex_in(0, "VEC2", "pos")
         info.vertex_out(passed)
         info.fragment_out(0, "VEC4", "result")
-        info.vertex_source(LAY_VERTEX)
-        info.fragment_source(LAY_FRAGMENT)
+        info.vertex_source(PICTURE_VERTEX)
+        info.fragment_source(PICTURE_FRAGMENT)
         return gpu.shader.create_from_info(info)
 
 
 class Target:
-    """What quads are drawn into. (Making a GPUOffScreen instead would unbind the viewport that is being drawn.)"""
+    """The texture that quads are drawn into. (Creating a GPUOffScreen instead would unbind the viewport that is being drawn.)"""
 
     def __init__(self, width: int, height: int):
         self.width, self.height = width, height
@@ -131,7 +131,7 @@ class Target:
 
 
 def texture(rows: np.ndarray, form: str) -> gpu.types.GPUTexture:
-    """A list (n, ...) of numbers as texels of 1 or 4 channels, WIDTH to a row; missing ones are 0."""
+    """A list (n, ...) of numbers as a texture of 1 or 4 channels, WIDTH texels in a row, padded with 0."""
     rows = rows.reshape(len(rows), -1)
     count, channels = len(rows), 1 if form == "R32F" else 4
     height = max(1, -(-count // WIDTH))
@@ -141,9 +141,9 @@ def texture(rows: np.ndarray, form: str) -> gpu.types.GPUTexture:
 
 
 def scene_depth(width: int, height: int) -> tuple[gpu.types.GPUTexture, np.ndarray] | None:
-    """Depth of what the viewport has drawn so far, in [0, 1]: as a texture, and (H, W) with rows from the top.
+    """The viewport's depth buffer, in [0, 1]: as a texture, and as (H, W) with rows from the top.
 
-    None where another size is being drawn, as for a picture of the viewport.
+    None if Blender draws in another size, as for a render of the viewport.
     """
     frame = gpu.state.active_framebuffer_get()
     if tuple(frame.viewport_get()) != (0, 0, width, height):
@@ -154,7 +154,7 @@ def scene_depth(width: int, height: int) -> tuple[gpu.types.GPUTexture, np.ndarr
     return hidden, np.array(values, np.float32).reshape(height, width)[::-1]
 
 
-def picture(rgba: np.ndarray) -> gpu.types.GPUTexture:
+def picture_texture(rgba: np.ndarray) -> gpu.types.GPUTexture:
     """(H, W, 4) float32, rows from the top."""
     height, width, _ = rgba.shape
     pixels = np.ascontiguousarray(rgba[::-1]).reshape(-1)
@@ -162,7 +162,7 @@ def picture(rgba: np.ndarray) -> gpu.types.GPUTexture:
 
 
 def draw_quads(shaders: Shaders, target: Target, lists: dict, hidden: gpu.types.GPUTexture, constants: dict, count: int):
-    """Blends `count` quads into the target. lists: order, geometry, colors; constants: push constants by name."""
+    """Blends `count` quads into the target. lists: textures order, geometry, colors; constants: push constants by name."""
     with target.frame.bind():
         target.frame.clear(color=(0.0, 0.0, 0.0, 0.0))
         gpu.state.blend_set("ALPHA_PREMULT")
@@ -178,11 +178,11 @@ def draw_quads(shaders: Shaders, target: Target, lists: dict, hidden: gpu.types.
         gpu.state.blend_set("NONE")
 
 
-def lay_over(shaders: Shaders, image: gpu.types.GPUTexture):
-    """Draws colours in display sRGB times alpha over the viewport."""
+def draw_over_viewport(shaders: Shaders, image: gpu.types.GPUTexture):
+    """Draws a texture of display sRGB times alpha over the whole viewport."""
     gpu.state.blend_set("ALPHA_PREMULT")
     gpu.state.depth_test_set("NONE")
-    shaders.lay.bind()
-    shaders.lay.uniform_sampler("image", image)
-    shaders.screen.draw(shaders.lay)
+    shaders.picture.bind()
+    shaders.picture.uniform_sampler("image", image)
+    shaders.screen.draw(shaders.picture)
     gpu.state.blend_set("NONE")

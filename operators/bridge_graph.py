@@ -1,4 +1,8 @@
-"""Blender's dependency graph -> what a picture is made of: the Gaussians of all splats, and the surfaces that hide them."""
+"""Blender's dependency graph -> the parts of a picture: the Gaussians of all splats, and the meshes that hide them.
+
+One splat alone is drawn in its own coordinates, by a camera that is moved there. Several splats, or one that is stretched or
+mirrored, are transformed into world coordinates.
+"""
 
 from __future__ import annotations
 
@@ -20,30 +24,30 @@ from ..svrgs_addon.scene import Scene
 from . import bridge
 
 SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
-PLAIN = (0.8, 0.8, 0.8)  # linear colour of what has no material
-REMOVED = "removed"  # attribute of Gaussians that pruning would take away: not drawn
+PLAIN = (0.8, 0.8, 0.8)  # linear colour of a mesh without a material
+REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn
 
 Read = Callable[[bpy.types.Object], Scene]
 
 
 @dataclass(frozen=True)
-class Shown:
-    """The Gaussians of one picture, in coordinates of their own."""
+class PlacedScene:
+    """The Gaussians of one picture, and where they are in Blender's world."""
 
     scene: Scene
-    matrix: Matrix  # from these coordinates to Blender's world: no shear, no mirroring
+    matrix: Matrix  # from the scene's coordinates to Blender's world: no shear, no mirroring
 
     @property
     def unit(self) -> float:
-        """Length in Blender of one unit of the scene."""
+        """Length of one unit of the scene in Blender's world."""
         return abs(self.matrix.to_3x3().determinant()) ** (1 / 3)
 
     def seen_by(self, camera: Camera) -> Camera:
-        """A camera of Blender's world in these coordinates; lengths in it are 1 / unit of Blender's."""
+        """The camera, given in Blender's world, in the scene's coordinates."""
         return camera.moved(self.matrix)
 
     def hidden_by(self, triangles: Triangles, camera: Camera) -> Surface | None:
-        """What a camera of Blender's world sees of the triangles, depths in lengths of seen_by(camera)."""
+        """The triangles as the camera (in Blender's world) sees them; depths in units of the scene. None if there are none."""
         if not len(triangles.corners):
             return None
         found = surface(triangles, camera)
@@ -51,36 +55,36 @@ class Shown:
 
 
 def visible_scene(obj: bpy.types.Object) -> Scene:
-    """A splat's Gaussians without those marked as removed."""
+    """The Gaussians of a splat that are not marked as removed."""
     return bridge.scene_from_object(obj).select(visible_rows(obj))
 
 
 def visible_rows(obj: bpy.types.Object) -> np.ndarray:
-    """Rows of a splat's Gaussians that are not marked as removed."""
+    """Rows of the Gaussians that are not marked as removed."""
     removed = bridge.values(obj, REMOVED)
     return np.flatnonzero(removed == 0) if removed is not None else np.arange(bridge.count(obj))
 
 
-def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> Shown | None:
-    """All splats that the graph shows, modifiers applied; one alone stays in its own coordinates. None where there is none.
+def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> PlacedScene | None:
+    """All splats that the graph shows, with modifiers applied; None if there is none.
 
-    read: an evaluated object to its Gaussians. Raises SceneError.
+    read: from an evaluated object to its Gaussians. Raises SceneError.
     """
     found = [(read(obj), matrix) for obj, matrix in placed_splats(depsgraph)]
     return placed(found) if found else None
 
 
 def placed_splats(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, Matrix]]:
-    """Every evaluated splat that the graph shows, with its matrix; for use at once."""
+    """Every evaluated splat that the graph shows, with its matrix. Blender frees these objects soon: use them at once."""
     return ((i.object, i.matrix_world.copy()) for i in _instances(depsgraph) if bridge.is_splat(i.object))
 
 
 def splats_in_view(context: bpy.types.Context) -> list[tuple[bpy.types.Object, Matrix]]:
-    """Every evaluated splat that a viewport shows, with its matrix; those of collections that objects instance, too."""
+    """Every evaluated splat that a viewport shows, with its matrix; also splats in collections that objects instance."""
     graph, space = context.view_layer.depsgraph, context.space_data
     shown = [obj.evaluated_get(graph) for obj in context.view_layer.objects if bridge.is_splat(obj) and obj.visible_get(viewport=space)]
     found = [(obj, obj.matrix_world.copy()) for obj in shown]
-    if not _instances_splats():  # a look at every instance takes its time
+    if not _instances_splats():  # the loop over all instances is slow
         return found
     for instance in graph.object_instances:
         if instance.is_instance and instance.show_self and bridge.is_splat(instance.object) and instance.parent.original.visible_get(viewport=space):
@@ -94,16 +98,16 @@ def _instances_splats() -> bool:
     return any(bridge.is_splat(obj) for collection in collections for obj in collection.all_objects)
 
 
-def placed(scenes: list[tuple[Scene, Matrix]]) -> Shown:
-    """Scenes with the matrices that bring them into Blender's world; one alone stays in its own coordinates if it can. Raises SceneError."""
+def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:
+    """One picture of scenes with their matrices to Blender's world; see the top of this file. Raises SceneError."""
     scene, matrix = scenes[0]
     if len(scenes) == 1 and matrix.determinant() > 0 and stretch(matrix) - 1 <= UNIFORM:
-        return Shown(scene, matrix)
-    return Shown(merged([transformed(scene, np.array(matrix)) for scene, matrix in scenes]), Matrix())
+        return PlacedScene(scene, matrix)
+    return PlacedScene(merged([transformed(scene, np.array(matrix)) for scene, matrix in scenes]), Matrix())
 
 
 def surfaces(depsgraph: bpy.types.Depsgraph) -> Triangles:
-    """The triangles of everything else that renders as a surface, in Blender's world."""
+    """The triangles of all objects that render as surfaces, without splats, in Blender's world."""
     parts = [_triangles(i.object, np.array(i.matrix_world)) for i in _instances(depsgraph) if i.object.type in SURFACES and not bridge.is_splat(i.object)]
     parts = [(corners, colors) for corners, colors in parts if len(corners)]
     if not parts:
@@ -115,12 +119,12 @@ def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = N
     """The evaluated camera of the render. Raises SceneError."""
     obj = override or depsgraph.scene.camera
     if obj is None:
-        raise SceneError("there is no camera to render from; add one, or make one the scene's camera (Ctrl Numpad 0)")
+        raise SceneError("the scene has no camera: add one, or make one the scene's camera (Ctrl Numpad 0)")
     return obj.evaluated_get(depsgraph)
 
 
 def region_camera(region: bpy.types.Region, view: bpy.types.RegionView3D) -> Camera:
-    """What a 3D viewport sees, in Blender's world."""
+    """The view of a 3D viewport, in Blender's world."""
     return camera_of_projection(view.window_matrix, bridge.FLIP @ np.array(view.view_matrix, np.float64), region.width, region.height)
 
 
@@ -144,7 +148,7 @@ def _triangles(obj: bpy.types.Object, matrix: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _color(material: bpy.types.Material | None) -> tuple[float, float, float]:
-    """Base colour, linear."""
+    """The material's base colour, linear."""
     if material is None:
         return PLAIN
     has_nodes = material.node_tree is not None and (bpy.app.version >= (5, 0, 0) or material.use_nodes)

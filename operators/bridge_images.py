@@ -1,4 +1,4 @@
-"""Arrays <-> Blender's images: by name, made anew only where size or kind changed, with a preview that panels show."""
+"""Arrays <-> Blender's images. An image is found by its name and reused; it has a preview for panels."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from mathutils import Color
 from ..svrgs_addon.files.images import linear_to_srgb
 from ..svrgs_addon.render.passes import SRGB_PRIMARIES
 
-PREVIEW = 256  # longer side, pixels
+PREVIEW = 256  # pixels on the longer side
 
 
-def put(name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: bool = False) -> bpy.types.Image:
-    """The image of that name now holds `pixels` (H, W, 3), float or uint8, rows from the top.
+def write_image(name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: bool = False) -> bpy.types.Image:
+    """Writes `pixels` (H, W, 3), float or uint8, rows from the top, into the image of that name, which is created if needed.
 
-    data: 32-bit numbers, colour space Non-Color; else 8 bits, display sRGB. preview: (h, w, 3) display sRGB, default: pixels.
+    data: 32-bit numbers in the colour space Non-Color; else 8 bits in display sRGB. preview: (h, w, 3) display sRGB; default: pixels.
     """
     height, width, _ = pixels.shape
     image = bpy.data.images.get(name)
@@ -32,8 +32,8 @@ def put(name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: 
     return image
 
 
-def read(image: bpy.types.Image) -> np.ndarray | None:
-    """(H, W, 3) float32 display sRGB of an image, rows from the top, over black where it is transparent; None if its file is missing."""
+def read_image(image: bpy.types.Image) -> np.ndarray | None:
+    """(H, W, 3) float32 display sRGB, rows from the top, composited over black; None if the image's file is missing."""
     width, height = image.size
     if not width or not height:
         return None
@@ -45,19 +45,19 @@ def read(image: bpy.types.Image) -> np.ndarray | None:
     return np.ascontiguousarray(rgb * values[..., 3:] if image.channels == 4 and not image.is_float else rgb)
 
 
-def lost(name: str) -> bool:
-    """Whether there is no such image, or, in a file just opened, nothing of it but its size: pictures are saved only if they are packed."""
+def is_lost(name: str) -> bool:
+    """After a file was opened: whether the image is missing or empty. Blender saves pixels with a file only if the image is packed."""
     image = bpy.data.images.get(name)
     return image is None or (image.source == "GENERATED" and image.packed_file is None)
 
 
-def flat(pixels: np.ndarray) -> np.ndarray:
-    """float32 numbers in Blender's order of (H, W) or (H, W, channels), rows from the top."""
+def flattened(pixels: np.ndarray) -> np.ndarray:
+    """(H, W) or (H, W, channels) with rows from the top -> float32 numbers in Blender's order, rows from the bottom."""
     return np.ascontiguousarray(pixels[::-1], np.float32).reshape(-1)
 
 
 def working_space() -> list[tuple[float, float, float]]:
-    """What linear red, green and blue of sRGB are in the file's working space."""
+    """The linear red, green and blue of sRGB in the file's working colour space."""
     return [tuple(Color(axis).from_srgb_to_scene_linear()) for axis in SRGB_PRIMARIES]
 
 

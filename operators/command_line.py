@@ -1,4 +1,4 @@
-"""`blender --command svrgs …`: the command line of the product, with the Python and the packages of this Blender."""
+"""`blender --command svrgs ...`: the command line of svrgs_addon, run with Blender's Python and packages."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ..svrgs_addon.blender import subprocess_python
 _commands = []
 
 
-def run(words: list[str]) -> int:
-    """Exit status of `svrgs WORDS`; stdout and stderr are Blender's."""
-    return subprocess_python.run(words, capture=False)[0]
+def run(arguments: list[str]) -> int:
+    """Runs `svrgs ARGUMENTS` and returns its exit status. stdout and stderr are those of Blender."""
+    return subprocess_python.run(arguments, capture=False)[0]
 
 
 def register():

@@ -1,4 +1,4 @@
-"""Original and pruned splat from a camera, beside each other and against its photograph."""
+"""Compares original and pruned splat: images from a camera, and figures against its photograph."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from .preferences import threads
 from .spatial_mask import show_in_editors
 
 SHEET = "SVR-GS Contact Sheet"
-THUMBNAIL = 320  # pixels, longer side
+THUMBNAIL = 320  # pixels on the longer side
 
 
-class Pair:
-    """The two splats of a comparison. Raises SceneError where one is missing."""
+class ComparedSplats:
+    """The original and the pruned splat of a comparison. Raises SceneError if one is missing."""
 
     def __init__(self, context: bpy.types.Context):
         settings = context.scene.svrgs_looking
@@ -40,21 +40,21 @@ class Pair:
         self.rasterizer = Rasterizer()
         native.set_threads(threads(context))
 
-    def pictures(self, camera, background):
-        """Both as a viewer's 8 bits hold them; camera in Blender's world."""
+    def render(self, camera, background):
+        """Two images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's world."""
         views = [(part.scene, part.seen_by(camera)) for part in self.placed]
         return [rounded_to_8_bits(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views]
 
 
 def shown_scene(pruned: bpy.types.Object) -> Scene:
-    """What a job's result would be if it were applied now; of any other splat, what is not marked as removed."""
+    """Of a job's result: what Apply would keep. Of any other splat: the Gaussians that are not marked as removed."""
     if job_result.KEPT in pruned and job_result.undecided(pruned):
-        return job_result.chosen(pruned)
+        return job_result.shown_gaussians(pruned)
     return bridge_graph.visible_scene(pruned)
 
 
 def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
-    """What pruning made of a splat: a job's result, the object named after it, or itself without what is marked as removed. Raises SceneError."""
+    """The pruned splat: a job's result, or the object 'NAME pruned', or the splat itself if some Gaussians are marked. Raises SceneError."""
     result = job_result.pruned_of(original)
     if result is not None:
         return result
@@ -69,7 +69,7 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
 class SVRGS_OT_compare(bpy.types.Operator):
     bl_idname = "svrgs.compare"
     bl_label = "Compare"
-    bl_description = "Draw original and pruned splat from the camera, and measure both against its photograph if it has one"
+    bl_description = "Draw the original and the pruned splat from the camera. Measure both against its photograph, if it has one"
     bl_options = {"REGISTER"}
 
     @classmethod
@@ -79,19 +79,19 @@ class SVRGS_OT_compare(bpy.types.Operator):
     def execute(self, context):
         settings = context.scene.svrgs_looking
         try:
-            pair = Pair(context)
+            splats = ComparedSplats(context)
             obj = settings.compare_camera or context.scene.camera
             camera = bridge.camera_from_object(obj, context.scene)
             photo = photograph(obj)
             if photo is not None:
                 camera = camera.resized(photo.shape[1], photo.shape[0])
-            pictures = pair.pictures(camera, tuple(settings.background))
+            pictures = splats.render(camera, tuple(settings.background))
         except (SplatError, NativeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         comparison_images.show(*pictures, settings.wipe)
         show_in_editors(context, bpy.data.images[comparison_images.WIPE])
-        rows = [measured(*both, photo) for both in zip(pair.scenes, pictures, strict=True)]
+        rows = [measure(*both, photo) for both in zip(splats.scenes, pictures, strict=True)]
         settings.compare_result = json.dumps({"camera": obj.name, "original": rows[0], "pruned": rows[1], "between": psnr(*pictures)})
         self.report({"INFO"}, summary(rows, psnr(*pictures)))
         return {"FINISHED"}
@@ -100,7 +100,7 @@ class SVRGS_OT_compare(bpy.types.Operator):
 class SVRGS_OT_contact_sheet(bpy.types.Operator):
     bl_idname = "svrgs.contact_sheet"
     bl_label = "Render All Cameras"
-    bl_description = "Draw original, pruned and their difference from every camera, as one image of small pictures"
+    bl_description = "Draw original, pruned splat and their difference from every camera, as small pictures in one image"
     bl_options = {"REGISTER"}
 
     @classmethod
@@ -111,11 +111,11 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
         manager, cameras = context.window_manager, chosen_cameras(context)
         manager.progress_begin(0, len(cameras))
         try:
-            pair, rows, worst = Pair(context), [], math.inf
+            splats, rows, worst = ComparedSplats(context), [], math.inf
             for number, obj in enumerate(cameras):
                 camera = bridge.camera_from_object(obj, context.scene)
                 camera = camera.reduced(max(1, max(camera.width, camera.height) // THUMBNAIL))
-                a, b = pair.pictures(camera, tuple(context.scene.svrgs_looking.background))
+                a, b = splats.render(camera, tuple(context.scene.svrgs_looking.background))
                 rows.append([to_uint8(a), to_uint8(b), difference_image(a, b)])
                 worst = min(worst, psnr(a, b))
                 manager.progress_update(number + 1)
@@ -125,19 +125,19 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
         finally:
             manager.progress_end()
         columns = max(1, round((len(rows) / 3) ** 0.5))
-        show_in_editors(context, bridge_images.put(SHEET, contact_sheet(rows, columns)))
-        self.report({"INFO"}, f"{len(rows):,} cameras in '{SHEET}': original, pruned, difference; least alike: {worst:.1f} dB")
+        show_in_editors(context, bridge_images.write_image(SHEET, contact_sheet(rows, columns)))
+        self.report({"INFO"}, f"{len(rows):,} cameras in '{SHEET}': original, pruned, difference; lowest PSNR between them: {worst:.1f} dB")
         return {"FINISHED"}
 
 
 def photograph(obj: bpy.types.Object):
-    """(H, W, 3) display sRGB of the picture behind the camera; None where it has none."""
+    """(H, W, 3) display sRGB: the camera's background image; None if it has none."""
     images = [background.image for background in obj.data.background_images if background.image is not None]
-    return bridge_images.read(images[0]) if images else None
+    return bridge_images.read_image(images[0]) if images else None
 
 
-def measured(scene, picture, photo) -> dict:
-    """Count and bytes, and how like the photograph it is."""
+def measure(scene, picture, photo) -> dict:
+    """Count and bytes of the splat; with a photograph also PSNR, SSIM and FLIP."""
     row = {"count": scene.count, "bytes": file_size(scene)}
     return row if photo is None else row | {"psnr": psnr(picture, photo), "ssim": float(ssim(picture, photo)), "flip": float(flip(picture, photo))}
 
@@ -151,14 +151,14 @@ def summary(rows: list[dict], between: float) -> str:
 def _has_camera(cls, context) -> bool:
     if context.scene.svrgs_looking.compare_camera is not None or context.scene.camera is not None:
         return True
-    cls.poll_message_set("There is no camera to compare from: add one, or import the dataset's")
+    cls.poll_message_set("There is no camera: add one, or import the cameras of the dataset")
     return False
 
 
 @persistent
-def _without_lost_pictures(*_):
-    """Numbers of pictures that were not saved with the file would stand beside black ones."""
-    if any(bridge_images.lost(name) for name in (comparison_images.ORIGINAL, comparison_images.PRUNED, comparison_images.WIPE)):
+def _forget_lost_images(*_):
+    """Images that were not packed are not saved with the file. Their figures are removed, too."""
+    if any(bridge_images.is_lost(name) for name in (comparison_images.ORIGINAL, comparison_images.PRUNED, comparison_images.WIPE)):
         for scene in bpy.data.scenes:
             scene.svrgs_looking.compare_result = ""
 
@@ -169,10 +169,10 @@ CLASSES = (SVRGS_OT_compare, SVRGS_OT_contact_sheet)
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
-    bpy.app.handlers.load_post.append(_without_lost_pictures)
+    bpy.app.handlers.load_post.append(_forget_lost_images)
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_without_lost_pictures)
+    bpy.app.handlers.load_post.remove(_forget_lost_images)
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -1,4 +1,4 @@
-"""How much each Gaussian adds to the pictures of the cameras, as the attribute "contribution" of a splat."""
+"""Writes the attribute "contribution" of a splat: for each Gaussian, the sum of its weights αT over all pixels of the cameras."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ..svrgs_addon.native import Rasterizer
 from . import bridge, bridge_graph, edit_guard
 from .preferences import threads
 
-NAME = "contribution"
-LONGER = 640  # pixels: a camera's picture is reduced to about that
+ATTRIBUTE = "contribution"
+LONGER_SIDE = 640  # pixels, about: images are reduced to this size
 
 
 class SVRGS_OT_contribution(bpy.types.Operator):
     bl_idname = "svrgs.contribution"
     bl_label = "Show Contribution"
-    bl_description = "Sum, for each Gaussian, what it adds to the pictures of the cameras; stored as the attribute 'contribution'"
+    bl_description = "Sum for each Gaussian what it adds to the images of the cameras, and store it as the attribute 'contribution'"
     bl_options = {"REGISTER", "UNDO"}
 
     cameras: EnumProperty(
-        name="Cameras", description="Whose pictures count",
+        name="Cameras", description="The cameras whose images count",
         items=[
-            ("PHOTOGRAPHS", "Photographs", "All imported cameras, or all there are if none is"), ("SELECTED", "Selected", "The selected cameras"),
+            ("PHOTOGRAPHS", "Photographs", "All imported cameras; all cameras if none was imported"), ("SELECTED", "Selected", "The selected cameras"),
             ("ACTIVE", "Scene Camera", "The scene's camera"),
         ],
     )  # fmt: skip
@@ -41,20 +41,20 @@ class SVRGS_OT_contribution(bpy.types.Operator):
     def execute(self, context):
         chosen = chosen_cameras(context, self.cameras)
         if not chosen:
-            self.report({"ERROR"}, "there is no such camera: import the dataset's, or choose others")
+            self.report({"ERROR"}, "there is no such camera: import the cameras of the dataset, or choose others")
             return {"CANCELLED"}
         obj = context.object
         try:
             native.set_threads(threads(context))
             scene = bridge.scene_from_object(obj)
-            shown = bridge_graph.placed([(scene, obj.matrix_world.copy())])
-            views = [shown.seen_by(_reduced(bridge.camera_from_object(camera, context.scene))) for camera in chosen]
-            sums, _, hits = contribution(shown.scene, views, Rasterizer(), render_options(scene))
+            placed = bridge_graph.placed([(scene, obj.matrix_world.copy())])
+            views = [placed.seen_by(_reduced(bridge.camera_from_object(camera, context.scene))) for camera in chosen]
+            sums, _, hits = contribution(placed.scene, views, Rasterizer(), render_options(scene))
         except (SplatError, NativeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        bridge.set_values(obj, NAME, "FLOAT", sums.astype("float32"))
-        self.report({"INFO"}, f"{int((hits == 0).sum()):,} of {scene.count:,} Gaussians add nothing to {len(views):,} pictures")
+        bridge.set_values(obj, ATTRIBUTE, "FLOAT", sums.astype("float32"))
+        self.report({"INFO"}, f"{int((hits == 0).sum()):,} of {scene.count:,} Gaussians add nothing to {len(views):,} images")
         return {"FINISHED"}
 
 
@@ -69,7 +69,7 @@ def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object
 
 
 def _reduced(camera):
-    return camera.reduced(max(1, max(camera.width, camera.height) // LONGER))
+    return camera.reduced(max(1, max(camera.width, camera.height) // LONGER_SIDE))
 
 
 def register():

@@ -1,4 +1,8 @@
-"""Why a splat cannot be given other Gaussians or values now."""
+"""Whether a splat can be given other Gaussians or values now.
+
+A splat that is linked from another file is refused: Blender accepts what is written to linked data, but forgets it when the file
+is saved.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,9 @@ import bpy
 
 
 def problem(context, splat: bpy.types.Object) -> str:
-    """What to do first, in a sentence; empty where the splat can be changed."""
+    """What the user must do first, in a sentence; empty if the splat can be changed."""
     if context.mode != "OBJECT" or splat.mode == "EDIT":  # it may be edited in another window's scene
         return "Leave Edit Mode first"
-    if splat.library or splat.data.library:  # Blender takes what is written there and forgets it
+    if splat.library or splat.data.library:
         return f"'{splat.name}' is linked from another file: make it local first (Object > Relations > Make Local)"
     return ""

@@ -1,4 +1,4 @@
-"""Says what pruning would do and cost, before anything runs. A process looks; Blender goes on meanwhile."""
+"""Estimates how many Gaussians would stay and how long pruning takes. A child process does the work; Blender stays usable."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import write_scene
 from . import bridge
-from .job import JobOperator, file_size, obstacle, options_of
+from .job import JobOperator, file_size, options_of, start_problem
 from .job_watch import redraw_panels
 
 MODULE = "svrgs_addon.jobs.estimate"
-EVERY = 0.1  # seconds
+INTERVAL = 0.1  # seconds between two looks whether it is done
 
-_found: dict[int, dict] = {}  # by session_uid of the splat: what was found out, {"busy": True} until then
-_asked: dict[int, dict] = {}  # by session_uid of the splat: what the last estimate was made for
+_found: dict[int, dict] = {}  # by session_uid of the splat: the estimate; {"busy": True} until it is there
+_inputs: dict[int, dict] = {}  # by session_uid of the splat: the inputs of its last estimate
 _threads: list[threading.Thread] = []
 
 
 def of(obj: bpy.types.Object | None) -> dict:
-    """What the last estimate of the splat found; {"busy": True}; {"error": sentence}; {} where there was none, or it was of something else.
+    """The last estimate of the active object: the result of jobs/estimate.py; {"busy": True}; or {"error": sentence}.
 
-    obj: the active object, if it is a splat.
+    {} if there is none, or if the settings or the splat have changed since.
     """
     found = _found.get(obj.session_uid, {}) if bridge.is_splat(obj) else {}
-    return found if "busy" in found or (found and _asked[obj.session_uid] == _question(obj)) else {}
+    return found if "busy" in found or (found and _inputs[obj.session_uid] == _inputs_now(obj)) else {}
 
 
-def _question(obj: bpy.types.Object) -> dict:
-    """What an estimate depends on: the settings, and the splat as far as a look tells."""
+def _inputs_now(obj: bpy.types.Object) -> dict:
+    """What an estimate depends on: the settings, and the identity and size of the splat's data."""
     return {**options_of(bpy.context, obj), "data": obj.data.session_uid, "splat": bridge.count(obj)}
 
 
@@ -47,7 +47,7 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     return [
         f"{'At most' if found['at_most'] else 'About'} {kept:,} of {count:,} would stay ({kept / count:.0%})",
         f"{file_size(obj, count)} → about {file_size(obj, kept)}",
-        f"{found['invisible']:,} too faint to be seen, {found['unseen']:,} in none of {found['views']} views, {found['faint']:,} next to nothing",
+        f"{found['invisible']:,} are transparent, {found['unseen']:,} are in none of {found['views']} views, {found['faint']:,} are below the first cut",
         f"About {minutes:.0f} min {speed}" if minutes >= 1 else f"Less than a minute {speed}",
     ]
 
@@ -55,11 +55,11 @@ def sentences(obj: bpy.types.Object) -> list[str]:
 class SVRGS_OT_estimate(JobOperator):
     bl_idname = "svrgs.estimate"
     bl_label = "Estimate"
-    bl_description = "Say within seconds how many Gaussians would stay, and how long pruning would take"
+    bl_description = "Estimate within seconds how many Gaussians would stay and how long pruning would take"
 
     @classmethod
     def poll(cls, context):
-        problem = "An estimate is being made" if of(context.object).get("busy") else obstacle(context)
+        problem = "An estimate is being made" if of(context.object).get("busy") else start_problem(context)
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -68,15 +68,15 @@ class SVRGS_OT_estimate(JobOperator):
         obj = context.object
         temp_dir = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
         write_scene(Path(temp_dir.name) / "scene.ply", bridge.scene_from_object(obj))
-        _found[obj.session_uid], _asked[obj.session_uid] = {"busy": True}, _question(obj)
+        _found[obj.session_uid], _inputs[obj.session_uid] = {"busy": True}, _inputs_now(obj)
         thread = threading.Thread(
             target=_work, args=(obj.session_uid, {"scene": str(Path(temp_dir.name) / "scene.ply"), "options": options_of(context, obj)}, temp_dir)
         )
         _threads.append(thread)
         thread.start()
         if not bpy.app.background:
-            bpy.app.timers.register(_finished, first_interval=EVERY)
-            return "Looking at some views"
+            bpy.app.timers.register(_finished, first_interval=INTERVAL)
+            return "Estimating from some views"
         thread.join()
         _finished()
         found = of(obj)
@@ -93,7 +93,7 @@ def _work(key: int, request: dict, temp_dir: tempfile.TemporaryDirectory):
 
 def _finished() -> float | None:
     if any(thread.is_alive() for thread in _threads):
-        return EVERY
+        return INTERVAL
     _threads.clear()
     redraw_panels()
     return None
@@ -111,4 +111,4 @@ def unregister():
         thread.join()
     _threads.clear()
     _found.clear()
-    _asked.clear()
+    _inputs.clear()

@@ -1,4 +1,4 @@
-"""File > Export > 3D Gaussian Splat (.ply)."""
+"""File > Export: writes the active splat into a file. A splat that was not edited is exported byte for byte."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from . import bridge
 class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
     bl_idname = "svrgs.export_ply"
     bl_label = "Export 3D Gaussian Splat"
-    bl_description = "Write the active splat as a 3DGS PLY"
+    bl_description = "Write the active splat into a 3DGS file"
     bl_options = {"REGISTER", "PRESET"}
 
     filename_ext = suffixes(written=True)[0]
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in suffixes(written=True)), options={"HIDDEN"})
     space: EnumProperty(
         name="Coordinates",
-        description="Coordinates of what is written",
+        description="Coordinates of the file",
         items=[
-            ("LOCAL", "Local", "As imported: every number that was not edited keeps its bits; the object's transform is left out"),
-            ("WORLD", "World", "With the object's transform: places, shapes and view-dependent colours are turned along"),
+            ("LOCAL", "Local", "As imported, without the object's transform. Values that were not edited keep their bits"),
+            ("WORLD", "World", "With the object's transform, applied to positions, shapes and view-dependent colours"),
         ],
     )
-    y_down: BoolProperty(name="Y Is Down", default=True, description="World coordinates with y down, as 3DGS files have them; else with z up, as in Blender")
+    y_down: BoolProperty(name="Y Is Down", default=True, description="World coordinates with y down, as in 3DGS files. Off: z up, as in Blender")
 
     @classmethod
     def poll(cls, context):
@@ -53,7 +53,7 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
             if self.space == "WORLD":
                 matrix = bridge.AXES.inverted() @ obj.matrix_world if self.y_down else obj.matrix_world
                 if stretch(matrix) - 1 > 10 * UNIFORM:
-                    self.report({"WARNING"}, f"'{obj.name}' is scaled differently along its axes: colours that depend on the view are exact only as rotated")
+                    self.report({"WARNING"}, f"'{obj.name}' is scaled differently along its axes: view-dependent colours are only rotated, and so not exact")
                 scene = transformed(scene, matrix)
             write_scene(path, scene)
         except SplatError as error:

@@ -1,4 +1,9 @@
-"""File > Import > COLMAP Cameras: posed photographs and sparse points, below one root with the splat they belong to."""
+"""File > Import > COLMAP Cameras: cameras with their photographs, and the sparse points.
+
+Cameras and points become children of an empty, the root, together with the splat that is active. The root takes the place of the
+splat, so moving the root moves all. A camera stores the size and the pixel aspect of its photograph and gives them to the scene when
+it becomes the scene's camera (active_camera.py).
+"""
 
 from __future__ import annotations
 
@@ -13,23 +18,23 @@ from ..svrgs_addon.errors import SplatError
 from . import bridge, undistort
 from .select import select
 
-SHOWN_SIZE = 0.05  # of a camera in the viewport, in extents of all
-CLIP_EXTENTS = 100
+DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras
+CLIP_END = 100  # in extents of all cameras
 
 
 class SVRGS_OT_import_colmap(bpy.types.Operator):
     bl_idname = "svrgs.import_colmap"
     bl_label = "Import COLMAP Cameras"
-    bl_description = "Import a COLMAP dataset: its cameras with their photographs, and its sparse points. They join the active splat"
+    bl_description = "Import the cameras, photographs and sparse points of a COLMAP dataset. They are placed with the active splat"
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
-    directory: StringProperty(name="Dataset", subtype="DIR_PATH", description="Folder of the dataset: its images folder and its sparse model")
+    directory: StringProperty(name="Dataset", subtype="DIR_PATH", description="Folder of the dataset. It holds the image folder and the sparse model")
     filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
     images: StringProperty(name="Images", description="Name of the image folder in the dataset, such as images_4. Empty: images")
-    photographs: BoolProperty(name="Photographs", default=True, description="Show each photograph in the background of its camera")
+    photographs: BoolProperty(name="Photographs", default=True, description="Show each photograph as the background of its camera")
     undistorted: StringProperty(
         name="Undistorted",
-        description="Folder for the undistorted photographs of lenses with distortion. Empty: images_undistorted in the dataset",
+        description="Folder for undistorted copies of photographs with lens distortion. Empty: images_undistorted in the dataset",
     )
     points: BoolProperty(name="Sparse Points", default=True, description="Import the sparse points as a mesh")
 
@@ -41,17 +46,17 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         splat = context.object if bridge.is_splat(context.object) else None
-        root, cameras = self.build(context, folder.absolute(), photos)
+        root, cameras = self.add_objects(context, folder.absolute(), photos)
         select(context, [splat or root])
-        trouble = photos.warning or (self.show(folder, cameras, photos.files) if self.photographs else "")
-        if trouble:
-            self.report({"WARNING"}, trouble)
+        problem = photos.warning or (self.show_photographs(folder, cameras, photos.files) if self.photographs else "")
+        if problem:
+            self.report({"WARNING"}, problem)
         shown = sum(bool(obj.data.background_images) for obj in cameras)
         self.report({"INFO"}, f"Imported {len(cameras):,} cameras, {shown:,} photographs and {len(photos.points):,} sparse points")
         return {"FINISHED"}
 
-    def show(self, folder: Path, cameras: list[bpy.types.Object], files: list[Path | None]) -> str:
-        """Puts photographs behind their cameras; those that have to be undistorted follow. Returns what went wrong."""
+    def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], files: list[Path | None]) -> str:
+        """Gives cameras their photographs as backgrounds; starts undistorting where that is needed. Returns what went wrong."""
         for obj, file in zip(cameras, files, strict=True):
             undistort.show(obj, file)
         if None not in files:
@@ -59,12 +64,12 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / "images_undistorted"
         return undistort.start(cameras, folder, self.images, undistorted)
 
-    def build(self, context, folder: Path, photos: PosedPhotos) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
-        """The root above the points and the cameras, and these; the first becomes the scene's camera."""
-        name, beside = folder.name, bridge.is_splat(context.object)
+    def add_objects(self, context, folder: Path, photos: PosedPhotos) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
+        """Adds points and cameras below a root. Returns root and cameras; the first becomes the scene's camera."""
+        name, has_splat = folder.name, bridge.is_splat(context.object)
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
-        root, points = join(context.object, name, collection), []
+        root, points = root_for(context.object, name, collection), []
         root[bridge.DATASET], root[bridge.IMAGES] = str(folder), self.images
         if self.points and len(photos.points):
             points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
@@ -75,7 +80,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         bridge.apply_camera_size(context.scene)
         context.view_layer.update()
         for obj in points:
-            obj.hide_set(beside)  # the points' dots would lie over the splat
+            obj.hide_set(has_splat)  # else the points would cover the splat
         return root, cameras
 
     def invoke(self, context, event):
@@ -83,15 +88,15 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
 
-def join(obj: bpy.types.Object | None, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
-    """The root the object is below; a new one in its place if it is a splat without; else a new one, upright."""
+def root_for(obj: bpy.types.Object | None, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """The root above the object; a new root in its place if it is a splat without one; else a new root with z up."""
     root = bridge.root_of(obj)
     if root is not None:
         return root
     if not bridge.is_splat(obj):
         return bridge.new_root(name, collection)
     root = bridge.new_root(name, collection, obj.matrix_world)
-    bridge.hang_below(obj, root)
+    bridge.parent_to_root(obj, root)
     return root
 
 
@@ -99,8 +104,8 @@ def _camera(camera: Camera, extent: float, collection: bpy.types.Collection) -> 
     data = bpy.data.cameras.new(camera.name)
     obj = bpy.data.objects.new(camera.name, data)
     bridge.camera_to_object(camera, obj)
-    data.display_size = SHOWN_SIZE * extent
-    data.clip_start, data.clip_end = 1e-3 * extent, CLIP_EXTENTS * extent
+    data.display_size = DISPLAY_SIZE * extent
+    data.clip_start, data.clip_end = 1e-3 * extent, CLIP_END * extent
     collection.objects.link(obj)
     return obj
 

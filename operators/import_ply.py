@@ -1,4 +1,4 @@
-"""File > Import > 3D Gaussian Splat (.ply), and the same by drag and drop."""
+"""File > Import: splat files, also by drag and drop. Each file becomes an object."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from .select import select
 class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
     bl_idname = "svrgs.import_ply"
     bl_label = "Import 3D Gaussian Splat"
-    bl_description = "Import 3DGS PLY files, each as an object of points that keeps every number of its file"
+    bl_description = "Import splat files. Each becomes an object of points that keeps every value of its file"
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
     filename_ext = suffixes()[0]
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in suffixes()), options={"HIDDEN"})
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
-    y_down: BoolProperty(name="Y Is Down", default=True, description="The file's y axis points down, as training leaves it; the object is turned upright")
+    y_down: BoolProperty(name="Y Is Down", default=True, description="The file's y axis points down, as in 3DGS files. The object is turned upright")
 
     def execute(self, context):
-        paths, notes, objects = self.paths(), [], []
+        paths, texts, objects = self.paths(), [], []
         for path in paths:
             try:
                 scene, dropped = drop_nonfinite(read_scene(path))
@@ -37,19 +37,19 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
                 self.report({"ERROR" if len(paths) == 1 else "WARNING"}, str(error))
                 continue
             objects.append(self.add(context, path.stem, scene))
-            notes.append(f"{path.name}: {scene.count:,} Gaussians" + f" ({dropped:,} that are not finite left out)" * bool(dropped))
+            texts.append(f"{path.name}: {scene.count:,} Gaussians" + f" ({dropped:,} with values that are not finite were left out)" * bool(dropped))
         if not objects:
             return {"CANCELLED"}
         select(context, objects)
-        self.report({"INFO"}, "Imported " + "; ".join(notes))
+        self.report({"INFO"}, "Imported " + "; ".join(texts))
         return {"FINISHED"}
 
     def add(self, context, name, scene) -> bpy.types.Object:
-        """The splat as an object, beside the cameras of the dataset that is active, if there is one."""
+        """Adds the splat as an object; with the cameras below one root if the active object belongs to a dataset."""
         obj = bridge.object_from_scene(name, scene, context.collection, bridge.AXES if self.y_down else Matrix())
         root = bridge.root_of(context.object)
         if root is not None and self.y_down:
-            bridge.hang_below(obj, root)
+            bridge.parent_to_root(obj, root)
         return obj
 
     def paths(self) -> list[Path]:
@@ -57,7 +57,7 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
         return [folder / file.name for file in self.files if file.name] or [Path(bpy.path.abspath(self.filepath))]
 
     def invoke(self, context, event):
-        """Opens the file browser; for dropped files a dialog, or a sentence where one of them is a mesh."""
+        """Opens the file browser; for dropped files a dialog, or an error if one of them is not a splat."""
         if self.properties.is_property_set("filepath"):
             try:
                 for path in self.paths():
@@ -69,7 +69,7 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
 
 
 class SVRGS_FH_ply(bpy.types.FileHandler):
-    """Beside Blender's own: for a .ply dropped into the 3D view Blender asks whether a mesh or a splat is meant."""
+    """Drag and drop. Blender has a handler for .ply of its own, so it asks whether to import a mesh or a splat."""
 
     bl_idname = "SVRGS_FH_ply"
     bl_label = "3D Gaussian Splat"

@@ -1,4 +1,4 @@
-"""Pruning in the background: start, pause, cancel, go on, discard, load. job_watch.py follows what runs."""
+"""Background jobs: start, pause, cancel, resume, discard, load the result. job_watch.py follows the jobs that run."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.jobs.job_folder import JobFolder
 from ..svrgs_addon.jobs.job_process import Job
 from . import bridge, edit_guard
-from .job_watch import BESIDE, BUSY, WAITING, current, finish, follow, job_of, jobs, link, unlink
+from .job_watch import BUSY, JOBS_FOLDER, WAITING, current, job_of, jobs, link, load_result, start_timer, unlink
 from .native_check import native_problem
+from .option_properties import menu_name
 from .preferences import PACKAGE, threads
 
-BYTES = {0: 68, 1: 104, 2: 164, 3: 248}  # of a Gaussian in a file, by SH degree
+BYTES_PER_GAUSSIAN = {0: 68, 1: 104, 2: 164, 3: 248}  # in a file, by SH degree
 
 
 def dataset_of(context) -> tuple[str, str]:
-    """(dataset, images) to prune with: as chosen, else those of the cameras that share the splat's coordinates."""
-    chosen = context.scene.svrgs_prune
+    """(dataset, name of its image folder) to prune with: the chosen one, or that of the cameras imported with the splat."""
+    settings = context.scene.svrgs_prune
     root = bridge.root_of(context.object)
-    if chosen.colmap:
-        return bpy.path.abspath(chosen.colmap), chosen.images
-    return (root.get(bridge.DATASET, ""), chosen.images or root.get(bridge.IMAGES, "")) if root is not None else ("", chosen.images)
+    if settings.colmap:
+        return bpy.path.abspath(settings.colmap), settings.images
+    return (root.get(bridge.DATASET, ""), settings.images or root.get(bridge.IMAGES, "")) if root is not None else ("", settings.images)
 
 
 def options_of(context, obj: bpy.types.Object) -> dict:
-    """The settings of the panel as options of a job."""
+    """The settings of the panel as the options of a job."""
     s, total = context.scene.svrgs_prune, bridge.count(obj)
     colmap, images = dataset_of(context)
     options = {
@@ -43,7 +44,7 @@ def options_of(context, obj: bpy.types.Object) -> dict:
         options["lambda_f"] = s.lambda_f
     if method.first_cut:
         options["min_contribution"] = s.min_contribution
-    targets = {"SHARE": s.share / 100 * total, "COUNT": s.count, "SIZE": s.size * 1e6 / bytes_each(obj)}
+    targets = {"SHARE": s.share / 100 * total, "COUNT": s.count, "SIZE": s.size * 1e6 / bytes_per_gaussian(obj)}
     if s.goal in targets:
         options["target_count"] = min(total, max(1, round(targets[s.goal])))
     elif s.goal == "DROP":
@@ -51,75 +52,76 @@ def options_of(context, obj: bpy.types.Object) -> dict:
     return options
 
 
-def bytes_each(obj: bpy.types.Object) -> int:
+def bytes_per_gaussian(obj: bpy.types.Object) -> int:
     """Bytes that one Gaussian of the splat takes in a file."""
-    return BYTES[bridge.sh_degree(obj)]
+    return BYTES_PER_GAUSSIAN[bridge.sh_degree(obj)]
 
 
 def file_size(obj: bpy.types.Object, count: int) -> str:
-    """What so many of the splat's Gaussians take in a file."""
-    size = count * bytes_each(obj)
+    """The size of a file with this many of the splat's Gaussians, as text."""
+    size = count * bytes_per_gaussian(obj)
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
 
 
-def mismatch(settings) -> str:
-    """Why the chosen method cannot reach the chosen goal; empty where it can."""
+def goal_problem(settings) -> str:
+    """Why the chosen method cannot reach the chosen goal; empty if it can."""
     method, learns = METHODS[settings.method], settings.iterations > 0
+    name = menu_name(method)
     if settings.goal == "LAMBDA" and method.ranks and not method.share:
-        return f"'{settings.method}' only ranks the Gaussians: choose a percentage, a count or a size as goal"
+        return f"'{name}' only ranks the Gaussians: choose a percentage, a count or a size as the goal"
     if settings.goal == "DROP" and not (method.supports_max_drop and learns):
-        return f"'{settings.method}' cannot hold a loss: choose another goal or method" if learns else "To hold a loss it takes iterations"
+        return f"'{name}' cannot prune to a loss in dB: choose another goal or method" if learns else "A loss as the goal needs iterations: set more than 0"
     return ""
 
 
-def obstacle(context) -> str:
-    """Why the active object cannot be pruned now; empty where it can."""
+def start_problem(context) -> str:
+    """Why the active object cannot be pruned now; empty if it can."""
     if not bridge.is_splat(context.object):
         return "Select a Gaussian splat first"
-    if said := edit_guard.problem(context, context.object):
-        return said
+    if problem := edit_guard.problem(context, context.object):
+        return problem
     job = job_of(context.object)
     if job is not None and job.state in BUSY:
-        return "A job is at work on this splat"
+        return "A job is running on this splat"
     if job is not None and job.state in WAITING:
         return "Resume or discard this splat's job first"
     if not dataset_of(context)[0]:
         return "Choose the dataset of the splat's photographs, or import its cameras"
-    return mismatch(context.scene.svrgs_prune) or native_problem()
+    return goal_problem(context.scene.svrgs_prune) or native_problem()
 
 
 def new_folder(context, name: str) -> Path:
-    """Where a new job of this splat goes: as chosen, else beside the file, else in the extension's folder."""
-    chosen = bpy.path.abspath(context.scene.svrgs_prune.folder)
-    if not chosen and bpy.data.filepath:
-        chosen = bpy.path.abspath(BESIDE)
-    parent = Path(chosen or bpy.utils.extension_path_user(PACKAGE, path="jobs", create=True))
+    """The folder of a new job: in the chosen folder, or next to the .blend file, or in the extension's folder."""
+    folder = bpy.path.abspath(context.scene.svrgs_prune.folder)
+    if not folder and bpy.data.filepath:
+        folder = bpy.path.abspath(JOBS_FOLDER)
+    parent = Path(folder or bpy.utils.extension_path_user(PACKAGE, path="jobs", create=True))
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")
     return parent / f"{re.sub('[^0-9A-Za-z_-]+', '_', name)[:40]}-{stamp}"
 
 
 class JobOperator(bpy.types.Operator):
-    """Reports what it did, or in a sentence why it could not."""
+    """An operator whose work() returns what it did. An error is reported as a sentence."""
 
     def execute(self, context):
         try:
-            said = self.work(context)
+            message = self.work(context)
         except (SplatError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, said)
+        self.report({"INFO"}, message)
         return {"FINISHED"}
 
 
 class SVRGS_OT_job_start(JobOperator):
     bl_idname = "svrgs.job_start"
     bl_label = "Prune"
-    bl_description = "Prune the active splat in the background, with the settings of the panel. The original stays"
-    bl_options = {"REGISTER", "UNDO"}  # a step of undo: going back to it, the splat still knows its job
+    bl_description = "Prune the active splat in the background with the settings of the panel. The original stays"
+    bl_options = {"REGISTER", "UNDO"}  # with a step of undo: after undo back to it, the splat still knows its job
 
     @classmethod
     def poll(cls, context):
-        problem = obstacle(context)
+        problem = start_problem(context)
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -130,17 +132,17 @@ class SVRGS_OT_job_start(JobOperator):
         job = jobs.setdefault(str(folder.path), Job(folder))
         job.start()
         link(obj, str(folder.path))
-        follow()
+        start_timer()
         return f"Pruning {bridge.count(obj):,} Gaussians in the background"
 
 
 class SVRGS_OT_set_lambda(bpy.types.Operator):
     bl_idname = "svrgs.set_lambda"
     bl_label = "Set Strength"
-    bl_description = "Prune with this weight of the spatial mask, one that the paper uses"
+    bl_description = "Set λ_F to one of the values in the SVR-GS paper"
     bl_options = {"REGISTER", "UNDO"}
 
-    value: bpy.props.FloatProperty(name="λ_F", min=1e-7, max=1, default=1e-4, precision=6, description="Weight of the spatial mask")
+    value: bpy.props.FloatProperty(name="λ_F", min=1e-7, max=1, default=1e-4, precision=6, description="A higher λ_F keeps fewer Gaussians")
 
     def execute(self, context):
         context.scene.svrgs_prune.lambda_f = self.value
@@ -148,73 +150,73 @@ class SVRGS_OT_set_lambda(bpy.types.Operator):
 
 
 class CurrentJobOperator(JobOperator):
-    """On the job that the panel shows, while it is in one of `states`."""
+    """Works on the job that the panel shows, while that is in one of `states`."""
 
     states: tuple[str, ...] = ()
-    why = "No job is running"
+    poll_message = "No job is running"
 
     @classmethod
     def poll(cls, context):
         _, job = current(context)
         if job is not None and job.state in cls.states:
             return True
-        cls.poll_message_set(cls.why)
+        cls.poll_message_set(cls.poll_message)
         return False
 
 
 class SVRGS_OT_job_pause(CurrentJobOperator):
     bl_idname = "svrgs.job_pause"
     bl_label = "Pause"
-    bl_description = "Save what is done so far and stop. Resume goes on"
+    bl_description = "Save a checkpoint and stop the job. Resume continues it"
     states = BUSY
 
     def work(self, context) -> str:
         current(context)[1].pause()
-        return "Pausing: what is done so far is saved"
+        return "Pausing: a checkpoint is being saved"
 
 
 class SVRGS_OT_job_cancel(CurrentJobOperator):
     bl_idname = "svrgs.job_cancel"
     bl_label = "Cancel"
-    bl_description = "Stop at once. What was done since the last checkpoint is lost"
+    bl_description = "Stop the job at once. The steps since the last checkpoint are lost"
     states = BUSY
 
     def work(self, context) -> str:
         current(context)[1].cancel()
-        return "Cancelled: Resume goes on from the last checkpoint"
+        return "Cancelled: Resume continues from the last checkpoint"
 
 
 class SVRGS_OT_job_resume(CurrentJobOperator):
     bl_idname = "svrgs.job_resume"
     bl_label = "Resume"
-    bl_description = "Go on from the last checkpoint"
-    states, why = WAITING, "No job waits to go on"
+    bl_description = "Continue the job from its last checkpoint"
+    states, poll_message = WAITING, "No job waits to be resumed"
 
     def work(self, context) -> str:
         obj, job = current(context)
         job.start()
-        follow()
-        return f"Pruning '{obj.name}' goes on{job.renamed and '. ' + job.renamed}"
+        start_timer()
+        return ". ".join(filter(None, (f"Pruning of '{obj.name}' continues", job.renamed)))
 
 
 class SVRGS_OT_job_discard(CurrentJobOperator):
     bl_idname = "svrgs.job_discard"
     bl_label = "Discard"
     bl_description = "Delete the job's files. The splat stays as it is"
-    states, why = (*WAITING, "done"), "No job waits or is done"
+    states, poll_message = (*WAITING, "done"), "There is no stopped or finished job"
 
     def work(self, context) -> str:
         obj, job = current(context)
-        forget_job(obj)
+        delete_job(obj)
         return f"Discarded the job of '{obj.name}'"
 
 
 class SVRGS_OT_job_load(CurrentJobOperator):
     bl_idname = "svrgs.job_load"
     bl_label = "Load Result"
-    bl_description = "Bring the finished job's result into the scene"
+    bl_description = "Add the result of the finished job to the scene"
     bl_options = {"REGISTER", "UNDO"}
-    states, why = ("done",), "No job is done"
+    states, poll_message = ("done",), "There is no finished job"
 
     @classmethod
     def poll(cls, context):
@@ -227,12 +229,12 @@ class SVRGS_OT_job_load(CurrentJobOperator):
 
     def work(self, context) -> str:
         obj, job = current(context)
-        pruned = finish(context, obj, job)
+        pruned = load_result(context, obj, job)
         return f"Loaded {bridge.count(pruned):,} of {bridge.count(obj):,} Gaussians"
 
 
-def forget_job(obj: bpy.types.Object):
-    """Deletes the files of the splat's job, as far as there are any. Raises OSError."""
+def delete_job(obj: bpy.types.Object):
+    """Deletes the files of the splat's job, if it has one. Raises OSError."""
     job = job_of(obj)
     if job is not None:
         with contextlib.suppress(FormatError):  # the files are gone already

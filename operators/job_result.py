@@ -1,7 +1,11 @@
-"""A finished job in the scene: the original with a mark on what pruning removes, beside it the Gaussians that were recovered.
+"""The result of a finished job in the scene: the original, with its removed Gaussians marked, and the pruned splat beside it.
 
-Both know how the job ranked each Gaussian, so that fewer or more of them can be shown at once; nothing is deleted before
-svrgs.apply, and the original not before svrgs.discard.
+Both store how the job ranked each Gaussian, so the slider Keep can show fewer or more at once. svrgs.apply deletes Gaussians of the
+pruned splat; only svrgs.discard deletes the original.
+
+Original and pruned splat know each other by object properties. After every change of the scene, the properties that name a deleted
+partner are removed, and the original of a deleted result is shown again. Its ranking stays, so an undo can join both again. A copy
+of either one stands alone.
 """
 
 from __future__ import annotations
@@ -18,13 +22,13 @@ from . import bridge
 from .bridge_graph import REMOVED
 
 SCORE, ROW, PROBABILITY = "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes, as is REMOVED
-ORIGINAL, PRUNED, KEPT = "svrgs_original", "svrgs_pruned", "svrgs_kept"  # properties of objects: the other one; how many the job kept
-PSNR = "svrgs_psnr"  # property of the pruned one: dB before and after, over the test photographs
-HIDER = "SVR-GS Removed"  # the modifier that leaves out what is marked, and its node group
+ORIGINAL, PRUNED, KEPT = "svrgs_original", "svrgs_pruned", "svrgs_kept"  # properties of objects: the partner; the number of Gaussians that the job kept
+PSNR = "svrgs_psnr"  # property of the pruned splat: dB on the test photographs before and after
+HIDE_MODIFIER = "SVR-GS Removed"  # the modifier that hides marked Gaussians, and its node group
 
 
 def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
-    """Adds the pruned splat beside `obj`, hides that and marks what the job dropped. Raises SceneError, FormatError."""
+    """Adds the pruned splat beside `obj`, marks in `obj` what the job removed, and hides it. Raises SceneError, FormatError."""
     kept, score = folder.arrays()
     probability = folder.probability()
     recovered = read_scene(folder / "pruned.ply")
@@ -33,7 +37,7 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
     if bridge.count(obj) != len(kept):
         raise SceneError(f"'{obj.name}' has {bridge.count(obj):,} Gaussians, but {len(kept):,} when the job began: undo the edit, then load the result")
     if pruned_of(obj) is not None:
-        forget(obj)
+        discard_result(obj)
     pruned = bridge.object_from_scene(f"{obj.name} pruned", recovered, obj.users_collection[0], obj.matrix_world)
     pruned.parent, pruned.matrix_parent_inverse, pruned.matrix_basis = obj.parent, obj.matrix_parent_inverse, obj.matrix_basis
     rows = numbered(len(kept))
@@ -49,12 +53,12 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
 
 
 def join(original: bpy.types.Object, pruned: bpy.types.Object):
-    """Makes each know the other."""
+    """Stores in each splat that the other is its partner."""
     original[PRUNED], pruned[ORIGINAL], pruned[KEPT] = pruned, original, bridge.count(pruned)
 
 
 def pair_of(obj: bpy.types.Object | None) -> tuple[bpy.types.Object | None, bpy.types.Object | None]:
-    """(original, pruned) that the object is one of; None for what there is not."""
+    """(original, pruned) if the object is one of a pair; None for a missing one."""
     if obj is None:
         return None, None
     if KEPT in obj and (original_of(obj) is not None or undecided(obj)):
@@ -74,17 +78,17 @@ def original_of(pruned: bpy.types.Object) -> bpy.types.Object | None:
 
 
 def _in_file(obj: bpy.types.Object | None) -> bpy.types.Object | None:
-    """None for what was deleted and lives on as a pointer alone."""
+    """The object; None if it was deleted and only this pointer keeps it in memory."""
     return obj if obj is not None and obj.users_collection else None
 
 
 def undecided(pruned: bpy.types.Object | None) -> bool:
-    """Whether the result still shows fewer or more as one likes."""
+    """Whether the splat is a result that was not applied yet."""
     return pruned is not None and REMOVED in pruned.data.attributes
 
 
 def show(pruned: bpy.types.Object, count: int):
-    """Marks all but the `count` Gaussians that rank highest. What the job had dropped is shown as it was, not recovered."""
+    """Shows the `count` Gaussians with the highest rank and marks all others. Gaussians that the job had removed look as in the original."""
     original = original_of(pruned)
     score = bridge.values(original or pruned, SCORE)
     limit = lowest(score, count)
@@ -98,19 +102,19 @@ def show(pruned: bpy.types.Object, count: int):
 
 
 def marked_count(obj: bpy.types.Object) -> int:
-    """Gaussians of the splat that are marked as removed."""
+    """Number of Gaussians of the splat that are marked as removed."""
     removed = bridge.values(obj, REMOVED)
     return 0 if removed is None else int(removed.sum())
 
 
 def shown_count(pruned: bpy.types.Object) -> int:
-    """Gaussians that Apply would leave."""
+    """Number of Gaussians that Apply would keep."""
     original = original_of(pruned)
     return int((~bridge.values(original or pruned, REMOVED)).sum())
 
 
-def chosen(pruned: bpy.types.Object) -> Scene:
-    """What is not marked, in the source's order: recovered, or as in the original where the job had dropped it."""
+def shown_gaussians(pruned: bpy.types.Object) -> Scene:
+    """The Gaussians that are not marked, in the original's order: recovered, or as in the original if the job had removed them."""
     original, scene = original_of(pruned), bridge.scene_from_object(pruned)
     left = ~bridge.values(pruned, REMOVED)
     rows, scene = bridge.values(pruned, ROW)[left], scene.select(left)
@@ -123,28 +127,28 @@ def chosen(pruned: bpy.types.Object) -> Scene:
 
 
 def unmark(obj: bpy.types.Object):
-    """Makes the object an ordinary splat again, seen as a whole."""
-    bridge.forget_values(obj, REMOVED, SCORE, ROW, PROBABILITY)
+    """Makes the object an ordinary splat again, with all its Gaussians shown."""
+    bridge.remove_values(obj, REMOVED, SCORE, ROW, PROBABILITY)
     _show_removed(obj)
 
 
 def _show_removed(obj: bpy.types.Object):
-    if HIDER in obj.modifiers:
-        obj.modifiers.remove(obj.modifiers[HIDER])
+    if HIDE_MODIFIER in obj.modifiers:
+        obj.modifiers.remove(obj.modifiers[HIDE_MODIFIER])
 
 
-def forget(original: bpy.types.Object):
-    """Takes the result out of the scene; the original is as it was."""
+def discard_result(original: bpy.types.Object):
+    """Deletes the result. The original is as it was before the job."""
     pruned = pruned_of(original)
     unmark(original)
     original.hide_viewport = original.hide_render = False
     original.pop(PRUNED, None)
     if pruned is not None:
-        remove(pruned)
+        delete_object(pruned)
 
 
-def remove(obj: bpy.types.Object):
-    """Removes the object and its Gaussians from the file."""
+def delete_object(obj: bpy.types.Object):
+    """Deletes the object and its data from the file."""
     data = obj.data
     bpy.data.objects.remove(obj)
     if not data.users:
@@ -152,13 +156,13 @@ def remove(obj: bpy.types.Object):
 
 
 def _hide_removed(obj: bpy.types.Object):
-    if HIDER not in obj.modifiers:
-        obj.modifiers.new(HIDER, "NODES").node_group = bpy.data.node_groups.get(HIDER) or _hider()
+    if HIDE_MODIFIER not in obj.modifiers:
+        obj.modifiers.new(HIDE_MODIFIER, "NODES").node_group = bpy.data.node_groups.get(HIDE_MODIFIER) or _hide_nodes()
 
 
-def _hider() -> bpy.types.NodeTree:
-    """Geometry nodes that delete the points marked as removed."""
-    group = bpy.data.node_groups.new(HIDER, "GeometryNodeTree")
+def _hide_nodes() -> bpy.types.NodeTree:
+    """A new node group that deletes the points marked as removed."""
+    group = bpy.data.node_groups.new(HIDE_MODIFIER, "GeometryNodeTree")
     for direction in ("INPUT", "OUTPUT"):
         group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
     nodes = group.nodes
@@ -176,50 +180,51 @@ def _hider() -> bpy.types.NodeTree:
     return group
 
 
-# --- what the user deletes, brings back and copies
+# --- after the user deletes, copies or undoes
 
 
 @persistent
 def _after_update(scene, *_):
-    """A result that was deleted leaves its original visible and free; what undo brings back is joined again; a copy stands alone."""
+    """Checks all pairs: see the top of this file."""
     for obj in scene.objects:
         if PRUNED in obj and not obj.library:
-            _look_at_original(obj)
+            _check_original(obj)
         if ORIGINAL in obj and not obj.library:
-            _look_at_pruned(obj)
+            _check_pruned(obj)
 
 
-def _look_at_original(obj: bpy.types.Object):
+def _check_original(obj: bpy.types.Object):
     pruned = pruned_of(obj)
     owner = original_of(pruned) if pruned is not None else None
     if pruned is None:
-        _release(obj)
+        _free_original(obj)
     elif owner is None:
         pruned[ORIGINAL] = obj
     elif owner != obj:  # a copy
-        _release(obj, owner.data)
+        _free_original(obj, owner.data)
 
 
-def _look_at_pruned(obj: bpy.types.Object):
+def _check_pruned(obj: bpy.types.Object):
     original = original_of(obj)
     if original is None or pruned_of(original) not in (None, obj):
         del obj[ORIGINAL]
     elif undecided(obj) and pruned_of(original) is None:
-        _take_back(original, obj)
+        _rejoin(original, obj)
 
 
-def _release(original: bpy.types.Object, others=None):
-    """The ranking stays with the original, so that undo can take this back. others: data whose marks are still needed."""
+def _free_original(original: bpy.types.Object, shared=None):
+    """Makes the original independent and shows it. Its ranking stays, for an undo. shared: data whose marks another object needs."""
     del original[PRUNED]
-    if original.data != others:
-        bridge.forget_values(original, REMOVED)
+    if original.data != shared:
+        bridge.remove_values(original, REMOVED)
     _show_removed(original)
     original.hide_viewport = original.hide_render = False
 
 
-def _take_back(original: bpy.types.Object, pruned: bpy.types.Object):
+def _rejoin(original: bpy.types.Object, pruned: bpy.types.Object):
+    """Joins a pair again after an undo."""
     score = bridge.values(original, SCORE)
-    if score is None or (score > BOUNDARY).sum() != pruned[KEPT]:  # it has been edited meanwhile
+    if score is None or (score > BOUNDARY).sum() != pruned[KEPT]:  # the original has been edited since
         del pruned[ORIGINAL]
         return
     original[PRUNED] = pruned

@@ -1,7 +1,10 @@
-"""The jobs of this Blender: which one is meant, and a timer that follows those that run.
+"""Which job belongs to which splat, and a timer that follows the jobs that run.
 
-The file knows of a job only the folder it lies in, as a property of its splat. Undo may take that away and copies have it too:
-`links` remembers whose it is.
+The .blend file stores only the path of a job's folder, as a property of its splat. Undo may remove this property, and a copy of the
+splat has it too. So `links` remembers which splat has which folder: after an undo the property is put back, and it is removed from a
+copy. Undo takes no job away; a copy of a splat has no job.
+
+An error with one job fails that job alone; the timer goes on with the others.
 """
 
 from __future__ import annotations
@@ -19,20 +22,20 @@ from . import bridge, edit_guard, job_pictures, job_result
 from .select import in_view_layer
 
 FOLDER = "svrgs_job"  # property of a splat
-BESIDE = "//svrgs_jobs"  # folder of jobs beside the file
-EVERY = 0.2  # seconds between two looks
-WAITING = ("paused", "cancelled", "interrupted", "failed")  # states that a job can go on from
+JOBS_FOLDER = "//svrgs_jobs"  # folder of jobs next to the .blend file
+INTERVAL = 0.2  # seconds between two calls of the timer
+WAITING = ("paused", "cancelled", "interrupted", "failed")  # states in which a job can be resumed
 BUSY = ("new", "starting", "running")
 
 jobs: dict[str, Job] = {}  # by folder
-links: dict[int, str] = {}  # by session_uid of a splat, which undo does not change: its FOLDER
+links: dict[int, str] = {}  # by session_uid of a splat, which undo does not change: the folder of its job
 
 
-# --- which job is meant
+# --- the job of a splat
 
 
 def job_of(obj: bpy.types.Object | None) -> Job | None:
-    """The splat's job, as far as its folder is still there."""
+    """The splat's job; None if it has none, or if the job's folder is gone."""
     path = folder_of(obj)
     if not path:
         return None
@@ -44,16 +47,16 @@ def job_of(obj: bpy.types.Object | None) -> Job | None:
 
 
 def folder_of(obj: bpy.types.Object | None) -> str:
-    """Where the splat's job lies: where it was begun, or beside the file where both have moved; empty: it has none."""
+    """The folder of the splat's job: where it was started, or next to the .blend file if both were moved; empty: no job."""
     path = obj.get(FOLDER) if obj is not None else None
     if not isinstance(path, str) or not path:
         return ""
-    beside = bpy.path.abspath(f"{BESIDE}/{os.path.basename(path)}") if bpy.data.filepath else path
-    return beside if not os.path.exists(path) and os.path.exists(beside) else path
+    moved = bpy.path.abspath(f"{JOBS_FOLDER}/{os.path.basename(path)}") if bpy.data.filepath else path
+    return moved if not os.path.exists(path) and os.path.exists(moved) else path
 
 
 def current(context) -> tuple[bpy.types.Object | None, Job | None]:
-    """(splat, its job): of the active object or the original it was pruned from; where that is no splat, the first that is not over."""
+    """(splat, its job): of the active object, or of the original it was pruned from. If no splat is active: the first job that is not done."""
     original, _ = job_result.pair_of(context.object)
     for obj in (context.object, original):
         if (job := job_of(obj)) is not None and (job.state != "done" or job_result.pruned_of(obj) is None):
@@ -66,23 +69,23 @@ def current(context) -> tuple[bpy.types.Object | None, Job | None]:
     return None, None
 
 
-# --- whose job it is
+# --- links between splats and jobs
 
 
 def link(obj: bpy.types.Object, folder: str):
-    """Makes the job in the folder the splat's."""
+    """Gives the splat the job in this folder."""
     obj[FOLDER] = links[obj.session_uid] = folder
 
 
 def unlink(obj: bpy.types.Object):
-    """Leaves the splat without a job."""
+    """Takes the splat's job away."""
     obj.pop(FOLDER, None)
     links.pop(obj.session_uid, None)
 
 
 @persistent
 def _after_undo(*_):
-    """Splats have the jobs they had before the undo."""
+    """Gives splats back the jobs that they had before the undo."""
     for obj in bpy.data.objects:
         folder = links.get(obj.session_uid)
         if folder is not None and obj.get(FOLDER) != folder:
@@ -91,64 +94,65 @@ def _after_undo(*_):
 
 @persistent
 def _after_update(scene, *_):
-    """A copy of a splat has no part in its job; a splat that came with a file has its own."""
+    """Takes the job away from a copy of a splat. A splat that was loaded or appended with its job keeps it."""
     for obj in scene.objects:
         if FOLDER in obj and not obj.library and links.get(obj.session_uid) != obj[FOLDER]:
-            if _owned(obj[FOLDER]):
+            if _has_owner(obj[FOLDER]):
                 del obj[FOLDER]
             else:
                 links[obj.session_uid] = obj[FOLDER]
 
 
-def _owned(folder: str) -> bool:
-    """Whether a splat in the file is known to have this job."""
+def _has_owner(folder: str) -> bool:
+    """Whether a splat in the file is known to have the job in this folder."""
     return any(links.get(obj.session_uid) == folder and obj.users_collection for obj in bpy.data.objects)
 
 
-# --- what follows the jobs
+# --- the timer
 
 
 def tick() -> float | None:
-    """Looks at every running job; None when there is none left."""
+    """Reads the messages of every running job. Returns the seconds until the next call; None if no job is left."""
     for job in [job for job in jobs.values() if job.running]:
         try:
-            _look_at(job)
-        except Exception as error:  # of whatever kind: Blender drops a timer that raises, and no job would be followed any more
+            _update(job)
+        except Exception as error:  # any error: Blender removes a timer that raises, and then no job would be followed
             job.give_up(str(error) or type(error).__name__)
             redraw_panels()
-    return EVERY if any(job.running for job in jobs.values()) else None
+    return INTERVAL if any(job.running for job in jobs.values()) else None
 
 
-def _look_at(job: Job):
+def _update(job: Job):
     if job.poll() or not job.running:
         job_pictures.redraw(job.folder)
         redraw_panels()
     if not job.running and job.state == "done":
-        _arrived(job)
+        _load_if_possible(job)
 
 
-def follow():
+def start_timer():
+    """Follows the running jobs from now on. Without a window there are no timers."""
     if not bpy.app.background and not bpy.app.timers.is_registered(tick):
-        bpy.app.timers.register(tick, first_interval=EVERY, persistent=True)
+        bpy.app.timers.register(tick, first_interval=INTERVAL, persistent=True)
 
 
-def _arrived(job: Job):
-    """Loads the result where its splat is at hand; else the panel offers it."""
+def _load_if_possible(job: Job):
+    """Loads the result if its splat is there and can be changed. If not, the panel offers Load Result."""
     splats = [obj for obj in bpy.data.objects if obj.users_collection and folder_of(obj) == str(job.folder.path)]
     if not splats or edit_guard.problem(bpy.context, splats[0]):
         return
-    with contextlib.suppress(SplatError, OSError):  # the Load button says it again
-        finish(bpy.context, splats[0], job)
+    with contextlib.suppress(SplatError, OSError):  # the button Load Result reports the error
+        load_result(bpy.context, splats[0], job)
         if not bpy.app.background:
             bpy.ops.ed.undo_push(message="Prune Splat")
 
 
-def finish(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
-    """Brings a finished job's result into the scene."""
+def load_result(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
+    """Adds the result of a finished job to the scene."""
     pruned = job_result.load(context, obj, job.folder)
     result = job.folder.result()
     psnr = [result[side].get("psnr") for side in ("before", "after")]
-    if all(isinstance(value, float) for value in psnr):  # null where pictures and photographs are the same
+    if all(isinstance(value, float) for value in psnr):  # null if images and photographs are identical
         pruned[job_result.PSNR] = psnr
     pruned.svrgs_share = 100 * pruned[job_result.KEPT] / job.folder.request()["count"]
     if context.view_layer.objects.active == obj and in_view_layer(context, pruned):
@@ -166,14 +170,14 @@ def redraw_panels():
 
 
 @persistent
-def opened(*_):
-    """After a file was opened: its jobs are looked at anew, those that run in this Blender stay. Its splats are others."""
+def _after_load(*_):
+    """Another file has been opened: only the jobs that run in this Blender stay. All links go, because the splats are others."""
     links.clear()
     for path in [path for path, job in jobs.items() if not job.running]:
         del jobs[path]
 
 
-HANDLERS = {"load_post": opened, "undo_post": _after_undo, "redo_post": _after_undo, "depsgraph_update_post": _after_update}
+HANDLERS = {"load_post": _after_load, "undo_post": _after_undo, "redo_post": _after_undo, "depsgraph_update_post": _after_update}
 
 
 def register():

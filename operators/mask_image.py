@@ -1,4 +1,4 @@
-"""The spatial mask of the scene's camera as an image and a texture named NAME, and how its numbers become colours."""
+"""Draws the spatial mask F of the scene's camera into an image and a texture, both called NAME, in colours or as numbers."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from .preferences import threads
 
 NAME = "SVR-GS Spatial Mask"
 
-_rasterizer: list[Rasterizer] = []  # one, kept with its buffers
-_drawn: dict[int, tuple] = {}  # session_uid of a scene: what its mask was drawn of
-_last: dict = {}  # session_uid of a scene: its mask (H, W), to be coloured anew
+_rasterizer: list[Rasterizer] = []  # at most one; it keeps its buffers
+_inputs: dict[int, tuple] = {}  # session_uid of a scene -> the inputs of its last mask
+_masks: dict = {}  # session_uid of a scene -> its last mask (H, W)
 
 
 def refresh(context: bpy.types.Context) -> dict:
-    """Draws the mask of all visible splats; returns what is known about it. Raises SplatError, NativeError."""
+    """Draws the mask of all visible splats. Returns camera, mean and largest value. Raises SplatError, NativeError."""
     started = time.perf_counter()
     scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
-    _drawn[scene.session_uid] = _view(depsgraph)
-    shown = bridge_graph.splats(depsgraph, scene_cache.read)
-    if shown is None:
+    _inputs[scene.session_uid] = _inputs_now(depsgraph)
+    placed = bridge_graph.splats(depsgraph, scene_cache.read)
+    if placed is None:
         raise SceneError("there is no visible splat: import one")
     obj = bridge_graph.camera(depsgraph)
-    camera = shown.seen_by(_sized(bridge.camera_from_object(obj, scene), scene.svrgs_looking.mask_size))
+    camera = placed.seen_by(_sized(bridge.camera_from_object(obj, scene), scene.svrgs_looking.mask_size))
     native.set_threads(threads(context))
     if not _rasterizer:
         _rasterizer.append(Rasterizer())
-    options = RenderOptions(antialiased=shown.scene.antialiased, mask_kind="svr")
-    mask = _rasterizer[0].forward(shown.scene, camera, options, outputs=("mask",))["mask"]
-    _last[scene.session_uid] = mask
+    options = RenderOptions(antialiased=placed.scene.antialiased, mask_kind="svr")
+    mask = _rasterizer[0].forward(placed.scene, camera, options, outputs=("mask",))["mask"]
+    _masks[scene.session_uid] = mask
     result = {"camera": obj.name, "mean": float(mask.mean()), "largest": float(mask.max(initial=0))}
     _write(scene, result)
     scene.svrgs_looking.mask_result = json.dumps({**result, "milliseconds": round(1e3 * (time.perf_counter() - started))})
@@ -45,21 +45,21 @@ def refresh(context: bpy.types.Context) -> dict:
 
 
 def is_stale(context: bpy.types.Context) -> bool:
-    """Whether camera or splats are no longer those of the last mask. Raises SplatError."""
-    return _drawn.get(context.scene.session_uid) != _view(context.evaluated_depsgraph_get())
+    """Whether the camera or a splat has changed since the last mask. Raises SplatError."""
+    return _inputs.get(context.scene.session_uid) != _inputs_now(context.evaluated_depsgraph_get())
 
 
-def _view(depsgraph: bpy.types.Depsgraph) -> tuple:
-    """What a mask depends on."""
+def _inputs_now(depsgraph: bpy.types.Depsgraph) -> tuple:
+    """Everything that a mask depends on."""
     camera = bridge.camera_from_object(bridge_graph.camera(depsgraph), depsgraph.scene)
     places = [(scene_cache.number(obj), tuple(map(tuple, matrix))) for obj, matrix in bridge_graph.placed_splats(depsgraph)]
     return camera.key, depsgraph.scene.svrgs_looking.mask_size, *places
 
 
 def recolor(settings, context):
-    """Gives the last mask the colours chosen now."""
+    """After the user has chosen other colours: colours the last mask again."""
     scene = settings.id_data
-    if scene.session_uid in _last and settings.mask_result:
+    if scene.session_uid in _masks and settings.mask_result:
         _write(scene, json.loads(settings.mask_result))
 
 
@@ -69,18 +69,18 @@ def _sized(camera, longer: int):
 
 
 def _write(scene: bpy.types.Scene, result: dict):
-    """Image, preview and texture. Numbers of a Non-Color image are shown as if linear, so colours are stored linear."""
-    settings, mask = scene.svrgs_looking, _last[scene.session_uid]
+    """Writes image, preview and texture. Blender shows a Non-Color image as if its numbers were linear, so colours are stored linear."""
+    settings, mask = scene.svrgs_looking, _masks[scene.session_uid]
     top = settings.mask_top or result["largest"]
     name = settings.mask_colors if settings.mask_colors in color_maps.NAMES else "grey"
     rgb = color_maps.colored(mask, top, name)
     pixels = color_maps.pixels(mask, top, settings.mask_colors)
-    image = bridge_images.put(NAME, pixels, with_color_bar(rgb, name), data=True)
+    image = bridge_images.write_image(NAME, pixels, with_color_bar(rgb, name), data=True)
     texture = bpy.data.textures.get(NAME) or bpy.data.textures.new(NAME, "IMAGE")
     texture.image = image
 
 
 def forget():
-    _last.clear()
-    _drawn.clear()
+    _masks.clear()
+    _inputs.clear()
     _rasterizer.clear()

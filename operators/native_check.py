@@ -1,4 +1,4 @@
-"""Why nothing can be drawn or pruned in this Blender at all."""
+"""Whether the native library works in this Blender. Without it nothing can be drawn or pruned."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from ..svrgs_addon.errors import NativeError
 
 
 def native_problem() -> str:
-    """What to do where the native library does not work; empty where it does."""
+    """What to do if the native library does not load; empty if it does."""
     try:
         native.best_level()
-    except NativeError:  # not there, not for this computer, of another version
+    except NativeError:  # it is missing, or built for another computer, or of another version
         return "The native library does not load: install the extension's zip again"
     return ""

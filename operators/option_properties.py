@@ -1,4 +1,4 @@
-"""Blender properties of the options of `svrgs prune`, made from svrgs_addon/jobs/options.py, and the methods as a menu."""
+"""Blender properties made from the options of `svrgs prune` (svrgs_addon/jobs/options.py), and the menu of methods."""
 
 from __future__ import annotations
 
@@ -11,39 +11,52 @@ from ..svrgs_addon.finetune.methods.base import Method
 from ..svrgs_addon.jobs.options import PruneOptions
 from ..svrgs_addon.option_kinds import options_of
 
-KINDS = {bool: BoolProperty, int: IntProperty, float: FloatProperty, str: StringProperty, Path: StringProperty}
-UNSET = {int: 0, float: 0.0, str: "", Path: "", bool: False}  # of an option without a default
+PROPERTY_TYPES = {bool: BoolProperty, int: IntProperty, float: FloatProperty, str: StringProperty, Path: StringProperty}
+UNSET = {int: 0, float: 0.0, str: "", Path: "", bool: False}  # the default of a property whose option has no default
 
 
-def sentence(text: str) -> str:
-    """The text as Blender writes tooltips: a capital first, no full stop."""
+def option_property(name: str, /, **overrides):
+    """The property of one option. overrides: arguments of the property that are not those of the option."""
+    option, default = options_of(PruneOptions)[name], PruneOptions.__dataclass_fields__[name].default
+    kind = option.kind
+    arguments = {"name": name.replace("_", " ").title(), "description": capitalised(option.help), "default": UNSET[kind.type] if default is None else default}
+    if kind.type in (int, float):
+        arguments |= {key: value for key, value in (("min", kind.minimum), ("max", kind.maximum)) if value is not None}
+    elif kind.type is Path:
+        arguments |= {"subtype": "DIR_PATH"}
+    if kind.type in (str, Path):
+        arguments["default"] = str(arguments["default"])
+    if option.default_help and kind.type in (str, Path):
+        arguments["description"] += f". Empty: {option.default_help}"
+    return PROPERTY_TYPES[kind.type](**(arguments | overrides))
+
+
+def method_property(**more):
+    """The menu of the methods that prune. Blender stores the number of a method in .blend files. more: further arguments of the property."""
+    items = [(name, menu_name(method), _tooltip(method), "NONE", method.number) for name, method in METHODS.items() if method.prunes]
+    return EnumProperty(name="Method", items=items, default=PruneOptions.method, description="How pruning decides which Gaussians are removed", **more)
+
+
+def menu_name(method: Method) -> str:
+    """How the menu calls a method."""
+    return method.label or method.name
+
+
+def method_sentence(method: Method) -> str:
+    """What the method does."""
+    return capitalised(method.help)
+
+
+def lambda_sentence(method: Method) -> str:
+    """What λ_F means in this method; empty where it has none."""
+    return f"λ_F: {method.lambda_f_help}" if method.lambda_f_help else ""
+
+
+def capitalised(text: str) -> str:
+    """The text with a capital first letter and no full stop, as Blender writes tooltips."""
     return text[:1].upper() + text[1:]
 
 
-def option_property(name: str, /, **more):
-    """The property of one option; more: what the property has beyond the option, or instead of it."""
-    option, default = options_of(PruneOptions)[name], PruneOptions.__dataclass_fields__[name].default
-    kind = option.kind
-    words = {"name": name.replace("_", " ").title(), "description": sentence(option.help), "default": UNSET[kind.type] if default is None else default}
-    if kind.type in (int, float):
-        words |= {key: value for key, value in (("min", kind.minimum), ("max", kind.maximum)) if value is not None}
-    elif kind.type is Path:
-        words |= {"subtype": "DIR_PATH"}
-    if kind.type in (str, Path):
-        words["default"] = str(words["default"])
-    if option.default_help and kind.type in (str, Path):
-        words["description"] += f". Empty: {option.default_help}"
-    return KINDS[kind.type](**(words | more))
-
-
-def method_property():
-    """The menu of methods that prune. Its numbers are stored in .blend files."""
-    items = [(name, method.label or name, _about(method), "NONE", method.number) for name, method in METHODS.items() if method.prunes]
-    return EnumProperty(name="Method", items=items, default=PruneOptions.method, description="How pruning decides which Gaussians go")
-
-
-def _about(method: Method) -> str:
-    """The tooltip of a method: what it does, and what λ_F means there."""
-    lambda_f = f". λ_F: {method.lambda_f_help}" if method.lambda_f_help else ""
-    share = f". Keeps {method.share:.0%} unless a goal is set" if method.share else ". Needs a percentage, a count or a size" if method.ranks else ""
-    return sentence(method.help) + lambda_f + share
+def _tooltip(method: Method) -> str:
+    amount = f"Keeps {method.share:.0%} unless a goal is set" if method.share else "Needs a percentage, a count or a size" if method.ranks else ""
+    return ". ".join(filter(None, (method_sentence(method), lambda_sentence(method), amount)))

@@ -1,6 +1,10 @@
-"""Splats in Solid and Material Preview viewports: quads of some Gaussians while the view moves, the native picture when it rests.
+"""Splats in Solid and Material Preview viewports.
 
-Blender's own points of a splat would hide its Gaussians, so splats have the display type BOUNDS while they are drawn here.
+While the view moves, the graphics card draws quads of some Gaussians, sorted by depth. If a frame takes more than 0.12 s, the next one
+has fewer quads and pixels. When the view is at rest, a thread draws the exact picture with the native library, which is then drawn
+over the viewport.
+
+Blender draws the points of a splat itself, and they would hide the Gaussians. So splats have the display type BOUNDS here.
 """
 
 from __future__ import annotations
@@ -26,69 +30,71 @@ from .preferences import threads
 from .viewport import redraw
 
 SHADING = {"SOLID", "MATERIAL"}
-REST = 0.2  # seconds without movement
-SLOW, FAST = 0.12, 0.03  # seconds of a frame beyond which the next has fewer quads and pixels, or more
-LEVELS = 5  # each with half the quads of the one before, and half the pixels a side down to a quarter
-LARGEST = 4.0  # times its size: a Gaussian that stands for others
+REST_SECONDS = 0.2  # without movement; then the view is at rest
+SLOW_FRAME, FAST_FRAME = 0.12, 0.03  # seconds; after a slower frame there are fewer quads and pixels, after a faster one more
+LEVELS = 5  # each has half the quads of the one before, and half its pixels per side, down to a quarter
+LARGEST_SCALE = 4.0  # of the size of a Gaussian that is drawn in place of others
 
 
 @dataclass(frozen=True)
-class Job:
-    """A view at rest; the thread that draws it touches nothing of Blender's."""
+class DrawRequest:
+    """A view at rest. The thread that draws it must not use bpy."""
 
     cloud: Cloud
-    camera: Camera  # in the coordinates of the shown scene
-    hidden: object  # (H, W) depth of what the viewport shows beside splats, in the same lengths
+    camera: Camera  # in the scene's coordinates
+    hidden: object  # (H, W) depth of everything else in the viewport, in units of the scene
 
 
-def draw_job(rasterizer, job: Job, _) -> tuple:
-    """(H, W, 4) display sRGB times alpha, and the quads' colours (n, 3) from here."""
-    scene, rows = job.cloud.scene, job.cloud.quads.rows
-    return overlay_rgba(rasterizer, scene, job.camera, job.hidden), colors(scene, rows, job.camera)
+def draw_exact(rasterizer, request: DrawRequest, _) -> tuple:
+    """(H, W, 4) display sRGB times alpha, and the colours (n, 3) of the quads from this view."""
+    scene, rows = request.cloud.scene, request.cloud.quads.rows
+    return overlay_rgba(rasterizer, scene, request.camera, request.hidden), colors(scene, rows, request.camera)
 
 
 class Cloud:
-    """The visible splats, and some of their Gaussians on the graphics card."""
+    """The visible splats as one scene, and the quads of some of its Gaussians on the graphics card."""
 
-    def __init__(self, key: tuple, shown: bridge_graph.Shown, scene: Scene, count: int):
-        self.key, self.shown, self.scene = key, shown, scene
+    def __init__(self, key: tuple, placed: bridge_graph.PlacedScene, scene: Scene, count: int):
+        self.key, self.placed, self.scene = key, placed, scene
         self.quads: Quads = quads(scene, count)
         self.geometry = bridge_gpu.texture(self.quads.geometry.reshape(-1, 4), "RGBA32F")
         self.colors: gpu.types.GPUTexture | None = None
 
-    def paint(self, rgb):
+    def set_colors(self, rgb):
         self.colors = bridge_gpu.texture(rgb, "RGBA16F")
 
 
 class View:
-    """One viewport's region."""
+    """What is drawn in one viewport."""
 
     def __init__(self):
-        self.live = LiveView(draw_job, reductions=(1,))
-        self.seen, self.since, self.level = b"", 0.0, 0
+        self.live = LiveView(draw_exact, reductions=(1,))
+        self.last_key, self.since, self.level = b"", 0.0, 0
         self.target: bridge_gpu.Target | None = None
         self.texture: tuple[Picture, gpu.types.GPUTexture] | None = None
 
-    def resting(self, view: bytes) -> bool:
-        if self.seen != view:
-            self.seen, self.since = view, time.monotonic()
-        return time.monotonic() - self.since >= REST
+    def is_at_rest(self, key: bytes) -> bool:
+        """key: of what the viewport shows now."""
+        if self.last_key != key:
+            self.last_key, self.since = key, time.monotonic()
+        return time.monotonic() - self.since >= REST_SECONDS
 
     def adapt(self, seconds: float):
-        if seconds > SLOW:
+        """Chooses the level of the next frame from the time of the last one."""
+        if seconds > SLOW_FRAME:
             self.level = min(self.level + 1, LEVELS - 1)
-        elif seconds < FAST:
+        elif seconds < FAST_FRAME:
             self.level = max(self.level - 1, 0)
 
 
 class Overlay:
-    """State of the drawing; there is one, but none in background mode."""
+    """The draw handler and its state. There is one; in background mode there is none."""
 
     def __init__(self):
         self.shaders: bridge_gpu.Shaders | None = None
         self.views: dict[int, View] = {}  # by region
         self.cloud: Cloud | None = None
-        self.changes = 0  # of anything in the scene: an exact picture knows what hides splats
+        self.changes = 0  # number of changes in the scene: an exact picture depends on the meshes that hide splats
         self.handle = bpy.types.SpaceView3D.draw_handler_add(self.draw, (), "WINDOW", "POST_VIEW")
 
     def close(self):
@@ -102,15 +108,15 @@ class Overlay:
             return
         try:
             camera = bridge_graph.region_camera(context.region, context.region_data)
-            self.cloud = cloud = self.current(context)
+            self.cloud = cloud = self.visible_cloud(context)
             if cloud is not None:
                 native.set_threads(threads(context))
                 self.draw_cloud(context, cloud, camera)
-        except (SplatError, NativeError):  # an object without size, no library: the panels say so
+        except (SplatError, NativeError):  # an object of scale 0, or no native library: the panels report it
             return
 
-    def current(self, context) -> Cloud | None:
-        """The splats this viewport shows."""
+    def visible_cloud(self, context) -> Cloud | None:
+        """The splats that this viewport shows; None if there is none."""
         settings = context.scene.svrgs_looking
         found = bridge_graph.splats_in_view(context)
         key = settings.overlay_shown, settings.overlay_moving, *((scene_cache.number(obj), tuple(map(tuple, matrix))) for obj, matrix in found)
@@ -118,11 +124,12 @@ class Overlay:
             return None
         if self.cloud is not None and self.cloud.key == key:
             return self.cloud
-        shown = bridge_graph.placed([(scene_cache.read(obj), matrix) for obj, matrix in found])
+        placed = bridge_graph.placed([(scene_cache.read(obj), matrix) for obj, matrix in found])
         values = [scene_cache.read_values(obj, settings.overlay_shown) for obj, _ in found]
-        return Cloud(key, shown, painted(shown.scene, values), settings.overlay_moving)
+        return Cloud(key, placed, painted(placed.scene, values), settings.overlay_moving)
 
-    def view(self, region: bpy.types.Region) -> View:
+    def view_of(self, region: bpy.types.Region) -> View:
+        """The region's view. Views of closed regions are removed."""
         if region.as_pointer() not in self.views:
             open_now = {r.as_pointer() for w in bpy.context.window_manager.windows for area in w.screen.areas for r in area.regions}
             for closed in self.views.keys() - open_now:
@@ -132,39 +139,39 @@ class Overlay:
 
     def draw_cloud(self, context, cloud: Cloud, camera: Camera):
         region, space = context.region, context.space_data
-        view = self.view(region)
+        view = self.view_of(region)
         self.shaders = self.shaders or bridge_gpu.Shaders()
-        beside = bridge_gpu.scene_depth(region.width, region.height)
-        if beside is None:
+        found = bridge_gpu.scene_depth(region.width, region.height)
+        if found is None:
             return
-        hidden, depth = beside
-        local = cloud.shown.seen_by(camera)
-        where = local.key + repr(cloud.key).encode()
-        if view.resting(where):
-            key = where, self.changes, space.shading.type, space.shading.show_xray
-            view.live.request(key, Job(cloud, local, depth_of_projection(context.region_data.window_matrix, depth) / cloud.shown.unit))
+        depth_texture, depth = found
+        local = cloud.placed.seen_by(camera)
+        view_key = local.key + repr(cloud.key).encode()
+        if view.is_at_rest(view_key):
+            key = view_key, self.changes, space.shading.type, space.shading.show_xray
+            view.live.request(key, DrawRequest(cloud, local, depth_of_projection(context.region_data.window_matrix, depth) / cloud.placed.unit))
             picture = view.live.picture()
             if picture is not None and picture.key == key and picture.error is None:
-                bridge_gpu.lay_over(self.shaders, self.exact(view, cloud, picture))
+                bridge_gpu.draw_over_viewport(self.shaders, self.exact_texture(view, cloud, picture))
                 return
         if not bpy.app.timers.is_registered(_redraw_once):
-            bpy.app.timers.register(_redraw_once, first_interval=REST / 2)
+            bpy.app.timers.register(_redraw_once, first_interval=REST_SECONDS / 2)
         started = time.perf_counter()
-        self.draw_quads(context, view, cloud, camera, hidden)
-        bridge_gpu.lay_over(self.shaders, view.target.texture)
+        self.draw_quads(context, view, cloud, camera, depth_texture)
+        bridge_gpu.draw_over_viewport(self.shaders, view.target.texture)
         view.adapt(time.perf_counter() - started)
 
-    def exact(self, view: View, cloud: Cloud, picture: Picture) -> gpu.types.GPUTexture:
+    def exact_texture(self, view: View, cloud: Cloud, picture: Picture) -> gpu.types.GPUTexture:
         if view.texture is None or view.texture[0] is not picture:
-            pixels, shades = picture.result
-            view.texture = picture, bridge_gpu.picture(pixels)
-            cloud.paint(shades)
+            pixels, quad_colors = picture.result
+            view.texture = picture, bridge_gpu.picture_texture(pixels)
+            cloud.set_colors(quad_colors)
         return view.texture[1]
 
-    def draw_quads(self, context, view: View, cloud: Cloud, camera: Camera, hidden: gpu.types.GPUTexture):
-        modelview = context.region_data.view_matrix @ cloud.shown.matrix
+    def draw_quads(self, context, view: View, cloud: Cloud, camera: Camera, depth_texture: gpu.types.GPUTexture):
+        modelview = context.region_data.view_matrix @ cloud.placed.matrix
         if cloud.colors is None:
-            cloud.paint(colors(cloud.scene, cloud.quads.rows, cloud.shown.seen_by(camera)))
+            cloud.set_colors(colors(cloud.scene, cloud.quads.rows, cloud.placed.seen_by(camera)))
         count, reduction = max(1, len(cloud.quads.rows) >> view.level), min(1 << view.level, 4)
         order = native.depth_order(cloud.quads.means[:count], -modelview.row[2].xyz)
         width, height = (max(1, side // reduction) for side in (camera.width, camera.height))
@@ -174,26 +181,27 @@ class Overlay:
         constants = {
             "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]), "size": (width, height),
             "parallel": float(camera.orthographic), "depth_scale": P[2][2], "depth_shift": P[2][3],
-            "near": thresholds().near * cloud.shown.unit - step_back(P),
-            "enlarge": min(cloud.scene.count / count, LARGEST**2), "antialiased": float(cloud.scene.antialiased), "reduction": reduction,
+            "near": thresholds().near * cloud.placed.unit - step_back(P),
+            "enlarge": min(cloud.scene.count / count, LARGEST_SCALE**2), "antialiased": float(cloud.scene.antialiased), "reduction": reduction,
         }  # fmt: skip
         lists = {"order": bridge_gpu.texture(order, "R32F"), "geometry": cloud.geometry, "colors": cloud.colors}
-        bridge_gpu.draw_quads(self.shaders, view.target, lists, hidden, constants, count)
+        bridge_gpu.draw_quads(self.shaders, view.target, lists, depth_texture, constants, count)
 
 
 _overlay: list[Overlay] = []
 
 
 def switch(settings, context):
-    """Splats are drawn here from now on, or as points."""
-    own, points = ("BOUNDS", "TEXTURED") if settings.overlay else ("TEXTURED", "BOUNDS")
+    """After the user has switched the drawing on or off: sets the display type of all splats."""
+    new, old = ("BOUNDS", "TEXTURED") if settings.overlay else ("TEXTURED", "BOUNDS")
     for obj in settings.id_data.objects:
-        if bridge.is_splat(obj) and obj.display_type == points:
-            obj.display_type = own
+        if bridge.is_splat(obj) and obj.display_type == old:
+            obj.display_type = new
     redraw(SHADING)
 
 
 def changed(settings, context):
+    """After the user has changed a setting of the drawing."""
     redraw(SHADING)
 
 
@@ -203,7 +211,7 @@ def _redraw_once():
 
 @persistent
 def _after_update(scene, *_):
-    """Splats that have come since, and what hides them."""
+    """Sets the display type of new splats. The exact pictures are drawn again, because the meshes that hide splats may have changed."""
     for overlay in _overlay:
         overlay.changes += 1
     if not bpy.app.background and scene.svrgs_looking.overlay:

@@ -1,4 +1,4 @@
-"""The add-on's preferences, which panels/preferences.py shows."""
+"""Reads the add-on's preferences; panels/preferences.py defines and shows them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ PACKAGE = __package__.rpartition(".")[0]
 
 
 def threads(context) -> int:
-    """Threads to use; 0: one per core."""
+    """Number of threads to use; 0: one per core."""
     addon = context.preferences.addons.get(PACKAGE)
     return addon.preferences.threads if addon is not None and addon.preferences is not None else 0

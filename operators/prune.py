@@ -1,4 +1,7 @@
-"""Prunes a splat against its photographs: the job of `svrgs prune`, in a process of its own, waited for."""
+"""The operator svrgs.prune, for scripts: runs `svrgs prune` in a child process and waits for it.
+
+The button Prune of the panel is svrgs.job_start in job.py, which does not wait.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +24,23 @@ from .select import select
 class SVRGS_OT_prune(bpy.types.Operator):
     bl_idname = "svrgs.prune"
     bl_label = "Prune Splat"
-    bl_description = "Remove the Gaussians that the photographs do not need, and recover the quality. The original stays, hidden"
+    bl_description = "Remove the Gaussians that the photographs do not need, then recover the quality. The original stays, hidden"
     bl_options = {"REGISTER", "UNDO"}
 
     scene: StringProperty(name="Scene", subtype="FILE_PATH", description="Splat file to prune. Empty: the active splat")
-    colmap: option_property("colmap", name="Dataset", description="COLMAP dataset of the photographs. Empty: that of the cameras imported with the splat")
+    colmap: option_property("colmap", name="Dataset", description="COLMAP dataset: photographs and model. Empty: the dataset of the imported cameras")
     images: option_property("images")
-    out: StringProperty(name="Output", subtype="FILE_PATH", description="File for the pruned splat. Empty: it comes into the scene alone")
-    report_folder: StringProperty(name="Report", subtype="DIR_PATH", description="Folder for an HTML report. Empty: none")
+    out: StringProperty(name="Output", subtype="FILE_PATH", description="File for the pruned splat, which is also added to the scene. Empty: no file")
+    report_folder: StringProperty(name="Report", subtype="DIR_PATH", description="Folder for an HTML report. Empty: no report")
     method: method_property()
-    lambda_f: option_property("lambda_f", name="λ_F", soft_min=1e-5, soft_max=1e-3, precision=5, description="Weight of the spatial mask. 0: the method's own")
+    lambda_f: option_property(
+        "lambda_f",
+        name="λ_F",
+        soft_min=1e-5,
+        soft_max=1e-3,
+        precision=5,
+        description="Strength of pruning; a higher λ_F keeps fewer Gaussians. 0: the method's default",
+    )
     target: option_property("target", subtype="FACTOR", description="Share of the Gaussians to keep. 0: the method decides")
     target_count: option_property("target_count", min=0, description="Number of Gaussians to keep. 0: the method decides")
     max_drop: option_property("max_drop", precision=2, description="PSNR in dB that may be lost, instead of a target. 0: no such limit")
@@ -48,8 +58,8 @@ class SVRGS_OT_prune(bpy.types.Operator):
     def execute(self, context):
         source = None if self.scene else context.object
         try:
-            with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as aside:
-                result, pruned = self.prune(source, Path(aside), threads(context))
+            with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as temp_dir:
+                result, pruned = self.prune(source, Path(temp_dir), threads(context))
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -57,35 +67,35 @@ class SVRGS_OT_prune(bpy.types.Operator):
         obj = bridge.object_from_scene(f"{name} pruned", pruned, context.collection, source.matrix_world if source else bridge.AXES)
         root = bridge.root_of(source)
         if root is not None:
-            bridge.hang_below(obj, root)
+            bridge.parent_to_root(obj, root)
             obj.matrix_basis = source.matrix_basis
         if source is not None:
             job_result.join(source, obj)
             source.hide_viewport = source.hide_render = True
         select(context, [obj])
-        before, psnr = result["before"], [side.get("psnr") for side in (result["before"], result)]
-        change = f", {psnr[1] - psnr[0]:+.2f} dB" if None not in psnr else ""  # null where pictures and photographs are the same
+        before, psnr = result["before"], [figures.get("psnr") for figures in (result["before"], result)]
+        change = f", {psnr[1] - psnr[0]:+.2f} dB" if None not in psnr else ""  # null if images and photographs are identical
         self.report({"INFO"}, f"Kept {result['count']:,} of {before['count']:,} Gaussians{change}")
         return {"FINISHED"}
 
-    def prune(self, source: bpy.types.Object | None, aside: Path, threads: int):
-        """(the JSON result, the pruned scene). The result is printed as one line, as by `svrgs prune --json`."""
+    def prune(self, source: bpy.types.Object | None, temp_dir: Path, threads: int):
+        """(the JSON result, the pruned scene). Prints the result as one line, as `svrgs prune --json` does."""
         scene = Path(bpy.path.abspath(self.scene))
         if source is not None or not self.scene:
-            gaussians = bridge.scene_from_object(source)  # which says so where there is no splat
+            gaussians = bridge.scene_from_object(source)  # raises SceneError if there is no splat
             if problem := edit_guard.problem(bpy.context, source):
                 raise SplatError(problem)
-            scene = aside / "scene.ply"
+            scene = temp_dir / "scene.ply"
             write_scene(scene, gaussians)
-        out = Path(bpy.path.abspath(self.out)) if self.out else aside / "pruned.ply"
-        status, result = subprocess_python.run(["prune", str(scene), "--out", str(out), *self.words(source), "--threads", str(threads)])
+        out = Path(bpy.path.abspath(self.out)) if self.out else temp_dir / "pruned.ply"
+        status, result = subprocess_python.run(["prune", str(scene), "--out", str(out), *self.arguments(source), "--threads", str(threads)])
         if status or "count" not in result:
             raise SplatError(result.get("error", f"pruning ended with status {status}"))
         print(json.dumps(result), flush=True)
         return result, read_scene(out)
 
-    def words(self, source: bpy.types.Object | None) -> list[str]:
-        """The options of `svrgs prune` that were set, here or by the import of the photographs."""
+    def arguments(self, source: bpy.types.Object | None) -> list[str]:
+        """The options of `svrgs prune`: those of the operator, and the dataset that was imported with the splat."""
         root = bridge.root_of(source) or {}
         colmap, images = (self.colmap, self.images) if self.colmap else (root.get(bridge.DATASET, ""), self.images or root.get(bridge.IMAGES, ""))
         given = {
@@ -93,8 +103,8 @@ class SVRGS_OT_prune(bpy.types.Operator):
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
             "--max-drop": self.max_drop,
         }  # fmt: skip
-        words = [str(word) for name, value in given.items() if value for word in (name, value)]
-        return [*words, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in ("iterations", "recovery", "seed")), "--quiet", "--json"]
+        options = [str(word) for name, value in given.items() if value for word in (name, value)]
+        return [*options, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in ("iterations", "recovery", "seed")), "--quiet", "--json"]
 
 
 def register():

@@ -1,4 +1,4 @@
-"""What the panel remembers: the settings of pruning with the scene, how much of a result is shown with its splat."""
+"""Settings of the prune panel: scene.svrgs_prune, saved with the scene, and Object.svrgs_share, how much of a result is shown."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
-from . import bridge, job_result
+from . import bridge, former_methods, job_result
 from .option_properties import method_property, option_property
 
 GOALS = [
-    ("LAMBDA", "Strength λ_F", "Remove what the spatial mask finds superfluous; λ_F says how strictly"),
-    ("SHARE", "Percentage", "Keep this share of the Gaussians"),
-    ("COUNT", "Count", "Keep this many Gaussians"),
+    ("LAMBDA", "Strength λ_F", "λ_F decides how many Gaussians stay. A higher λ_F keeps fewer"),
+    ("SHARE", "Percentage", "Keep this percentage of the Gaussians"),
+    ("COUNT", "Count", "Keep this number of Gaussians"),
     ("SIZE", "Size", "Keep as many Gaussians as fit into a file of this size"),
-    ("DROP", "Loss", "Remove as much as loses about so many dB in the end"),
+    ("DROP", "Loss", "Keep as few Gaussians as lose about this much PSNR"),
 ]
 
 
@@ -34,20 +34,24 @@ def _share_changed(obj, context):
 
 
 class SVRGS_PG_prune(bpy.types.PropertyGroup):
-    colmap: option_property("colmap", name="Dataset", description="COLMAP dataset of the photographs. Empty: that of the imported cameras")
+    colmap: option_property("colmap", name="Dataset", description="COLMAP dataset: photographs and model. Empty: the dataset of the imported cameras")
     images: option_property("images")
     goal: EnumProperty(name="Goal", items=GOALS, description="What decides how many Gaussians stay")
     strength: FloatProperty(
-        name="λ_F", min=-7, max=0, soft_min=-5, soft_max=-3, default=-4, step=5, precision=2, description="Weight of the spatial mask, as power of ten"
-    )
+        name="λ_F", min=-7, max=0, soft_min=-5, soft_max=-3, default=-4, step=5, precision=2,
+        description="λ_F as a power of ten: -4 is 1e-4. A higher λ_F keeps fewer Gaussians",
+    )  # fmt: skip
     lambda_f: FloatProperty(
-        name="λ_F", get=_get_lambda, set=_set_lambda, min=1e-7, max=1, soft_min=1e-5, soft_max=1e-3, precision=6, description="Weight of the spatial mask"
-    )
-    share: FloatProperty(name="Keep", subtype="PERCENTAGE", min=0.1, max=100, default=25, description="Share of the Gaussians to keep")
+        name="λ_F", get=_get_lambda, set=_set_lambda, min=1e-7, max=1, soft_min=1e-5, soft_max=1e-3, precision=6,
+        description="Strength of pruning. A higher λ_F keeps fewer Gaussians",
+    )  # fmt: skip
+    share: FloatProperty(name="Keep", subtype="PERCENTAGE", min=0.1, max=100, default=25, description="Percentage of the Gaussians to keep")
     count: IntProperty(name="Keep", min=1, default=100_000, description="Number of Gaussians to keep")
-    size: FloatProperty(name="Size in MB", min=0.001, soft_max=500, default=20, precision=1, description="Size of the pruned file, in megabytes")
-    drop: FloatProperty(name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2, description="PSNR that may be lost, on a few of the photographs")
-    method: method_property()
+    size: FloatProperty(name="Size in MB", min=0.001, soft_max=500, default=20, precision=1, description="Size of the pruned file in megabytes")
+    drop: FloatProperty(
+        name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2, description="PSNR in dB that may be lost, measured on a few of the photographs"
+    )
+    method: method_property(update=former_methods.method_chosen)
     iterations: option_property("iterations", soft_max=30_000)
     recovery: option_property("recovery", soft_max=30_000)
     seed: option_property("seed")
@@ -56,9 +60,10 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     visible_mask: option_property("visible_mask", name="Visible Part Only")
     views_by_loss: option_property("views_by_loss", name="Harder Views More Often")
     folder: StringProperty(
-        name="Job Folder", subtype="DIR_PATH", description="Folder for the files of jobs. Empty: svrgs_jobs next to the .blend file, or the extension's folder"
-    )
-    method_schema: IntProperty(options={"HIDDEN"})  # 0: the method was chosen before methods got their present names
+        name="Job Folder", subtype="DIR_PATH",
+        description="Folder for the files of jobs. Empty: svrgs_jobs next to the .blend file; for an unsaved file, the extension's own folder",
+    )  # fmt: skip
+    method_schema: IntProperty(options={"HIDDEN"})  # former_methods.py
 
 
 def register():
@@ -66,7 +71,7 @@ def register():
     bpy.types.Scene.svrgs_prune = PointerProperty(type=SVRGS_PG_prune)
     bpy.types.Object.svrgs_share = FloatProperty(
         name="Keep", subtype="PERCENTAGE", min=0, max=100, update=_share_changed,
-        description="Share of the original's Gaussians that is shown, and that Apply keeps",
+        description="Percentage of the original's Gaussians that are shown. Apply keeps them",
     )  # fmt: skip
 
 

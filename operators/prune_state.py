@@ -1,6 +1,6 @@
-"""What the prune panel shows, as properties it knows by name: which stage pruning is at, and what is to be said of it.
+"""What the prune panel shows: window_manager.svrgs_prune_state, which the panels know by name.
 
-Read-only, found out anew at each look; nothing of it is stored.
+All properties are read-only. They are worked out whenever a panel is drawn, and nothing is stored.
 """
 
 from __future__ import annotations
@@ -9,17 +9,19 @@ import bpy
 from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.finetune.methods import METHODS
-from . import bridge, edit_guard, estimate, job_pictures, job_result
-from .job import dataset_of, file_size, mismatch
+from ..svrgs_addon.finetune.methods.base import Method
+from . import bridge, edit_guard, estimate, former_methods, job_pictures, job_result
+from .job import dataset_of, file_size, goal_problem
 from .job_watch import BUSY, WAITING, current
 from .native_check import native_problem
+from .option_properties import lambda_sentence, method_sentence
 
-SILENT = 60.0  # seconds without a sign of life that are worth telling
+SILENT_SECONDS = 60.0  # after this time without a sign of life, the panel says so
 WAITING_TEXT = {"paused": "Paused", "cancelled": "Cancelled", "interrupted": "An interrupted job was found", "failed": "The job failed"}
 
 
 def stage(context) -> str:
-    """BROKEN, BUSY, WAITING, FINISHED (a job), RESULT, APPLIED (a pruned splat), READY (a splat) or NOTHING."""
+    """BROKEN (no native library), BUSY, WAITING or FINISHED (a job), RESULT or APPLIED (a pruned splat), READY (a splat), NOTHING."""
     if native_problem():
         return "BROKEN"
     _, job = current(context)
@@ -32,48 +34,48 @@ def stage(context) -> str:
 
 
 def sentences(context) -> list[str]:
-    """What is to be said at this stage."""
+    """What the panel says at this stage."""
     return {
         "BROKEN": lambda context: [native_problem()], "BUSY": _of_running, "WAITING": _of_waiting,
-        "FINISHED": lambda context: ["A finished job was found: load its result, or discard it to prune anew"],
+        "FINISHED": lambda context: ["A finished job was found: load its result, or discard it and prune again"],
         "RESULT": _of_result, "APPLIED": _of_applied, "READY": _of_ready, "NOTHING": lambda context: ["Select a splat, or import one in step 1"],
     }[stage(context)](context)  # fmt: skip
 
 
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
-    said = ["Looking at some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
-    said += filter(None, [edit_guard.problem(context, context.object), mismatch(context.scene.svrgs_prune)])
-    return said if dataset_of(context)[0] else [*said, "Choose the dataset of the splat's photographs, or import its cameras in step 1"]
+    texts = ["Estimating from some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
+    texts += filter(None, [edit_guard.problem(context, context.object), goal_problem(context.scene.svrgs_prune)])
+    return texts if dataset_of(context)[0] else [*texts, "Choose the dataset of the splat's photographs, or import its cameras in step 1"]
 
 
 def _of_running(context) -> list[str]:
     _, job = current(context)
-    silent = [f"No sign of life for {job.seconds_silent:.0f} s: Cancel ends it"] if job.seconds_silent > SILENT else []
+    silent = [f"No sign of life for {job.seconds_silent:.0f} s: Cancel ends the job"] if job.seconds_silent > SILENT_SECONDS else []
     return [job.facts.get("text") or "Working", *_figures(job.facts), *silent]
 
 
 def _of_waiting(context) -> list[str]:
     _, job = current(context)
-    at = f" at {_share(job.facts):.0%}" if job.facts.get("total") else ""
-    return [WAITING_TEXT[job.state] + at, *filter(None, [job.facts.get("text")]), *_figures(job.facts)]
+    progress = f" at {_progress_share(job.facts):.0%}" if job.facts.get("total") else ""
+    return [WAITING_TEXT[job.state] + progress, *filter(None, [job.facts.get("text")]), *_figures(job.facts)]
 
 
 def _of_result(context) -> list[str]:
     original, pruned = job_result.pair_of(context.object)
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
-    said = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {file_size(pruned, count)}"]
+    texts = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {file_size(pruned, count)}"]
     if job_result.PSNR in pruned:
         before, after = pruned[job_result.PSNR]
-        said.append(f"PSNR {before:.2f} → {after:.2f} dB, {kept:,} recovered")
-    return [*said, f"{count - kept:,} more than were recovered: shown as in the original"] if count > kept else said
+        texts.append(f"PSNR {before:.2f} → {after:.2f} dB, {kept:,} recovered")
+    return [*texts, f"{count - kept:,} more than were recovered: shown as in the original"] if count > kept else texts
 
 
 def _of_applied(context) -> list[str]:
     original, pruned = job_result.pair_of(context.object)
     return [
         f"Pruned to {bridge.count(pruned):,} Gaussians, {file_size(pruned, bridge.count(pruned))}",
-        f"The original '{original.name}' ({bridge.count(original):,}) is hidden",
+        f"The original '{original.name}' ({bridge.count(original):,} Gaussians) is hidden",
     ]
 
 
@@ -83,35 +85,38 @@ def _figures(facts: dict) -> list[str]:
     return [f"{facts['count']:,} Gaussians" + (f", PSNR {facts['psnr']:.2f} dB" if facts.get("psnr") else "")]
 
 
-def _share(facts: dict) -> float:
+def _progress_share(facts: dict) -> float:
     return facts.get("iteration", 0) / max(1, facts.get("total", 1))
 
 
-def _time_left(facts: dict) -> str:
+def _time_left_text(facts: dict) -> str:
     if not facts.get("total"):
         return "Starting"
     left = facts.get("seconds_left", 0)
-    return f"{_share(facts):.0%}, " + (f"{left / 60:.0f} min left" if left >= 90 else f"{left:.0f} s left")
+    return f"{_progress_share(facts):.0%}, " + (f"{left / 60:.0f} min left" if left >= 90 else f"{left:.0f} s left")
 
 
-def _trouble(_) -> str:
-    return native_problem()
+# --- getters of the properties
 
 
-def _of_job(value, otherwise):
-    """A getter of value(job), for where there is a job."""
+def _from_job(value, default):
+    """A getter of value(job); of `default` where there is no job."""
 
     def get(_):
         _, job = current(bpy.context)
-        return value(job) if job is not None else otherwise
+        return value(job) if job is not None else default
 
     return get
 
 
-_progress = _of_job(lambda job: _share(job.facts), 0.0)
-_time = _of_job(lambda job: _time_left(job.facts), "")
-_plot = _of_job(lambda job: job_pictures.plot_icon(job.folder), 0)
-_preview = _of_job(lambda job: job_pictures.preview_icon(job.folder), 0)
+_progress = _from_job(lambda job: _progress_share(job.facts), 0.0)
+_time_left = _from_job(lambda job: _time_left_text(job.facts), "")
+_plot = _from_job(lambda job: job_pictures.plot_icon(job.folder), 0)
+_preview = _from_job(lambda job: job_pictures.preview_icon(job.folder), 0)
+
+
+def _native_problem(_) -> str:
+    return native_problem()
 
 
 def _stage(_) -> str:
@@ -126,13 +131,29 @@ def _dataset(_) -> str:
     return dataset_of(bpy.context)[0]
 
 
+def _method() -> Method:
+    return METHODS[bpy.context.scene.svrgs_prune.method]
+
+
+def _method_help(_) -> str:
+    return method_sentence(_method())
+
+
+def _lambda_help(_) -> str:
+    return lambda_sentence(_method())
+
+
+def _method_renamed(_) -> str:
+    return former_methods.sentence_of(bpy.context.scene)
+
+
 def _own_strength(_) -> str:
-    method = METHODS[bpy.context.scene.svrgs_prune.method]
+    method = _method()
     return f"Keeps {method.share:.0%} of the Gaussians" if method.share else "" if method.ranks else "The method's own weight decides"
 
 
 def _uses_lambda(_) -> bool:
-    return METHODS[bpy.context.scene.svrgs_prune.method].lambda_f > 0
+    return _method().lambda_f > 0
 
 
 def _subject(_) -> str:
@@ -152,19 +173,22 @@ def _marked(_) -> int:
 
 
 class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
-    trouble: StringProperty(get=_trouble)
+    native_problem: StringProperty(get=_native_problem)
     stage: StringProperty(get=_stage)
-    sentences: StringProperty(get=_sentences)
-    subject: StringProperty(get=_subject)
-    progress: FloatProperty(get=_progress)
-    time_left: StringProperty(get=_time)
-    plot: IntProperty(get=_plot)
-    preview: IntProperty(get=_preview)
+    sentences: StringProperty(get=_sentences)  # one a line
+    subject: StringProperty(get=_subject)  # name of the splat that the panel is about
+    progress: FloatProperty(get=_progress)  # 0..1
+    time_left: StringProperty(get=_time_left)
+    plot: IntProperty(get=_plot)  # icon
+    preview: IntProperty(get=_preview)  # icon
     dataset: StringProperty(get=_dataset)
+    method_help: StringProperty(get=_method_help)
+    lambda_help: StringProperty(get=_lambda_help)
+    method_renamed: StringProperty(get=_method_renamed)
     uses_lambda: BoolProperty(get=_uses_lambda)
     own_strength: StringProperty(get=_own_strength)
     size: StringProperty(get=_size)
-    marked: IntProperty(get=_marked)
+    marked: IntProperty(get=_marked)  # Gaussians of the active splat that are marked as removed
 
 
 def register():

@@ -1,4 +1,9 @@
-"""The render engine "SVR-GS": F12, animations, `blender -b -f` and the Rendered viewport through the native rasterizer."""
+"""The render engine "SVR-GS": F12, animations, `blender -b -f` and the Rendered viewport, drawn by the native library.
+
+- One splat is drawn in its own coordinates; several splats, or a stretched or mirrored one, in world coordinates (bridge_graph.py).
+- Passes are linear. Dithering is off while rendering. So with the view transform Standard, saved pictures have the training's colours.
+- A border is cut out of the whole picture, because the limits of the projection depend on the image size. So it has the same pixels.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +25,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
     bl_idname = "SVRGS"
     bl_label = "SVR-GS"
     bl_use_preview = False
-    bl_use_eevee_viewport = True  # materials in Material Preview
+    bl_use_eevee_viewport = True  # Material Preview shows the materials of meshes
 
     _viewport: Viewport | None = None
 
@@ -40,52 +45,52 @@ class SVRGS_engine(bpy.types.RenderEngine):
     def render(self, depsgraph):
         rows, columns = region(depsgraph.scene)
         width, height = columns.stop - columns.start, rows.stop - rows.start
-        layers, trouble = blank(height, width), ""
+        layers, problem = blank(height, width), ""
         try:
             native.set_threads(threads(bpy.context))
             whole = self.picture(depsgraph)
             layers = {name: pixels[rows, columns] for name, pixels in whole.items()} if whole else layers
         except (SplatError, NativeError) as error:
-            trouble = str(error)
+            problem = str(error)
         finally:
-            self.hand_in(layers, width, height)  # in every case: Blender crashes on saving nothing
-        if trouble:
-            self.report({"ERROR"}, trouble)
+            self.hand_in(layers, width, height)  # also after an error: Blender crashes if it saves a render without a result
+        if problem:
+            self.report({"ERROR"}, problem)
 
     def picture(self, depsgraph) -> dict | None:
-        """The passes of the whole image, rows from the top; None if stopped. (How a Gaussian is projected depends on the size of
-        the image, so a border is cut out of it: it then shows the same pixels.)"""
+        """The passes of the whole image, rows from the top; None if the user has stopped the render."""
         scene = depsgraph.scene
-        self.say("Reading splats", 0.0)
-        shown = bridge_graph.splats(depsgraph)
-        if shown is None:
-            raise SceneError("there is no splat to render: import one, and look whether its camera icon in the outliner is on")
+        self.show_progress("Reading splats", 0.0)
+        placed = bridge_graph.splats(depsgraph)
+        if placed is None:
+            raise SceneError("there is no splat to render: import one, and check that its camera icon in the Outliner is on")
         camera = bridge_graph.camera(depsgraph, self.camera_override)
         view = bridge.camera_from_object(camera, scene, bridge.render_size(scene))
-        self.say("Finding what meshes hide", 0.1)
-        hidden_by = shown.hidden_by(bridge_graph.surfaces(depsgraph), view)
-        self.say(f"Drawing {shown.scene.count:,} Gaussians", 0.2)
+        self.show_progress("Finding Gaussians behind meshes", 0.1)
+        hidden_by = placed.hidden_by(bridge_graph.surfaces(depsgraph), view)
+        self.show_progress(f"Drawing {placed.scene.count:,} Gaussians", 0.2)
         transparent = scene.render.film_transparent
         background = (0.0, 0.0, 0.0) if transparent else tuple(scene.svrgs_looking.background)
-        found = composite_while(lambda: not self.test_break(), Rasterizer(), shown.scene, shown.seen_by(view), background, hidden_by)
-        return passes(found, transparent, shown.unit, working_space()) if found is not None else None
+        found = composite_while(lambda: not self.test_break(), Rasterizer(), placed.scene, placed.seen_by(view), background, hidden_by)
+        return passes(found, transparent, placed.unit, working_space()) if found is not None else None
 
-    def say(self, text: str, progress: float):
+    def show_progress(self, text: str, progress: float):
         self.update_stats("", text)
         self.update_progress(progress)
 
     def hand_in(self, layers: dict, width: int, height: int):
+        """Gives Blender the passes (H, W) or (H, W, channels) as the result."""
         for name, channels, _ in PASSES:
             self.add_pass(name, len(channels), channels)
         result = self.begin_result(0, 0, width, height)
         for name, pixels in layers.items():
-            result.layers[0].passes[name].rect.foreach_set(bridge_images.flat(pixels))
+            result.layers[0].passes[name].rect.foreach_set(bridge_images.flattened(pixels))
         self.end_result(result)
         self.update_progress(1.0)
 
 
 def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
-    """Rows from the top, and columns, of the image that are rendered."""
+    """The rows (from the top) and columns that are rendered: all, or those of the border."""
     width, height = bridge.render_size(scene)
     render = scene.render
     if not render.use_border:
@@ -94,24 +99,24 @@ def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
     return slice(height - high, height - low), slice(int(render.border_min_x * width), int(render.border_max_x * width))
 
 
-_dither: dict[int, float] = {}  # session_uid of a scene that is being rendered: its own dither
+_dither: dict[int, float] = {}  # session_uid of a scene that is being rendered -> its own dither
 
 
 @persistent
-def _without_dither(scene, *_):
-    """Saved pictures hold the training's colours, without Blender's noise of up to two levels."""
+def _dither_off(scene, *_):
+    """Switches dithering off: it would add noise of up to two levels of 8 bits."""
     if scene.render.engine == SVRGS_engine.bl_idname and scene.session_uid not in _dither:
         _dither[scene.session_uid] = scene.render.dither_intensity
         scene.render.dither_intensity = 0
 
 
 @persistent
-def _with_dither(scene, *_):
+def _dither_back(scene, *_):
     if scene.session_uid in _dither:
         scene.render.dither_intensity = _dither.pop(scene.session_uid)
 
 
-HANDLERS = (("render_init", _without_dither), ("render_complete", _with_dither), ("render_cancel", _with_dither))
+HANDLERS = (("render_init", _dither_off), ("render_complete", _dither_back), ("render_cancel", _dither_back))
 
 
 def register():

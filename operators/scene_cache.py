@@ -1,4 +1,4 @@
-"""The Gaussians of splats that are drawn again and again, until Blender says that an object's data has changed."""
+"""The Gaussians of the visible splats, kept until Blender reports that the data of an object has changed."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from . import bridge, bridge_graph
 
 @dataclass(frozen=True)
 class Entry:
-    """What is visible of a splat, along a Morton curve."""
+    """The visible Gaussians of a splat, sorted along a Morton curve."""
 
     scene: Scene
-    rows: object  # (N,) rows of the object's Gaussians these were
-    data: int  # session_uid of its data
-    number: int = field(default_factory=itertools.count().__next__)  # no other entry's, ever
+    rows: object  # (N,) the row of each Gaussian in the object
+    data: int  # session_uid of the object's data
+    number: int = field(default_factory=itertools.count().__next__)  # every entry has another number
 
 
 _entries: dict[int, Entry] = {}  # by session_uid of the object
 
 
 def read(obj: bpy.types.Object) -> Scene:
-    """bridge_graph.visible_scene(obj) of an evaluated object, in another order: what lies together in space lies together in memory."""
+    """bridge_graph.visible_scene(obj) of an evaluated object, sorted: Gaussians close in space are close in memory."""
     return _entry(obj).scene
 
 
 def number(obj: bpy.types.Object) -> int:
-    """Stands for what read(obj) gives, in keys: another one as soon as that is another scene."""
+    """A number for keys: it changes when read(obj) returns another scene."""
     return _entry(obj).number
 
 
 def read_values(obj: bpy.types.Object, name: str):
-    """(N,) numbers of a further attribute in the order of read(obj); None where there is none."""
+    """(N,) values of an attribute in the order of read(obj); None if there is no such attribute."""
     values = bridge.values(obj, name)
     return None if values is None else values[_entry(obj).rows]
 
@@ -52,7 +52,7 @@ def _entry(obj: bpy.types.Object) -> Entry:
 
 
 def forget_updated(depsgraph: bpy.types.Depsgraph):
-    """Drops what the last change in the graph made wrong, and what belongs to objects that are gone."""
+    """Removes the entries of objects that have changed or are gone."""
     if not _entries:
         return
     there = {obj.session_uid for obj in bpy.data.objects}

@@ -1,8 +1,8 @@
-"""What an operator made becomes the selection."""
+"""Selects the objects that an operator has made."""
 
 
 def select(context, objects):
-    """Selects these alone and makes the last one active, in the modes that know a selection of objects."""
+    """Selects only these objects and makes the last one active. In modes other than Object Mode nothing happens."""
     if context.mode == "OBJECT":
         for obj in context.selected_objects:
             obj.select_set(False)
@@ -12,5 +12,5 @@ def select(context, objects):
 
 
 def in_view_layer(context, obj) -> bool:
-    """Whether the object can be selected: its collection may be excluded, or be another scene's."""
+    """Whether the object can be selected. Its collection may be excluded, or belong to another scene."""
     return obj in context.view_layer.objects.values()

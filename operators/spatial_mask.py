@@ -1,4 +1,4 @@
-"""The spatial mask F of the scene's camera, on demand or whenever something moves."""
+"""Show Spatial Mask: draws the spatial mask F of the scene's camera, once, or after every change if Follow Camera is on."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from bpy.app.handlers import persistent
 from ..svrgs_addon.errors import NativeError, SplatError
 from . import bridge_images, mask_image
 
-PAUSE = 0.1  # seconds after the last change
+DELAY = 0.1  # seconds after the last change
 
 
 class SVRGS_OT_spatial_mask(bpy.types.Operator):
@@ -21,7 +21,7 @@ class SVRGS_OT_spatial_mask(bpy.types.Operator):
     def poll(cls, context):
         if context.scene.camera is not None:
             return True
-        cls.poll_message_set("The scene has no camera: add one, or import the dataset's")
+        cls.poll_message_set("The scene has no camera: add one, or import the cameras of the dataset")
         return False
 
     def execute(self, context):
@@ -36,7 +36,7 @@ class SVRGS_OT_spatial_mask(bpy.types.Operator):
 
 
 def show_in_editors(context, image: bpy.types.Image):
-    """Image Editors that show nothing, or another of our pictures, show this one."""
+    """Shows the image in every Image Editor that is empty or shows another image of this extension."""
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             space = area.spaces.active
@@ -45,7 +45,7 @@ def show_in_editors(context, image: bpy.types.Image):
                 area.tag_redraw()
 
 
-_changed: dict[int, str] = {}  # session_uid of a scene whose mask follows: the view layer that changed last
+_changed: dict[int, str] = {}  # session_uid of a scene with Follow Camera -> name of the view layer that changed last
 
 
 @persistent
@@ -55,7 +55,7 @@ def _after_change(scene, depsgraph=None):
         if bpy.app.timers.is_registered(_follow):
             bpy.app.timers.unregister(_follow)
         if not bpy.app.background:
-            bpy.app.timers.register(_follow, first_interval=PAUSE)
+            bpy.app.timers.register(_follow, first_interval=DELAY)
 
 
 def _follow():
@@ -69,9 +69,9 @@ def _follow():
 
 
 def _follow_in(context):
-    """What cannot be drawn now stays as it was: the user did not ask for it at this moment."""
+    """Draws the mask if it is out of date. After an error the old mask stays, without a message: the user did not press a button."""
     try:
-        if not mask_image.is_stale(context):  # drawing it is a change, too
+        if not mask_image.is_stale(context):  # writing the image is a change of the scene, too
             return
         mask_image.refresh(context)
     except (SplatError, NativeError):
@@ -84,8 +84,8 @@ def _follow_in(context):
 
 @persistent
 def _after_load(*_):
-    """Numbers of a picture that was not saved with the file would stand beside a black one."""
-    if bridge_images.lost(mask_image.NAME):
+    """An image that was not packed is not saved with the file. Its figures are removed, too."""
+    if bridge_images.is_lost(mask_image.NAME):
         for scene in bpy.data.scenes:
             scene.svrgs_looking.mask_result = ""
 

@@ -1,4 +1,4 @@
-"""Photographs behind their cameras: at once those that fit, and those of lenses with distortion when a process has undistorted them."""
+"""Photographs as backgrounds of their cameras. Photographs with lens distortion are undistorted first, by a child process."""
 
 from __future__ import annotations
 
@@ -11,54 +11,54 @@ from ..svrgs_addon.blender.posed_photos import read_in_child
 from ..svrgs_addon.errors import SplatError
 from .job_watch import redraw_panels
 
-EVERY = 0.5  # seconds
-WAIT = bpy.app.background  # for the process: without a window there is nothing else to do
+INTERVAL = 0.5  # seconds between two looks whether it is done
+WAIT = bpy.app.background  # without a window there are no timers, so the operator waits
 
 
-class Work(threading.Thread):
-    """Undistorts what has to be. Ends with Blender; its process then finishes the files."""
+class UndistortThread(threading.Thread):
+    """Waits for the child process that undistorts. It ends with Blender; the process then still finishes its files."""
 
     def __init__(self, cameras: list[bpy.types.Object], folder: Path, images: str, target: Path):
         super().__init__(daemon=True)
         self.cameras = [obj.session_uid for obj in cameras]  # in the order of the dataset
-        self.asked = folder, images, target
+        self.request = folder, images, target
         self.files: list[Path | None] = []
-        self.trouble = ""
+        self.problem = ""
 
     def run(self):
         try:
-            self.files = read_in_child(*self.asked).files
+            self.files = read_in_child(*self.request).files
         except (SplatError, OSError) as error:
-            self.trouble = f"{error}; the photographs of lenses with distortion are not shown"
+            self.problem = f"{error}; the photographs of lenses with distortion are not shown"
 
 
-_works: list[Work] = []
-_trouble: list[str] = []  # of works that have ended since the last one began
+_threads: list[UndistortThread] = []  # those that run
+_problems: list[str] = []  # of the threads that have ended since the last start()
 
 
 def start(cameras: list[bpy.types.Object], folder: Path, images: str, target: Path) -> str:
-    """Shows all photographs of the dataset's cameras behind them, undistorted in the folder `target`, as soon as they are there.
+    """Undistorts the photographs of the dataset into the folder `target`, then shows each as the background of its camera.
 
-    Returns what went wrong already.
+    Returns what went wrong; with a window it returns at once, and status() says it later.
     """
-    _trouble.clear()
-    _works.append(Work(cameras, folder, images, target))
-    _works[-1].start()
+    _problems.clear()
+    _threads.append(UndistortThread(cameras, folder, images, target))
+    _threads[-1].start()
     if WAIT:
-        _works[-1].join()
-        _look()
-    elif not bpy.app.timers.is_registered(_look):
-        bpy.app.timers.register(_look, first_interval=EVERY, persistent=True)
-    return " ".join(_trouble)
+        _threads[-1].join()
+        _finish_threads()
+    elif not bpy.app.timers.is_registered(_finish_threads):
+        bpy.app.timers.register(_finish_threads, first_interval=INTERVAL, persistent=True)
+    return " ".join(_problems)
 
 
-def said() -> str:
-    """How it goes on, or what went wrong; empty where there is nothing to say."""
-    return "Undistorting the photographs …" if _works else " ".join(_trouble)
+def status() -> str:
+    """That photographs are being undistorted, or what went wrong; mostly empty."""
+    return "Undistorting the photographs …" if _threads else " ".join(_problems)
 
 
 def show(obj: bpy.types.Object, file: Path | None):
-    """Puts the photograph behind the camera, unless there is one already, or no file."""
+    """Makes the photograph the background of the camera, unless there is no file or the camera has a background."""
     data = obj.data
     if file is None or data.background_images:
         return
@@ -69,27 +69,28 @@ def show(obj: bpy.types.Object, file: Path | None):
 
 
 def forget():
-    if bpy.app.timers.is_registered(_look):
-        bpy.app.timers.unregister(_look)
-    _works.clear()
-    _trouble.clear()
+    """Stops waiting. The threads end by themselves."""
+    if bpy.app.timers.is_registered(_finish_threads):
+        bpy.app.timers.unregister(_finish_threads)
+    _threads.clear()
+    _problems.clear()
 
 
-def _look() -> float | None:
-    for work in [work for work in _works if not work.is_alive()]:
-        _works.remove(work)
-        _finish(work)
+def _finish_threads() -> float | None:
+    for thread in [thread for thread in _threads if not thread.is_alive()]:
+        _threads.remove(thread)
+        _finish(thread)
         redraw_panels()
-    return EVERY if _works else None
+    return INTERVAL if _threads else None
 
 
-def _finish(work: Work):
-    """Cameras that were deleted meanwhile, or whose file was closed, go without."""
-    there = {obj.session_uid: obj for obj in bpy.data.objects if obj.type == "CAMERA"}
-    for uid, file in zip(work.cameras, work.files, strict=False):  # no files where it failed
-        if uid in there:
-            show(there[uid], file)
-    if work.trouble:
-        _trouble.append(work.trouble)
+def _finish(thread: UndistortThread):
+    """Shows the photographs. Cameras that were deleted since, or belong to a closed file, are skipped."""
+    cameras = {obj.session_uid: obj for obj in bpy.data.objects if obj.type == "CAMERA"}
+    for uid, file in zip(thread.cameras, thread.files, strict=False):  # after an error there are no files
+        if uid in cameras:
+            show(cameras[uid], file)
+    if thread.problem:
+        _problems.append(thread.problem)
     elif not WAIT:
         bpy.ops.ed.undo_push(message="Undistort Photographs")

@@ -1,4 +1,4 @@
-"""What the user chooses for looking at splats: properties of Blender's scene, scene.svrgs_looking."""
+"""Settings of viewing and comparing: scene.svrgs_looking, saved with the scene. The name is stored in .blend files and stays."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from ..svrgs_addon.render import color_maps
 from . import bridge, comparison_images, mask_image, overlay, undistort
 
 VALUES = "values"
-MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [(VALUES, "Values", "The numbers themselves, for materials")]
+MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
+    (VALUES, "Values", "The values of F themselves, for use in materials")
+]
 SHOWN = [
-    ("COLOR", "Colors", "The Gaussians as they are"), ("contribution", "Contribution", "Share of the pictures: run Show Contribution first"),
-    ("svrgs:probability", "Probability", "Of existence, as a pruning job with masks has learned it"),
-    ("svrgs:score", "Rank", "The order in which a pruning job let the Gaussians go"),
+    ("COLOR", "Colors", "The colours of the Gaussians"),
+    ("contribution", "Contribution", "What each Gaussian adds to the images of the cameras. Run Show Contribution first"),
+    ("svrgs:probability", "Probability", "Probability of existence, learned by a pruning job with masks"),
+    ("svrgs:score", "Rank", "The order in which a pruning job removed the Gaussians"),
 ]  # fmt: skip
 
 
@@ -22,50 +25,61 @@ def _about(_) -> str:
     return f"{bridge.count(obj):,} Gaussians, SH degree {bridge.sh_degree(obj)}" if bridge.is_splat(obj) else ""
 
 
-def _is_splat(_, obj) -> bool:  # a lambda below would not find `bridge`: Blender evaluates annotations with other names around them
+def _is_splat(_, obj) -> bool:  # not a lambda below: Blender evaluates annotations where `bridge` is unknown
     return bridge.is_splat(obj)
 
 
 def _photographs(_) -> str:
-    return undistort.said()
+    return undistort.status()
 
 
-class SVRGS_PG_looking(bpy.types.PropertyGroup):
-    about: StringProperty(get=_about, options={"HIDDEN"})  # the active splat in a line; empty where there is none
-    photographs: StringProperty(get=_photographs, options={"HIDDEN"})  # how undistorting them goes on; mostly empty
+class SVRGS_PG_view(bpy.types.PropertyGroup):
+    about: StringProperty(get=_about, options={"HIDDEN"})  # one line about the active splat; empty if no splat is active
+    photographs: StringProperty(get=_photographs, options={"HIDDEN"})  # status of undistorting photographs; mostly empty
     background: FloatVectorProperty(
-        name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="What shows between the Gaussians; black as in training"
+        name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="Colour behind the Gaussians. Black, as in training"
     )
 
     mask_colors: EnumProperty(name="Colors", items=MAPS, update=mask_image.recolor, description="Colours of the spatial mask")
-    mask_top: FloatProperty(name="Brightest", min=0, update=mask_image.recolor, description="Value of the brightest colour. 0: the largest of the picture")
-    mask_size: IntProperty(name="Size", default=640, min=16, max=8192, subtype="PIXEL", description="Longer side of the spatial mask's picture")
-    mask_follow: BoolProperty(name="Follow Camera", description="Draw the spatial mask anew whenever the camera or a splat changes")
-    mask_result: StringProperty(options={"HIDDEN"})  # JSON: camera, low, mean, top, milliseconds
+    mask_top: FloatProperty(
+        name="Brightest", min=0, update=mask_image.recolor, description="Value of F with the brightest colour. 0: the largest value of the image"
+    )
+    mask_size: IntProperty(name="Size", default=640, min=16, max=8192, subtype="PIXEL", description="Longer side of the image of the spatial mask")
+    mask_follow: BoolProperty(name="Follow Camera", description="Draw the spatial mask again whenever the camera or a splat changes")
+    mask_result: StringProperty(options={"HIDDEN"})  # JSON: camera, mean, largest, milliseconds
 
-    original: PointerProperty(name="Original", type=bpy.types.Object, poll=_is_splat, description="Empty: the active splat")
+    original: PointerProperty(name="Original", type=bpy.types.Object, poll=_is_splat, description="The original splat. Empty: the active splat")
     pruned: PointerProperty(
         name="Pruned", type=bpy.types.Object, poll=_is_splat,
-        description="Empty: the original without what is marked as removed, or 'NAME pruned'",
+        description="The pruned splat. Empty: the result of the original's job, or the object 'NAME pruned'",
     )  # fmt: skip
-    compare_camera: PointerProperty(name="Camera", type=bpy.types.Object, poll=lambda _, obj: obj.type == "CAMERA", description="Empty: the scene's camera")
+    compare_camera: PointerProperty(
+        name="Camera", type=bpy.types.Object, poll=lambda _, obj: obj.type == "CAMERA", description="Camera to compare from. Empty: the scene's camera"
+    )
     wipe: FloatProperty(
         name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=comparison_images.redraw, description="Original on the left, pruned on the right"
     )
-    compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned
+    compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned, between
 
     overlay: BoolProperty(name="Draw Splats", default=True, update=overlay.switch, description="Draw splats in Solid and Material Preview viewports")
-    overlay_shown: EnumProperty(name="Show", items=SHOWN, update=overlay.changed, description="What the colours of splats in these viewports stand for")
+    overlay_shown: EnumProperty(
+        name="Show", items=SHOWN, update=overlay.changed, description="What the colours of splats show in Solid and Material Preview viewports"
+    )
     overlay_moving: IntProperty(
-        name="While Moving", default=200_000, min=1000, soft_max=2_000_000, update=overlay.changed, description="Gaussians drawn while the view moves"
+        name="While Moving",
+        default=200_000,
+        min=1000,
+        soft_max=2_000_000,
+        update=overlay.changed,
+        description="Number of Gaussians that are drawn while the view moves",
     )
 
 
 def register():
-    bpy.utils.register_class(SVRGS_PG_looking)
-    bpy.types.Scene.svrgs_looking = PointerProperty(type=SVRGS_PG_looking)
+    bpy.utils.register_class(SVRGS_PG_view)
+    bpy.types.Scene.svrgs_looking = PointerProperty(type=SVRGS_PG_view)
 
 
 def unregister():
     del bpy.types.Scene.svrgs_looking
-    bpy.utils.unregister_class(SVRGS_PG_looking)
+    bpy.utils.unregister_class(SVRGS_PG_view)

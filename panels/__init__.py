@@ -1,4 +1,4 @@
-"""What the user sees: one file per panel. Panels know operators and properties by name only."""
+"""What the user sees: one file per panel. Panels know operators and properties only by their names."""
 
 from . import compare, engine, export, overlay, preferences, prune, scene, spatial_mask
 

@@ -1,11 +1,11 @@
-"""Step 3: what pruning cost. In the 3D View and in the Image Editor."""
+"""Step 3: original and pruned splat compared, in images and figures. In the 3D View and in the Image Editor."""
 
 import json
 
 import bpy
 
 from .spatial_mask import draw_image
-from .wrapped_label import lines, usable
+from .wrapped_label import native_library_works, wrapped_label
 
 WIPE = "SVR-GS Wipe"
 
@@ -18,7 +18,7 @@ class ComparePanel:
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
-        if not usable(layout, context):
+        if not native_library_works(layout, context):
             return
         column = layout.column()
         column.use_property_split = True
@@ -30,7 +30,7 @@ class ComparePanel:
         row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
         image = bpy.data.images.get(WIPE)
         if image is None or not settings.compare_result:
-            lines(layout, "Compare draws both from the camera", "INFO")
+            wrapped_label(layout, "Compare draws both from the camera", "INFO")
             return
         draw_image(layout, image)
         layout.prop(settings, "wipe", slider=True)
@@ -46,7 +46,7 @@ class SVRGS_PT_compare_image(ComparePanel, bpy.types.Panel):
 
 
 def table(layout, result: dict):
-    """Original and pruned in numbers."""
+    """Figures of both splats, side by side."""
     lines = [("", "Original", "Pruned")]
     rows = result["original"], result["pruned"]
     lines.append(("Gaussians", *(f"{row['count']:,}" for row in rows)))

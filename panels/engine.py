@@ -1,11 +1,11 @@
-"""Properties editor with the engine SVR-GS: Blender's own panels that apply to it, and its background."""
+"""Panels of the Properties editor for the render engine SVR-GS: its background, and those of Blender's panels that apply to it."""
 
 import bpy
 
-from .wrapped_label import lines, usable
+from .wrapped_label import native_library_works, wrapped_label
 
 ENGINE = "SVRGS"
-NOT_OURS = {"VIEWLAYER_PT_filter", "VIEWLAYER_PT_layer_passes", "RENDER_PT_simplify"}
+EXCLUDED = {"VIEWLAYER_PT_filter", "VIEWLAYER_PT_layer_passes", "RENDER_PT_simplify"}
 
 
 class SVRGS_PT_engine(bpy.types.Panel):
@@ -21,19 +21,19 @@ class SVRGS_PT_engine(bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        if not usable(layout, context):
+        if not native_library_works(layout, context):
             return
         layout.use_property_split = True
         layout.prop(context.scene.svrgs_looking, "background")
         layout.prop(context.scene.render, "film_transparent", text="Transparent")
         if context.scene.view_settings.view_transform != "Standard":
-            lines(layout, "The view transform Standard shows the training colours", "INFO")
+            wrapped_label(layout, "Choose the view transform Standard to see the colours of the training", "INFO")
 
 
 def shared_panels():
-    """Blender's panels for engines that bring none of their own."""
+    """The panels that Blender shows for every engine without panels of its own."""
     panels = (panel for panel in bpy.types.Panel.__subclasses__() if "BLENDER_RENDER" in getattr(panel, "COMPAT_ENGINES", ()))
-    return [panel for panel in panels if panel.__name__ not in NOT_OURS]
+    return [panel for panel in panels if panel.__name__ not in EXCLUDED]
 
 
 def register():

@@ -1,8 +1,8 @@
-"""Step 4: out of Blender again, with what it will be."""
+"""Step 4: export of the active splat, with the number of Gaussians and the size of the file."""
 
 import bpy
 
-from .wrapped_label import lines
+from .wrapped_label import wrapped_label
 
 
 class SVRGS_PT_export(bpy.types.Panel):
@@ -19,7 +19,7 @@ class SVRGS_PT_export(bpy.types.Panel):
             return
         layout.label(text=f"{context.object.name}: {state.size}")
         if state.marked:
-            lines(layout, f"{state.marked:,} of them are marked as removed and would be exported: Apply first", "INFO")
+            wrapped_label(layout, f"{state.marked:,} of them are marked as removed, but would be exported: press Apply first", "INFO")
         layout.operator("svrgs.export_ply", icon="EXPORT")
 
 

@@ -1,8 +1,8 @@
-"""View: how splats are drawn in Solid and Material Preview viewports."""
+"""View: settings of drawing splats in Solid and Material Preview viewports."""
 
 import bpy
 
-from .wrapped_label import usable
+from .wrapped_label import native_library_works
 
 
 class SVRGS_PT_overlay(bpy.types.Panel):
@@ -18,7 +18,7 @@ class SVRGS_PT_overlay(bpy.types.Panel):
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
-        if not usable(layout, context):
+        if not native_library_works(layout, context):
             return
         layout.use_property_split = True
         layout.use_property_decorate = False

@@ -1,15 +1,15 @@
-"""Step 2: what pruning shall do, how it goes on, and what came of it. Draws in any state, and says what to do in it."""
+"""Step 2: settings of pruning, progress of a job, and its result. In every state the panel says what to do next."""
 
 from __future__ import annotations
 
 import bpy
 
-from .wrapped_label import lines
+from .wrapped_label import wrapped_label
 
-PRESETS = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # of the paper
-GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # property by goal; LAMBDA has its own row
+PRESETS = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
+GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # goal -> its property; LAMBDA has a row of its own
 ADVANCED = ("seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder")
-ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK", "APPLIED": "CHECKMARK"}  # of the first line
+ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK", "APPLIED": "CHECKMARK"}  # stage -> icon of the first sentence
 
 
 class SVRGS_PT_prune(bpy.types.Panel):
@@ -24,12 +24,12 @@ class SVRGS_PT_prune(bpy.types.Panel):
         stage = state.stage
         if stage not in ("BROKEN", "NOTHING", "READY"):
             self.layout.label(text=state.subject, icon="OUTLINER_OB_POINTCLOUD")
-        before = {"READY": draw_settings, "BUSY": draw_progress, "RESULT": draw_share}.get(stage)
-        if before is not None:
-            before(self.layout, context, state)
+        draw = {"READY": draw_settings, "BUSY": draw_progress, "RESULT": draw_share}.get(stage)
+        if draw is not None:
+            draw(self.layout, context, state)
         icon = ICONS.get(stage, "NONE")
         for sentence in state.sentences.splitlines():
-            lines(self.layout, sentence, icon)
+            wrapped_label(self.layout, sentence, icon)
             icon = "NONE"
         if stage in ("BUSY", "WAITING") and state.plot:
             row = self.layout.row()
@@ -64,11 +64,15 @@ def draw_settings(layout, context, state):
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(settings, "colmap", placeholder=state.dataset)
     column.prop(settings, "method")
+    wrapped_label(column, state.method_help)
+    if state.method_renamed:
+        wrapped_label(column, state.method_renamed, "INFO")
     column.prop(settings, "goal")
     if settings.goal in GOALS:
         column.prop(settings, GOALS[settings.goal])
     elif state.uses_lambda:
         draw_strength(column.column(align=True), settings)
+        wrapped_label(column, state.lambda_help)
     elif state.own_strength:
         column.label(text=state.own_strength, icon="INFO")
     column.prop(settings, "iterations")

@@ -1,8 +1,8 @@
-"""Step 1: what is there, and how more comes in."""
+"""Step 1: import of splats and cameras, and what the active splat is."""
 
 import bpy
 
-from .wrapped_label import lines
+from .wrapped_label import wrapped_label
 
 
 class SVRGS_PT_scene(bpy.types.Panel):
@@ -17,7 +17,7 @@ class SVRGS_PT_scene(bpy.types.Panel):
         column.operator("svrgs.import_ply", icon="IMPORT", text="Import Splat")
         column.operator("svrgs.import_colmap", icon="OUTLINER_OB_CAMERA", text="Import Cameras")
         if context.scene.svrgs_looking.photographs:
-            lines(layout, context.scene.svrgs_looking.photographs, "INFO")
+            wrapped_label(layout, context.scene.svrgs_looking.photographs, "INFO")
         about = context.scene.svrgs_looking.about
         if not about:
             layout.label(text="Select a splat, or import one", icon="INFO")

@@ -1,10 +1,10 @@
-"""The spatial mask: a picture of it, and what its colours mean. In the 3D View and in the Image Editor."""
+"""The spatial mask: its image and the scale of its colours. In the 3D View and in the Image Editor."""
 
 import json
 
 import bpy
 
-from .wrapped_label import lines, usable
+from .wrapped_label import native_library_works, wrapped_label
 
 IMAGE = "SVR-GS Spatial Mask"
 TICKS = 5
@@ -17,14 +17,14 @@ class SpatialMaskPanel:
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
-        if not usable(layout, context):
+        if not native_library_works(layout, context):
             return
         row = layout.row(align=True)
         row.operator("svrgs.spatial_mask", icon="FILE_REFRESH", text="Refresh")
         row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
         image = bpy.data.images.get(IMAGE)
         if image is None or not settings.mask_result:
-            lines(layout, "Refresh draws how many Gaussians each pixel takes", "INFO")
+            wrapped_label(layout, "Refresh draws F, the normalised number of Gaussians in each pixel", "INFO")
             return
         draw_image(layout, image)
         result = json.loads(settings.mask_result)
@@ -44,7 +44,7 @@ class SVRGS_PT_spatial_mask(SpatialMaskPanel, bpy.types.Panel):
 
     def draw(self, context):
         SpatialMaskPanel.draw(self, context)
-        if not context.window_manager.svrgs_prune_state.trouble:
+        if not context.window_manager.svrgs_prune_state.native_problem:
             self.layout.operator("svrgs.contribution", icon="MOD_VERTEX_WEIGHT")
 
 
@@ -53,13 +53,13 @@ class SVRGS_PT_spatial_mask_image(SpatialMaskPanel, bpy.types.Panel):
 
 
 def draw_image(layout, image, scale=10.0):
-    """The image's preview, as wide as the panel lets it be."""
+    """The preview of the image, as wide as the panel allows."""
     if image.preview is not None:
         layout.template_icon(image.preview.icon_id, scale=scale)
 
 
 def legend(layout, top: float):
-    """Numbers below the colour bar, from 0 to top."""
+    """Numbers from 0 to top below the colour bar."""
     row = layout.row()
     for k in range(TICKS):
         cell = row.row()

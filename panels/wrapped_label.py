@@ -1,16 +1,16 @@
-"""Sentences in a sidebar, which is narrow."""
+"""Text of several lines in a sidebar, which is narrow."""
 
 import bpy
 
-CHARACTER = 6.8  # pixels of one, in the mean
-WIDTH = 300  # pixels of a sidebar, where there is no window to ask
+CHARACTER_WIDTH = 6.8  # pixels, on average
+SIDEBAR_WIDTH = 300  # pixels, if there is no window to ask
 
 
-def lines(layout, sentence: str, icon: str = "NONE"):
-    """Labels of as many lines as the sentence needs; icon: of the first."""
-    column, line, room = layout.column(align=True), "", _room() - 3 * (icon != "NONE")
+def wrapped_label(layout, sentence: str, icon: str = "NONE"):
+    """Labels for a sentence, broken into lines that fit the region. icon: of the first line."""
+    column, line, length = layout.column(align=True), "", _characters_per_line() - 3 * (icon != "NONE")
     for word in sentence.split():
-        if line and len(line) + len(word) >= room:
+        if line and len(line) + len(word) >= length:
             column.label(text=line, icon=icon)
             line, icon = "", "BLANK1" if icon != "NONE" else icon
         line = f"{line} {word}".strip()
@@ -18,15 +18,14 @@ def lines(layout, sentence: str, icon: str = "NONE"):
         column.label(text=line, icon=icon)
 
 
-def usable(layout, context) -> bool:
-    """Whether the native library works; where it does not, a line says what to do."""
-    trouble = context.window_manager.svrgs_prune_state.trouble
-    if trouble:
-        lines(layout, trouble, "ERROR")
-    return not trouble
+def native_library_works(layout, context) -> bool:
+    """Whether the native library works. If not, a line in the panel says what to do."""
+    problem = context.window_manager.svrgs_prune_state.native_problem
+    if problem:
+        wrapped_label(layout, problem, "ERROR")
+    return not problem
 
 
-def _room() -> float:
-    """Characters of a line."""
+def _characters_per_line() -> float:
     region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
-    return (region.width / scale if region is not None and scale else WIDTH) / CHARACTER - 3
+    return (region.width / scale if region is not None and scale else SIDEBAR_WIDTH) / CHARACTER_WIDTH - 3

@@ -1,12 +1,15 @@
-"""The extension as a user has it: built and installed by Blender's own tools; tests/blender runs in a fresh process a Blender.
+"""The extension as a user has it: built and installed by Blender's own tools. tests/blender runs in a fresh process for each Blender.
 
-Blenders: the bpy of this Python, and those of the Pythons in SVRGS_BLENDER_PYTHONS (paths with ':' between; `make test-blender`).
+Environment: SVRGS_BLENDER_PYTHONS, paths with ':' between: Pythons with other versions of bpy (`make test-blender`).
+SVRGS_BLENDER_TESTS: only these tests of tests/blender, with further arguments of pytest: "test_prune.py -k threads".
+The wheels must have been fetched (`make zip`); otherwise most of these tests are skipped.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import os
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -100,7 +103,9 @@ def test_versions_agree_and_only_files_are_asked_for():
 @pytest.mark.parametrize("python", PYTHONS)
 def test_inside_blender(python, extension_zip, data, tmp_path):
     environment = {**os.environ, "SVRGS_TEST_ZIP": str(extension_zip), "SVRGS_TEST_DATA": str(data), "BLENDER_USER_RESOURCES": str(tmp_path)}
-    words = ["-m", "pytest", "-q", "--durations=8", "-p", "no:cacheprovider", "--rootdir", ROOT / "tests/blender", "-c", os.devnull, ROOT / "tests/blender"]
+    folder = ROOT / "tests/blender"
+    chosen = [str(folder / word) if word.endswith(".py") else word for word in shlex.split(os.environ.get("SVRGS_BLENDER_TESTS", ""))] or [str(folder)]
+    words = ["-m", "pytest", "-q", "--durations=8", "-p", "no:cacheprovider", "--rootdir", folder, "-c", os.devnull, *chosen]
     done = subprocess.run([python, *map(str, words)], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-2000:]
     print(done.stdout)

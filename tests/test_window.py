@@ -22,7 +22,7 @@ from svrgs_addon.files.images import read_pixels
 from test_extension import extension_zip  # noqa: F401
 
 WINDOW = Path(__file__).parent / "window"
-SIZE = (1280, 960)
+SIZE = (1280, 1120)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""A splat, jobs that prune it, and what the panel says of them: for the tests of jobs."""
+"""For the tests of jobs: settings, the timer, what is marked as removed, and what a panel says."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ COUNT = 250  # Gaussians of the tiny splat
 
 
 def set_up(options: dict):
+    """Settings of the prune panel."""
     for name, value in options.items():
         setattr(bpy.context.scene.svrgs_prune, name, value)
 
@@ -33,7 +34,7 @@ def marked(bridge, obj) -> np.ndarray:
 
 
 def evaluated_count(obj) -> int:
-    """Points of the object as it is shown."""
+    """Number of points of the object with its modifiers."""
     data = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     return len(data.vertices if obj.type == "MESH" else data.points)
 
@@ -48,13 +49,17 @@ def delete(obj):
 
 
 class Layout:
-    """Notes what a panel draws."""
+    """Notes what a panel draws. Operators and properties that a panel names must exist."""
 
     def __init__(self, notes=None):
         self.__dict__["notes"] = [] if notes is None else notes
 
     def __getattr__(self, name):
         def draw(*words, **options):
+            if name == "operator":
+                getattr(bpy.ops.svrgs, words[0].removeprefix("svrgs.")).get_rna_type()  # raises KeyError where there is no such operator
+            if name == "prop":
+                assert words[1] in words[0].bl_rna.properties, words[1]
             self.notes.append((name, *words, *options.values()))
             return Layout(self.notes) if name in ("row", "column", "box") else SimpleNamespace()
 

@@ -199,7 +199,7 @@ def test_photographs_of_a_distorting_lens_are_shown_as_their_pinholes_see_them(t
 def follow(undistort, seconds: float = 60):
     """Calls the timer's function, as Blender would, until it wants no more."""
     end = time.monotonic() + seconds
-    while undistort._look() is not None:
+    while undistort._finish_threads() is not None:
         assert time.monotonic() < end
         time.sleep(0.02)
 

@@ -33,7 +33,7 @@ def quads_picture(shaders, scene, camera, hidden: float = 1.0, reduction: int = 
     }
     flip = np.diag([1.0, -1, -1, 1])
     small = camera.resized(camera.width // reduction, camera.height // reduction)
-    near, far = bridge_gpu.NEAR, 100.0
+    near, far = part("svrgs_addon.native_library").thresholds().near, 100.0
     scale, shift = (-2 / (far - near), -(far + near) / (far - near)) if camera.orthographic else (-(far + near) / (far - near), -2 * far * near / (far - near))
     constants = {
         "modelview": Matrix(flip @ camera.viewmat), "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]),

@@ -218,7 +218,7 @@ def test_without_a_splat_the_buttons_say_what_to_do():
     for operator in (bpy.ops.svrgs.job_start, bpy.ops.svrgs.estimate):
         with pytest.raises(RuntimeError, match="Select a Gaussian splat first"):
             operator()
-    with pytest.raises(RuntimeError, match="No job waits to go on"):
+    with pytest.raises(RuntimeError, match="No job waits to be resumed"):
         bpy.ops.svrgs.job_resume()
 
 
@@ -253,7 +253,7 @@ def test_a_loss_in_db_is_held(splat, watch, results, bridge):
 @pytest.mark.parametrize(
     "options, sentence",
     [
-        ({"goal": "DROP", "method": "opacity"}, "'opacity' cannot hold a loss"), ({"goal": "DROP", "iterations": 0}, "it takes iterations"),
+        ({"goal": "DROP", "method": "opacity"}, "'opacity' cannot prune to a loss"), ({"goal": "DROP", "iterations": 0}, "needs iterations"),
         ({"goal": "LAMBDA", "method": "pup"}, "'pup' only ranks the Gaussians"),
     ],
 )  # fmt: skip

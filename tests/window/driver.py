@@ -17,7 +17,7 @@ from pathlib import Path
 
 import bpy
 
-SIZE = (1280, 960)
+SIZE = (1280, 1120)
 DATA, OUT = (Path(word) for word in sys.argv[sys.argv.index("--") + 1 :])
 
 
