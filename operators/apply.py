@@ -31,6 +31,7 @@ class SVRGS_OT_apply(bpy.types.Operator):
 
     def execute(self, context):
         original, pruned = job_result.pair_of(context.object)
+        assert pruned is not None  # see poll
         try:
             scene = job_result.shown_gaussians(pruned)
             if not scene.count:
@@ -72,6 +73,7 @@ class SVRGS_OT_discard(bpy.types.Operator):
 
     def execute(self, context):
         original, pruned = job_result.pair_of(context.object)
+        assert original is not None and pruned is not None  # see poll
         if self.what == "ORIGINAL" and job_result.undecided(pruned):
             self.report({"ERROR"}, "Apply the result first: it still needs the original")
             return {"CANCELLED"}

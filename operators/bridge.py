@@ -25,7 +25,7 @@ from mathutils import Matrix
 from ..svrgs_addon.blender import lens as lenses
 from ..svrgs_addon.blender.attribute_layout import BASE, REQUIRED, SH, from_attributes, notes_of, to_attributes
 from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import SceneError
+from ..svrgs_addon.errors import SceneError, SplatError
 from ..svrgs_addon.scene import Scene
 
 NOTES = "svrgs"  # property of a splat's data-block: types and order of further columns, comments
@@ -80,6 +80,14 @@ def scene_from_object(obj: bpy.types.Object) -> Scene:
 def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
     """(N,) or (N, width) values of an attribute of a splat; None if it has no attribute of that name."""
     return _get(obj.data, name)
+
+
+def stored_values(obj: bpy.types.Object, name: str) -> np.ndarray:
+    """As values(), of an attribute that this extension has added. Raises SplatError if it was deleted since."""
+    found = values(obj, name)
+    if found is None:
+        raise SplatError(f"'{obj.name}' has lost its attribute '{name}': undo its deletion, or discard the result and prune again")
+    return found
 
 
 def set_values(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray):

@@ -6,7 +6,7 @@ import bpy
 
 from ..svrgs_addon.blender import subprocess_python
 
-_commands = []
+_commands: list = []  # what Blender returned when the command was registered
 
 
 def run(arguments: list[str]) -> int:

@@ -9,6 +9,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..svrgs_addon import native
+from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.files.registry import file_size
 from ..svrgs_addon.metrics import flip, psnr, ssim
@@ -40,10 +41,11 @@ class ComparedSplats:
         self.rasterizer = Rasterizer()
         native.set_threads(threads(context))
 
-    def render(self, camera, background):
-        """Two images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's world."""
+    def render(self, camera: Camera, background) -> tuple:
+        """(original, pruned): images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's world."""
         views = [(part.scene, part.seen_by(camera)) for part in self.placed]
-        return [rounded_to_8_bits(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views]
+        original, pruned = (rounded_to_8_bits(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views)
+        return original, pruned
 
 
 def shown_scene(pruned: bpy.types.Object) -> Scene:
@@ -85,11 +87,11 @@ class SVRGS_OT_compare(bpy.types.Operator):
             photo = photograph(obj)
             if photo is not None:
                 camera = camera.resized(photo.shape[1], photo.shape[0])
-            pictures = splats.render(camera, tuple(settings.background))
+            pictures = original, pruned = splats.render(camera, tuple(settings.background))
         except (SplatError, NativeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        comparison_images.show(*pictures, settings.wipe)
+        comparison_images.show(original, pruned, settings.wipe)
         show_in_editors(context, bpy.data.images[comparison_images.WIPE])
         rows = [measure(*both, photo) for both in zip(splats.scenes, pictures, strict=True)]
         settings.compare_result = json.dumps({"camera": obj.name, "original": rows[0], "pruned": rows[1], "between": psnr(*pictures)})

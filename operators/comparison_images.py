@@ -20,7 +20,11 @@ def show(original, pruned, share: float):
 
 def redraw(settings, context):
     """Draws the wipe again from the two images."""
-    images = [bpy.data.images.get(name) for name in (ORIGINAL, PRUNED)]
-    pixels = [bridge_images.read_image(image) if image is not None else None for image in images]
-    if all(part is not None for part in pixels) and pixels[0].shape == pixels[1].shape:
-        bridge_images.write_image(WIPE, wipe(*pixels, settings.wipe))
+    original, pruned = (_pixels(name) for name in (ORIGINAL, PRUNED))
+    if original is not None and pruned is not None and original.shape == pruned.shape:
+        bridge_images.write_image(WIPE, wipe(original, pruned, settings.wipe))
+
+
+def _pixels(name: str):
+    image = bpy.data.images.get(name)
+    return bridge_images.read_image(image) if image is not None else None

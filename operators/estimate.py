@@ -28,7 +28,9 @@ def of(obj: bpy.types.Object | None) -> dict:
 
     {} if there is none, or if the settings or the splat have changed since.
     """
-    found = _found.get(obj.session_uid, {}) if bridge.is_splat(obj) else {}
+    if obj is None or not bridge.is_splat(obj):
+        return {}
+    found = _found.get(obj.session_uid, {})
     return found if "busy" in found or (found and _inputs[obj.session_uid] == _inputs_now(obj)) else {}
 
 

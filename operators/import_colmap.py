@@ -93,7 +93,7 @@ def root_for(obj: bpy.types.Object | None, name: str, collection: bpy.types.Coll
     root = bridge.root_of(obj)
     if root is not None:
         return root
-    if not bridge.is_splat(obj):
+    if obj is None or not bridge.is_splat(obj):
         return bridge.new_root(name, collection)
     root = bridge.new_root(name, collection, obj.matrix_world)
     bridge.parent_to_root(obj, root)

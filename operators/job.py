@@ -157,11 +157,17 @@ class CurrentJobOperator(JobOperator):
 
     @classmethod
     def poll(cls, context):
-        _, job = current(context)
-        if job is not None and job.state in cls.states:
+        found = current(context)
+        if found is not None and found[1].state in cls.states:
             return True
         cls.poll_message_set(cls.poll_message)
         return False
+
+    def work(self, context) -> str:
+        found = current(context)
+        if found is None:
+            raise SplatError(self.poll_message)
+        return self.work_on(context, *found)
 
 
 class SVRGS_OT_job_pause(CurrentJobOperator):
@@ -170,8 +176,8 @@ class SVRGS_OT_job_pause(CurrentJobOperator):
     bl_description = "Save a checkpoint and stop the job. Resume continues it"
     states = BUSY
 
-    def work(self, context) -> str:
-        current(context)[1].pause()
+    def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
+        job.pause()
         return "Pausing: a checkpoint is being saved"
 
 
@@ -181,8 +187,8 @@ class SVRGS_OT_job_cancel(CurrentJobOperator):
     bl_description = "Stop the job at once. The steps since the last checkpoint are lost"
     states = BUSY
 
-    def work(self, context) -> str:
-        current(context)[1].cancel()
+    def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
+        job.cancel()
         return "Cancelled: Resume continues from the last checkpoint"
 
 
@@ -192,8 +198,7 @@ class SVRGS_OT_job_resume(CurrentJobOperator):
     bl_description = "Continue the job from its last checkpoint"
     states, poll_message = WAITING, "No job waits to be resumed"
 
-    def work(self, context) -> str:
-        obj, job = current(context)
+    def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
         job.start()
         start_timer()
         return ". ".join(filter(None, (f"Pruning of '{obj.name}' continues", job.renamed)))
@@ -205,8 +210,7 @@ class SVRGS_OT_job_discard(CurrentJobOperator):
     bl_description = "Delete the job's files. The splat stays as it is"
     states, poll_message = (*WAITING, "done"), "There is no stopped or finished job"
 
-    def work(self, context) -> str:
-        obj, job = current(context)
+    def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
         delete_job(obj)
         return f"Discarded the job of '{obj.name}'"
 
@@ -220,15 +224,15 @@ class SVRGS_OT_job_load(CurrentJobOperator):
 
     @classmethod
     def poll(cls, context):
-        if not super().poll(context):
+        found = current(context)
+        if found is None or not super().poll(context):
             return False
-        problem = edit_guard.problem(context, current(context)[0])
+        problem = edit_guard.problem(context, found[0])
         if problem:
             cls.poll_message_set(problem)
         return not problem
 
-    def work(self, context) -> str:
-        obj, job = current(context)
+    def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
         pruned = load_result(context, obj, job)
         return f"Loaded {bridge.count(pruned):,} of {bridge.count(obj):,} Gaussians"
 

@@ -90,9 +90,9 @@ def undecided(pruned: bpy.types.Object | None) -> bool:
 def show(pruned: bpy.types.Object, count: int):
     """Shows the `count` Gaussians with the highest rank and marks all others. Gaussians that the job had removed look as in the original."""
     original = original_of(pruned)
-    score = bridge.values(original or pruned, SCORE)
+    score = bridge.stored_values(original or pruned, SCORE)
     limit = lowest(score, count)
-    bridge.set_values(pruned, REMOVED, "BOOLEAN", bridge.values(pruned, SCORE) < limit)
+    bridge.set_values(pruned, REMOVED, "BOOLEAN", bridge.stored_values(pruned, SCORE) < limit)
     if original is None:
         return
     bridge.set_values(original, REMOVED, "BOOLEAN", score < limit)
@@ -110,20 +110,20 @@ def marked_count(obj: bpy.types.Object) -> int:
 def shown_count(pruned: bpy.types.Object) -> int:
     """Number of Gaussians that Apply would keep."""
     original = original_of(pruned)
-    return int((~bridge.values(original or pruned, REMOVED)).sum())
+    return int((~bridge.stored_values(original or pruned, REMOVED)).sum())
 
 
 def shown_gaussians(pruned: bpy.types.Object) -> Scene:
     """The Gaussians that are not marked, in the original's order: recovered, or as in the original if the job had removed them."""
     original, scene = original_of(pruned), bridge.scene_from_object(pruned)
-    left = ~bridge.values(pruned, REMOVED)
-    rows, scene = bridge.values(pruned, ROW)[left], scene.select(left)
+    left = ~bridge.stored_values(pruned, REMOVED)
+    rows, scene = bridge.stored_values(pruned, ROW)[left], scene.select(left)
     if original is None:
         return scene
-    back = ~bridge.values(original, REMOVED) & (bridge.values(original, SCORE) <= BOUNDARY)
+    back = ~bridge.stored_values(original, REMOVED) & (bridge.stored_values(original, SCORE) <= BOUNDARY)
     if not back.any():
         return scene
-    return merged(scene, rows, bridge.scene_from_object(original).select(back), bridge.values(original, ROW)[back])
+    return merged(scene, rows, bridge.scene_from_object(original).select(back), bridge.stored_values(original, ROW)[back])
 
 
 def unmark(obj: bpy.types.Object):

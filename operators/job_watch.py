@@ -55,18 +55,21 @@ def folder_of(obj: bpy.types.Object | None) -> str:
     return moved if not os.path.exists(path) and os.path.exists(moved) else path
 
 
-def current(context) -> tuple[bpy.types.Object | None, Job | None]:
-    """(splat, its job): of the active object, or of the original it was pruned from. If no splat is active: the first job that is not done."""
+def current(context) -> tuple[bpy.types.Object, Job] | None:
+    """(splat, its job): of the active object, or of the original it was pruned from. If no splat is active: the first job that is not done.
+
+    None if there is no such job.
+    """
     original, _ = job_result.pair_of(context.object)
     for obj in (context.object, original):
         if (job := job_of(obj)) is not None and (job.state != "done" or job_result.pruned_of(obj) is None):
             return obj, job
     if bridge.is_splat(context.object):
-        return None, None
+        return None
     for obj in context.scene.objects:
         if FOLDER in obj and (job := job_of(obj)) is not None and job.state != "done":
             return obj, job
-    return None, None
+    return None
 
 
 # --- links between splats and jobs

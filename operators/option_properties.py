@@ -19,7 +19,11 @@ def option_property(name: str, /, **overrides):
     """The property of one option. overrides: arguments of the property that are not those of the option."""
     option, default = options_of(PruneOptions)[name], PruneOptions.__dataclass_fields__[name].default
     kind = option.kind
-    arguments = {"name": name.replace("_", " ").title(), "description": capitalised(option.help), "default": UNSET[kind.type] if default is None else default}
+    arguments: dict = {
+        "name": name.replace("_", " ").title(),
+        "description": capitalised(option.help),
+        "default": UNSET[kind.type] if default is None else default,
+    }
     if kind.type in (int, float):
         arguments |= {key: value for key, value in (("min", kind.minimum), ("max", kind.maximum)) if value is not None}
     elif kind.type is Path:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import gpu
@@ -42,7 +43,7 @@ class DrawRequest:
 
     cloud: Cloud
     camera: Camera  # in the scene's coordinates
-    hidden: object  # (H, W) depth of everything else in the viewport, in units of the scene
+    hidden: Any  # (H, W) depth of everything else in the viewport, in units of the scene
 
 
 def draw_exact(rasterizer, request: DrawRequest, _) -> tuple:
@@ -91,7 +92,7 @@ class Overlay:
     """The draw handler and its state. There is one; in background mode there is none."""
 
     def __init__(self):
-        self.shaders: bridge_gpu.Shaders | None = None
+        self._shaders: bridge_gpu.Shaders | None = None
         self.views: dict[int, View] = {}  # by region
         self.cloud: Cloud | None = None
         self.changes = 0  # number of changes in the scene: an exact picture depends on the meshes that hide splats
@@ -114,6 +115,13 @@ class Overlay:
                 self.draw_cloud(context, cloud, camera)
         except (SplatError, NativeError):  # an object of scale 0, or no native library: the panels report it
             return
+
+    @property
+    def shaders(self) -> bridge_gpu.Shaders:
+        """Made when something is drawn for the first time: in background mode there is no GPU."""
+        if self._shaders is None:
+            self._shaders = bridge_gpu.Shaders()
+        return self._shaders
 
     def visible_cloud(self, context) -> Cloud | None:
         """The splats that this viewport shows; None if there is none."""
@@ -140,7 +148,6 @@ class Overlay:
     def draw_cloud(self, context, cloud: Cloud, camera: Camera):
         region, space = context.region, context.space_data
         view = self.view_of(region)
-        self.shaders = self.shaders or bridge_gpu.Shaders()
         found = bridge_gpu.scene_depth(region.width, region.height)
         if found is None:
             return
@@ -157,8 +164,7 @@ class Overlay:
         if not bpy.app.timers.is_registered(_redraw_once):
             bpy.app.timers.register(_redraw_once, first_interval=REST_SECONDS / 2)
         started = time.perf_counter()
-        self.draw_quads(context, view, cloud, camera, depth_texture)
-        bridge_gpu.draw_over_viewport(self.shaders, view.target.texture)
+        bridge_gpu.draw_over_viewport(self.shaders, self.draw_quads(context, view, cloud, camera, depth_texture))
         view.adapt(time.perf_counter() - started)
 
     def exact_texture(self, view: View, cloud: Cloud, picture: Picture) -> gpu.types.GPUTexture:
@@ -168,7 +174,7 @@ class Overlay:
             cloud.set_colors(quad_colors)
         return view.texture[1]
 
-    def draw_quads(self, context, view: View, cloud: Cloud, camera: Camera, depth_texture: gpu.types.GPUTexture):
+    def draw_quads(self, context, view: View, cloud: Cloud, camera: Camera, depth_texture: gpu.types.GPUTexture) -> gpu.types.GPUTexture:
         modelview = context.region_data.view_matrix @ cloud.placed.matrix
         if cloud.colors is None:
             cloud.set_colors(colors(cloud.scene, cloud.quads.rows, cloud.placed.seen_by(camera)))
@@ -186,6 +192,7 @@ class Overlay:
         }  # fmt: skip
         lists = {"order": bridge_gpu.texture(order, "R32F"), "geometry": cloud.geometry, "colors": cloud.colors}
         bridge_gpu.draw_quads(self.shaders, view.target, lists, depth_texture, constants, count)
+        return view.target.texture
 
 
 _overlay: list[Overlay] = []

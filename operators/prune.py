@@ -66,7 +66,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
         name = source.name if source else Path(self.scene).stem
         obj = bridge.object_from_scene(f"{name} pruned", pruned, context.collection, source.matrix_world if source else bridge.AXES)
         root = bridge.root_of(source)
-        if root is not None:
+        if source is not None and root is not None:
             bridge.parent_to_root(obj, root)
             obj.matrix_basis = source.matrix_basis
         if source is not None:

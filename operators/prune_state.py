@@ -8,8 +8,10 @@ from __future__ import annotations
 import bpy
 from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
+from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.finetune.methods.base import Method
+from ..svrgs_addon.jobs.job_process import Job
 from . import bridge, edit_guard, estimate, former_methods, job_pictures, job_result
 from .job import dataset_of, file_size, goal_problem
 from .job_watch import BUSY, WAITING, current
@@ -24,8 +26,8 @@ def stage(context) -> str:
     """BROKEN (no native library), BUSY, WAITING or FINISHED (a job), RESULT or APPLIED (a pruned splat), READY (a splat), NOTHING."""
     if native_problem():
         return "BROKEN"
-    _, job = current(context)
-    if job is not None:
+    if (found := current(context)) is not None:
+        _, job = found
         return "BUSY" if job.state in BUSY else "WAITING" if job.state in WAITING else "FINISHED"
     _, pruned = job_result.pair_of(context.object)
     if pruned is not None:
@@ -35,11 +37,14 @@ def stage(context) -> str:
 
 def sentences(context) -> list[str]:
     """What the panel says at this stage."""
-    return {
-        "BROKEN": lambda context: [native_problem()], "BUSY": _of_running, "WAITING": _of_waiting,
-        "FINISHED": lambda context: ["A finished job was found: load its result, or discard it and prune again"],
-        "RESULT": _of_result, "APPLIED": _of_applied, "READY": _of_ready, "NOTHING": lambda context: ["Select a splat, or import one in step 1"],
-    }[stage(context)](context)  # fmt: skip
+    if problem := native_problem():
+        return [problem]
+    if (found := current(context)) is not None:
+        return _of_job(found[1])
+    original, pruned = job_result.pair_of(context.object)
+    if pruned is not None:
+        return (_of_result if job_result.undecided(pruned) else _of_applied)(original, pruned)
+    return _of_ready(context) if bridge.is_splat(context.object) else ["Select a splat, or import one in step 1"]
 
 
 def _of_ready(context) -> list[str]:
@@ -49,20 +54,17 @@ def _of_ready(context) -> list[str]:
     return texts if dataset_of(context)[0] else [*texts, "Choose the dataset of the splat's photographs, or import its cameras in step 1"]
 
 
-def _of_running(context) -> list[str]:
-    _, job = current(context)
-    silent = [f"No sign of life for {job.seconds_silent:.0f} s: Cancel ends the job"] if job.seconds_silent > SILENT_SECONDS else []
-    return [job.facts.get("text") or "Working", *_figures(job.facts), *silent]
-
-
-def _of_waiting(context) -> list[str]:
-    _, job = current(context)
+def _of_job(job: Job) -> list[str]:
+    if job.state in BUSY:
+        silent = [f"No sign of life for {job.seconds_silent:.0f} s: Cancel ends the job"] if job.seconds_silent > SILENT_SECONDS else []
+        return [job.facts.get("text") or "Working", *_figures(job.facts), *silent]
+    if job.state not in WAITING:
+        return ["A finished job was found: load its result, or discard it and prune again"]
     progress = f" at {_progress_share(job.facts):.0%}" if job.facts.get("total") else ""
     return [WAITING_TEXT[job.state] + progress, *filter(None, [job.facts.get("text")]), *_figures(job.facts)]
 
 
-def _of_result(context) -> list[str]:
-    original, pruned = job_result.pair_of(context.object)
+def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
     texts = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {file_size(pruned, count)}"]
     if job_result.PSNR in pruned:
@@ -71,12 +73,9 @@ def _of_result(context) -> list[str]:
     return [*texts, f"{count - kept:,} more than were recovered: shown as in the original"] if count > kept else texts
 
 
-def _of_applied(context) -> list[str]:
-    original, pruned = job_result.pair_of(context.object)
-    return [
-        f"Pruned to {bridge.count(pruned):,} Gaussians, {file_size(pruned, bridge.count(pruned))}",
-        f"The original '{original.name}' ({bridge.count(original):,} Gaussians) is hidden",
-    ]
+def _of_applied(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
+    text = f"Pruned to {bridge.count(pruned):,} Gaussians, {file_size(pruned, bridge.count(pruned))}"
+    return [text, f"The original '{original.name}' ({bridge.count(original):,} Gaussians) is hidden"] if original is not None else [text]
 
 
 def _figures(facts: dict) -> list[str]:
@@ -103,8 +102,8 @@ def _from_job(value, default):
     """A getter of value(job); of `default` where there is no job."""
 
     def get(_):
-        _, job = current(bpy.context)
-        return value(job) if job is not None else default
+        found = current(bpy.context)
+        return value(found[1]) if found is not None else default
 
     return get
 
@@ -124,7 +123,10 @@ def _stage(_) -> str:
 
 
 def _sentences(_) -> str:
-    return "\n".join(sentences(bpy.context))
+    try:
+        return "\n".join(sentences(bpy.context))
+    except SplatError as error:  # an attribute of the result was deleted
+        return str(error)
 
 
 def _dataset(_) -> str:
@@ -157,9 +159,9 @@ def _uses_lambda(_) -> bool:
 
 
 def _subject(_) -> str:
-    splat, _ = current(bpy.context)
+    found = current(bpy.context)
     _, pruned = job_result.pair_of(bpy.context.object)
-    obj = splat or pruned or bpy.context.object
+    obj = found[0] if found is not None else pruned or bpy.context.object
     return obj.name if obj is not None else ""
 
 

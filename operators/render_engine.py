@@ -35,7 +35,8 @@ class SVRGS_engine(bpy.types.RenderEngine):
         self._viewport.update(depsgraph)
 
     def view_draw(self, context, depsgraph):
-        self.update_stats("", self._viewport.draw(context, depsgraph.scene))
+        if self._viewport is not None:
+            self.update_stats("", self._viewport.draw(context, depsgraph.scene))
 
     def update_render_passes(self, scene=None, renderlayer=None):
         self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")

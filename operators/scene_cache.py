@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field
+from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
@@ -18,7 +19,7 @@ class Entry:
     """The visible Gaussians of a splat, sorted along a Morton curve."""
 
     scene: Scene
-    rows: object  # (N,) the row of each Gaussian in the object
+    rows: Any  # (N,) the row of each Gaussian in the object
     data: int  # session_uid of the object's data
     number: int = field(default_factory=itertools.count().__next__)  # every entry has another number
 

@@ -76,7 +76,7 @@ class Viewport:
 
     def draw(self, context: bpy.types.Context, scene: bpy.types.Scene) -> str:
         """Draws the newest picture, and asks for a better one. Returns a line for the user."""
-        if self.placed is None:
+        if self.placed is None or self.triangles is None:
             return self.problem or "There is no visible splat: import one"
         try:
             native.set_threads(threads(context))

@@ -10,7 +10,8 @@ from .wrapped_label import native_library_works, wrapped_label
 WIPE = "SVR-GS Wipe"
 
 
-class ComparePanel:
+class ComparePanel:  # the base of Panel classes, which have a layout
+    layout: bpy.types.UILayout
     bl_label = "3  Compare"
     bl_region_type = "UI"
     bl_category = "SVR-GS"
@@ -47,7 +48,7 @@ class SVRGS_PT_compare_image(ComparePanel, bpy.types.Panel):
 
 def table(layout, result: dict):
     """Figures of both splats, side by side."""
-    lines = [("", "Original", "Pruned")]
+    lines: list[tuple[str, ...]] = [("", "Original", "Pruned")]
     rows = result["original"], result["pruned"]
     lines.append(("Gaussians", *(f"{row['count']:,}" for row in rows)))
     lines.append(("MB", *(f"{row['bytes'] / 1e6:.1f}" for row in rows)))

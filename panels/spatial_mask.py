@@ -10,7 +10,8 @@ IMAGE = "SVR-GS Spatial Mask"
 TICKS = 5
 
 
-class SpatialMaskPanel:
+class SpatialMaskPanel:  # the base of Panel classes, which have a layout
+    layout: bpy.types.UILayout
     bl_label = "Spatial Mask"
     bl_region_type = "UI"
     bl_category = "SVR-GS"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from ..errors import Cancelled
 from ..native import Rasterizer
@@ -22,7 +23,7 @@ class Picture:
 
     key: object  # key of the request
     reduction: int  # 1: exact; else a pixel covers reduction x reduction pixels of the view
-    result: object = None
+    result: Any = None
     error: Exception | None = None
 
 
@@ -33,11 +34,11 @@ class LiveView:
     rasterizer.cancel[0] is set. reductions: the pictures that are drawn for each request, in this order; the last one is 1.
     """
 
-    def __init__(self, draw: Callable[[Rasterizer, object, int], object], reductions: tuple[int, ...] = (COARSE, 1)):
+    def __init__(self, draw: Callable[[Rasterizer, Any, int], Any], reductions: tuple[int, ...] = (COARSE, 1)):
         self._draw, self._reductions = draw, reductions
         self._rasterizer = Rasterizer()
         self._changed = threading.Condition()
-        self._wanted: tuple[object, object] | None = None  # key, job
+        self._wanted: tuple[object, Any] | None = None  # key, job
         self._started: object = None  # key of the request that is being drawn or was drawn last
         self._reduction = 0  # of the picture that is being drawn
         self._picture: Picture | None = None
@@ -45,7 +46,7 @@ class LiveView:
         self._thread = threading.Thread(target=self._run, name="svrgs-view", daemon=True)
         self._thread.start()
 
-    def request(self, key: object, job: object):
+    def request(self, key: object, job: Any):
         """Requests a view. Requests with equal keys have the same picture, so a repeated one is ignored.
 
         An exact picture of an older view is cancelled. A coarse one is finished and shown.
