@@ -95,7 +95,7 @@ def test_names_and_menu_numbers_are_each_one_method_s():
 
 
 def test_a_weight_the_method_does_not_have_is_refused():
-    with pytest.raises(SceneError, match="no term that lambda-m weighs"):
+    with pytest.raises(SceneError, match="no term with the weight lambda-m"):
         prune_settings("svr", 10, 10, lambda_m=1e-3)
     assert prune_settings("compact3dgs", 10, 10, lambda_m=1e-3).lambda_m == 1e-3
 
@@ -402,7 +402,7 @@ def test_sensitivities_are_those_of_the_reference(level, view):
     r.forward(scene, camera, RenderOptions(background=BACKGROUND), outputs=())
     ids = r.visible()
     found = np.zeros((30, 6, 6))
-    upper = sensitivity._share(r.moments(), sensitivity.jacobians(scene, camera, ids))
+    upper = sensitivity._view_part(r.moments(), sensitivity.jacobians(scene, camera, ids))
     found[ids[:, None], sensitivity._UPPER[0], sensitivity._UPPER[1]] = upper
     found[ids[:, None], sensitivity._UPPER[1], sensitivity._UPPER[0]] = upper
     scale = np.abs(expected).max(axis=(1, 2))
