@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -261,8 +262,8 @@ def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
 
 def test_help_lists_every_method(svrgs):
     for command in ("train", "prune"):
-        text = "".join(svrgs(command, "--help").out.split())  # lines break at hyphens
-        assert all(name.removeprefix("maskgs") in text for name in METHODS)
+        lines = svrgs(command, "--help").out.split("methods:\n")[1].splitlines()
+        assert [line.split()[0] for line in lines if line[2] != " "] == list(METHODS)
 
 
 def test_opacity_keeps_the_most_opaque(tiny, svrgs, tmp_path):
@@ -527,6 +528,13 @@ def test_failures_that_are_nobody_s_input_exit_1(tiny, svrgs, monkeypatch):
     monkeypatch.setattr(commands.registry, "describe", out_of_memory)
     done = svrgs("info", tiny.splat)
     assert (done.status, done.out, done.err) == (1, "", "svrgs: out of memory\n")
+
+
+@pytest.mark.parametrize("command", ["info", "render", "train", "prune", "eval", "compare", "bench"])
+def test_every_command_has_help_in_any_encoding(command):
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-m", "svrgs_addon", command, "--help"], cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "") and done.stdout.startswith(f"usage: svrgs {command}")
 
 
 def test_help_and_version(svrgs):
