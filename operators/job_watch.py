@@ -39,7 +39,7 @@ def job_of(obj: bpy.types.Object | None) -> Job | None:
     if path not in jobs:
         jobs[path] = Job(JobFolder(path))
     job = jobs[path]
-    job.look()
+    job.refresh()
     return job if job.state != "missing" else None
 
 
@@ -114,7 +114,7 @@ def tick() -> float | None:
         try:
             _look_at(job)
         except Exception as error:  # of whatever kind: Blender drops a timer that raises, and no job would be followed any more
-            job.give_up(str(error) or type(error).__name__)
+            job.abort(str(error) or type(error).__name__)
             redraw_panels()
     return EVERY if any(job.running for job in jobs.values()) else None
 
@@ -187,6 +187,6 @@ def unregister():
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     for job in jobs.values():
-        job.leave()
+        job.detach()
     jobs.clear()
     links.clear()

@@ -40,7 +40,7 @@ def save(run: Run, folder: Path, identity: str) -> Path:
     except SceneError:
         if read_manifest(target) is None:
             shutil.rmtree(target, ignore_errors=True)
-            _forget_if_empty(folder)
+            _delete_if_empty(folder)
         raise
     for old in _folders(folder)[:-KEPT]:
         shutil.rmtree(old, ignore_errors=True)
@@ -94,14 +94,14 @@ def restore(run: Run, folder: Path, identity: str) -> bool:
     return False
 
 
-def forget(folder: Path):
+def delete_all(folder: Path):
     """Deletes every checkpoint in the folder, and the folder if it is empty then."""
     for old in _folders(folder):
         shutil.rmtree(old, ignore_errors=True)
-    _forget_if_empty(folder)
+    _delete_if_empty(folder)
 
 
-def _forget_if_empty(folder: Path):
+def _delete_if_empty(folder: Path):
     with contextlib.suppress(OSError):
         folder.rmdir()
 
