@@ -49,8 +49,8 @@ class RecoveryPruning:
 
     def recovered_share(self, now: float) -> float:
         """The share of the next cut's loss that the recovery is expected to win back."""
-        cost = self.before_cut - self.after_cut
-        return min(max(DECAY * (now - self.after_cut) / cost, 0.0), RECOVERED) if cost > 0 else RECOVERED
+        loss = self.before_cut - self.after_cut
+        return min(max(DECAY * (now - self.after_cut) / loss, 0.0), RECOVERED) if loss > 0 else RECOVERED
 
     def drop(self, run: RunView) -> float:
         """PSNR lost since before the first step, in dB."""

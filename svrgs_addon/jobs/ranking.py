@@ -85,9 +85,9 @@ class Ranking:
         """
         self._record_final()
         order = np.lexsort((importance, np.nan_to_num(self.probability, nan=-1.0), np.where(kept, ALIVE, self.dropped)))
-        score, gone = np.empty(len(kept), np.float32), len(kept) - int(kept.sum())
-        score[order[:gone]] = 0.5 * np.arange(gone) / max(1, gone)
-        score[order[gone:]] = 0.5 + 0.5 * np.arange(1, len(kept) - gone + 1) / max(1, len(kept) - gone)
+        score, removed = np.empty(len(kept), np.float32), len(kept) - int(kept.sum())
+        score[order[:removed]] = 0.5 * np.arange(removed) / max(1, removed)
+        score[order[removed:]] = 0.5 + 0.5 * np.arange(1, len(kept) - removed + 1) / max(1, len(kept) - removed)
         return score
 
     def probabilities(self) -> np.ndarray | None:
