@@ -32,7 +32,7 @@ class Method:
     lambda_f_help: str = field(default="", repr=False)  # the meaning of lambda_F for this method
     lambda_f: float = 0.0  # default of lambda_F; 0: the method does not use it
     lambda_m: float = 0.0  # default weight of the method's term over all masks or opacities
-    mask_kind: str = "none"  # spatial mask and its gradient in active phases: a name of native.MASK_KINDS
+    mask_kind: str = "none"  # spatial mask and its gradient in active phases: a name of native.mask_kinds()
     mask_init: float = 9.0  # existence logit at the start
     share: float = 0.0  # share of the Gaussians to keep without a target
     prunes: bool = True
