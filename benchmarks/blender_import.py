@@ -1,6 +1,6 @@
-"""How long Blender takes to import and export a splat: `python benchmarks/blender_import.py [GAUSSIANS]`, with the bpy of this Python.
+"""The time that Blender takes to import and export a splat: `python benchmarks/blender_import.py [GAUSSIANS]`, with the bpy of this Python.
 
-The extension is installed by Blender itself from dist/ (`make zip`), into a user folder of its own.
+Blender installs the extension from dist/ (made by `make zip`) into a temporary user folder.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How long `svrgs info` takes to start and what it imports; how long a large PLY takes to write and read."""
+"""The time and the imports of `svrgs info`; the time to write and to read a large PLY file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ INFO = "import sys; from svrgs_addon.cli.main import main; main(sys.argv[1:]); p
 
 
 def start_up(scene: Path, runs: int = 7) -> dict:
-    """Median seconds of `svrgs info` of a scene as a whole process, and of Python doing nothing; the modules it loads."""
+    """Median seconds of `svrgs info SCENE` as a whole process, and of a Python process that does nothing; the modules that `info` loads."""
     seconds, bare = [], []
     for _ in range(runs):
         seconds.append(_seconds([sys.executable, "-m", "svrgs_addon", "info", str(scene), "--json"]))
@@ -33,7 +33,7 @@ def start_up(scene: Path, runs: int = 7) -> dict:
 
 
 def ply_times(count: int = 1_000_000, runs: int = 3) -> dict:
-    """Median seconds to write and to read a PLY of `count` Gaussians of degree 3."""
+    """Median seconds to write and to read a PLY file of `count` Gaussians of SH degree 3, and its bytes."""
     from svrgs_addon.files.ply import read_ply, write_ply
     from svrgs_addon.scene import Scene
 

@@ -1,10 +1,10 @@
-"""Real jobs measured as whole processes: speed, memory, quality, time outside the native core, and what each skip is worth.
+"""Whole jobs, measured in processes of their own: speed, memory, quality, time outside the native core, and the effect of each variant.
 
     .venv/bin/python benchmarks/jobs.py --colmap DIR [--iterations N] [--prune] [--skips] [--seeds N] [--json]
 
-`python -m tests.demo_scene DIR` makes a dataset. Figures go to stdout, progress to stderr. With --skips the training job
-(and with --prune the pruning job) is repeated with each kind of skipped work on and off; with --seeds each is the mean of
-N seeds, and the spread of one variant over its seeds says how much of a difference is chance.
+`python -m tests.demo_scene DIR` makes a dataset. Figures go to stdout, progress to stderr. With --skips the training job (and with
+--prune the pruning job) is repeated in several variants that skip or reorder work. With --seeds each figure is the mean of N seeds; the
+spread of one variant over its seeds shows how large random differences are.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ from pathlib import Path
 import files
 
 HERE = Path(__file__).resolve().parent
-VALUES_A_GAUSSIAN = 59  # at SH degree 3
+VALUES_PER_GAUSSIAN = 59  # at SH degree 3
 MB = 2**20
 
 
 def request(options: argparse.Namespace, kind: str, out: Path, seed: int = 0, **changes) -> dict:
+    """A request for one_job.py. changes: further or other entries."""
     steps, recovery = (options.iterations, 0) if kind == "train" else (options.prune_iterations, options.prune_iterations)
     job = {"colmap": str(options.colmap), "out": str(out), "kind": kind, "iterations": steps, "recovery": recovery, "seed": seed}
     return {**job, "profile": False, "phase": {}, "run": {}, **changes}
 
 
 def answer(job: dict) -> dict:
-    """The job's result, from a process of its own."""
+    """The result of a job, which runs in a process of its own. It ends the program if the job fails."""
     print(f"{job['kind']} {job['phase']} {job['run']} seed {job['seed']} ...", file=sys.stderr, flush=True)
     environment = {**os.environ, "PYTHONPATH": str(HERE.parent)}
     done = subprocess.run([sys.executable, HERE / "one_job.py"], input=json.dumps(job), capture_output=True, text=True, env=environment)
@@ -42,8 +43,8 @@ def answer(job: dict) -> dict:
 
 
 def job_figures(result: dict) -> dict:
-    """What of a job's result is shown: speed, quality, memory in terms of the scene's own arrays, shares of the time."""
-    scene_bytes = result["largest_count"] * VALUES_A_GAUSSIAN * 4
+    """The figures of a job that are shown: speed, quality, memory relative to the arrays of the scene, shares of the time."""
+    scene_bytes = result["largest_count"] * VALUES_PER_GAUSSIAN * 4
     work = result["peak_memory_bytes"] - result["base_memory_bytes"] - result["image_bytes"]
     total, native = result["seconds"], sum(result["native_seconds"].values())
     return {
@@ -65,10 +66,11 @@ def job_figures(result: dict) -> dict:
 
 
 def train_variants(iterations: int) -> dict[str, dict]:
+    """Variants of the training job: name, and the entries of the request that it changes."""
     early, half = iterations // 5, iterations // 2
     return {
         "plain": {},
-        "rows as they come": {"run": {"spatial_order": False}},
+        "no Morton order": {"run": {"spatial_order": False}},
         f"1/2 size until {early}": {"phase": {"coarse_until": early}},
         f"1/2 size until {half}": {"phase": {"coarse_until": half}},
         f"1/4, then 1/2 until {half}": {"phase": {"coarse_until": half, "coarse_factor": 4}},
@@ -79,15 +81,14 @@ def train_variants(iterations: int) -> dict[str, dict]:
 
 PRUNE_VARIANTS = {
     "plain": {},
-    "rows as they come": {"run": {"spatial_order": False}},
-    "settled masks dropped": {"run": {"drop_settled": True}},
+    "no Morton order": {"run": {"spatial_order": False}},
     "events every 100": {"phase": {"prune_every": 100}},
     "views by loss": {"run": {"views_by_loss": True}},
 }
 
 
 def compared(options: argparse.Namespace, kind: str, variants: dict, out: Path, **job) -> list[dict]:
-    """Each variant's means over the seeds: seconds of fine-tuning, PSNR with its spread over seeds, Gaussians left."""
+    """Of each variant, means over the seeds: seconds of fine-tuning, PSNR in dB and its spread over seeds, Gaussians left."""
     rows = []
     for name, changes in variants.items():
         results = [answer(request(options, kind, out, seed, **job, **changes)) for seed in range(options.seeds)]
@@ -103,6 +104,7 @@ def compared(options: argparse.Namespace, kind: str, variants: dict, out: Path, 
 
 
 def measure(options: argparse.Namespace, folder: Path) -> dict:
+    """All figures that the options ask for. folder: for the files of the jobs."""
     trained, pruned = options.scene or folder / "trained.ply", folder / "pruned.ply"
     found = {}
     if not options.scene:
@@ -132,7 +134,7 @@ def job_text(kind: str, job: dict) -> str:
 
 def skips_text(kind: str, rows: list[dict]) -> str:
     plain = rows[0]
-    lines = [f"{kind} with and without each skip", f"  {'':32} {'seconds':>8} {'':>7} {'PSNR dB':>8} {'':>7} {'spread':>7} {'Gaussians':>10}"]
+    lines = [f"{kind}: variants", f"  {'':32} {'seconds':>8} {'':>7} {'PSNR dB':>8} {'':>7} {'spread':>7} {'Gaussians':>10}"]
     for row in rows:
         faster, better = row["seconds"] / plain["seconds"] - 1, row["psnr"] - plain["psnr"]
         lines.append(
@@ -158,11 +160,11 @@ def as_text(found: dict) -> str:
 def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--colmap", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--scene", type=Path, metavar="FILE", help="prune this scene instead of the one trained here; no training then")
-    parser.add_argument("--iterations", type=int, default=2500, metavar="N", help="of training (default: 2500)")
+    parser.add_argument("--scene", type=Path, metavar="FILE", help="prune this scene; without it, a scene is trained first")
+    parser.add_argument("--iterations", type=int, default=2500, metavar="N", help="training steps (default: 2500)")
     parser.add_argument("--prune", action="store_true", help="also prune")
-    parser.add_argument("--prune-iterations", type=int, default=1000, metavar="N", help="of mask learning, and as many of recovery (default: 1000)")
-    parser.add_argument("--skips", action="store_true", help="also each kind of skipped work on and off")
+    parser.add_argument("--prune-iterations", type=int, default=1000, metavar="N", help="steps of mask learning, and steps of recovery (default: 1000)")
+    parser.add_argument("--skips", action="store_true", help="also measure variants of the jobs")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="seeds to average over with --skips (default: 1)")
     parser.add_argument("--json", action="store_true")
     return parser.parse_args()

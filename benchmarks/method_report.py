@@ -1,4 +1,4 @@
-"""Rows of benchmarks/methods.py -> results.md: the paper's two tables, its sweep of lambda_F, and count against PSNR."""
+"""Writes results.md from the rows of benchmarks/methods.py: the two tables of the paper, its sweep of lambda_F, and PSNR over count."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from statistics import fmean
 
-from benchmarks.method_charts import curve_chart, pareto_chart
+from method_charts import curve_chart, pareto_chart
 
-SCENARIOS = ("Scenario A", "Scenario B", "SVR-GS")  # the paper's Table 2
+SCENARIOS = ("Scenario A", "Scenario B", "SVR-GS")  # Table 2 of the paper
 PAPER, BASE, RIVAL = "SVR-GS", "3DGS", "MaskGS alpha"
 FIGURES = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame")
 HEAD = "| {} | PSNR | SSIM | LPIPS | FLIP | Gaussians | 3DGS over it | MB | seconds | ms a frame |"
@@ -27,11 +27,11 @@ the photographs smaller. What each method is, and how it differs from its source
 
 
 def write_report(rows: list[dict], folder: Path):
-    """results.md in `folder` and its charts in `folder`/results, from the rows that have figures."""
+    """Writes `folder`/results.md and its charts in `folder`/results, from the rows that have figures."""
     rows = averaged(row for row in rows if "error" not in row)
     charts = folder / "results"
     charts.mkdir(parents=True, exist_ok=True)
-    findings = charts / "findings.md"  # written by people
+    findings = charts / "findings.md"  # written by hand
     parts = [
         INTRO.format(commands=commands(rows)),
         findings.read_text() if findings.exists() else "",
@@ -44,6 +44,7 @@ def write_report(rows: list[dict], folder: Path):
 
 
 def commands(rows: list[dict]) -> str:
+    """The commands that make the rows."""
     kinds: dict[tuple, set] = defaultdict(set)
     for row in rows:
         kinds[row["study"], row["schedule"], row["trained"], row["shrink"]].add(row["scene"])
@@ -56,6 +57,7 @@ def commands(rows: list[dict]) -> str:
 
 
 def groups(rows: Iterable[dict], *names: str) -> dict[tuple, list[dict]]:
+    """The rows by their values of these keys."""
     found: dict[tuple, list[dict]] = defaultdict(list)
     for row in rows:
         found[tuple(row[name] for name in names)].append(row)
@@ -63,7 +65,7 @@ def groups(rows: Iterable[dict], *names: str) -> dict[tuple, list[dict]]:
 
 
 def averaged(rows: Iterable[dict]) -> list[dict]:
-    """One row for the seeds of each run: their mean figures, curves and `before` of the first, and `spread`, half the range of PSNR."""
+    """One row per run: the mean figures of its seeds, curves and `before` of the first seed, and `spread`, half the range of PSNR."""
     means = []
     for group in groups(rows, "study", "scene", "run", "schedule", "trained", "shrink").values():
         psnr = [row["psnr"] for row in group]
@@ -78,7 +80,7 @@ def mean(rows: list[dict], name: str) -> float | None:
 
 
 def line(label: str, rows: list[dict], base: list[dict]) -> str:
-    """One table line: means over scenes, of the ratio of counts the ratio of sums, as the paper has it."""
+    """One line of a table: means over scenes. The ratio of counts is a ratio of sums, as in the paper."""
     lpips, count = mean(rows, "lpips"), mean(rows, "count")
     ratio = f"{mean(base, 'count') / count:.2f}" if base else ""
     return (
@@ -88,7 +90,7 @@ def line(label: str, rows: list[dict], base: list[dict]) -> str:
 
 
 def psnr_of(rows: list[dict]) -> str:
-    """In dB; of one run of several seeds with half its range."""
+    """The mean PSNR in dB; for one run with several seeds also half its range."""
     several = len(rows) == 1 and rows[0]["seeds"] > 1
     return f"{mean(rows, 'psnr'):.2f}" + (f" ± {rows[0]['spread']:.2f}" if several else "")
 
@@ -101,7 +103,7 @@ def table(rows: list[dict], title: str, labels: Iterable[str] | None = None) -> 
 
 
 def table_part(rows: list[dict]) -> str:
-    """Table 1 for every schedule: each scene, and the mean of the scenes that have every run."""
+    """Table 1 of the paper, for every schedule: each scene, and the mean of the scenes that have all runs."""
     lines = ["## From the sparse points", ""]
     for (schedule,), those in groups((r for r in rows if r["study"] == "table"), "schedule").items():
         lines += [f"Schedule {schedule:g}.", ""]
@@ -116,14 +118,14 @@ def table_part(rows: list[dict]) -> str:
 
 
 def complete(rows: list[dict]) -> list[dict]:
-    """Rows of the scenes that have every run that any of them has."""
+    """The rows of the scenes that have all runs."""
     by_scene = groups(rows, "scene", "shrink")
     runs = len(groups(rows, "run"))
     return [row for those in by_scene.values() if len(groups(those, "run")) == runs for row in those]
 
 
 def ratios(rows: list[dict]) -> str:
-    """The paper's claim in its own terms."""
+    """A sentence that compares SVR-GS with its rivals in the terms of the paper."""
     by_run = groups(rows, "run")
     if not all((name,) in by_run for name in (PAPER, BASE, RIVAL)):
         return ""
@@ -147,7 +149,7 @@ def printed_part(rows: list[dict]) -> str:
 
 
 def scenario_part(rows: list[dict]) -> str:
-    """Table 2: the paper's scenarios."""
+    """Table 2 of the paper: its scenarios."""
     lines = ["## Scenarios A and B", ""]
     for (schedule,), those in groups((r for r in rows if r["study"] == "table"), "schedule").items():
         whole = [row for row in complete(those) if row["run"] in SCENARIOS]
@@ -157,7 +159,7 @@ def scenario_part(rows: list[dict]) -> str:
 
 
 def schedule_part(rows: list[dict]) -> str:
-    """Whether a shortened schedule ranks methods as a longer one: runs of one scene side by side."""
+    """Runs of one scene with several schedules, side by side: they show whether a short schedule ranks methods as a longer one does."""
     lines = ["## One scene, several schedules", ""]
     for (scene, shrink), those in groups((r for r in rows if r["study"] == "table"), "scene", "shrink").items():
         schedules = sorted(groups(those, "schedule"))
@@ -178,7 +180,7 @@ def schedule_part(rows: list[dict]) -> str:
 
 
 def place(run: str, runs: dict[str, dict], schedule: float, figure: str, sign: int) -> int:
-    """1 for the run with the largest (sign -1) or smallest (sign 1) figure of a schedule."""
+    """The rank of a run by a figure within a schedule: 1 for the largest (sign -1) or for the smallest (sign 1)."""
     return 1 + sum(sign * found[schedule][figure] < sign * runs[run][schedule][figure] for found in runs.values())
 
 
@@ -193,7 +195,7 @@ def lambda_part(rows: list[dict], charts: Path) -> str:
 
 
 def pareto_part(rows: list[dict], charts: Path) -> str:
-    """Count against PSNR, one line a method."""
+    """PSNR over the number of Gaussians, one line per method."""
     lines = ["## Pruning a trained scene: PSNR of every method at equal counts", ""]
     for (scene, schedule, shrink), those in groups((r for r in rows if r["study"] == "pareto"), "scene", "schedule", "shrink").items():
         name = f"pareto-{scene}-{schedule:g}"
@@ -208,7 +210,7 @@ def pareto_part(rows: list[dict], charts: Path) -> str:
 
 
 def ablation_part(rows: list[dict]) -> str:
-    """What each part of `pressure` gives: PSNR at equal count."""
+    """The effect of each part of `pressure`: PSNR at equal count."""
     lines = ["## Parts of `pressure`: PSNR without them, at equal count", ""]
     for (scene, schedule), those in groups((r for r in rows if r["study"] == "ablation"), "scene", "schedule").items():
         counts = sorted(groups(those, "count"), reverse=True)
@@ -221,4 +223,5 @@ def ablation_part(rows: list[dict]) -> str:
 
 
 def named(rows: list[dict]) -> list[dict]:
+    """The rows with the key `method`, taken from the name of the run."""
     return [{**row, "method": row["run"].split()[0]} for row in rows]

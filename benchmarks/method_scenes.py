@@ -1,4 +1,4 @@
-"""The datasets of an experiment, with photographs made smaller where asked."""
+"""The datasets of an experiment, with smaller photographs if asked for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def prepared(name: str, folder: Path | None, work: Path, shrink: int) -> list[str]:
-    """The flags --colmap and --images of a scene; folder None: the generated one, made in `work`."""
+    """The flags --colmap and --images of a scene. folder None: the generated scene, which is made in `work`. shrink: reduction per side."""
     work.mkdir(parents=True, exist_ok=True)
     if folder is None:
         if name != "demo":
@@ -30,7 +30,7 @@ def prepared(name: str, folder: Path | None, work: Path, shrink: int) -> list[st
 
 
 def shrunk(source: Path, target: Path, shrink: int):
-    """A photograph with `shrink` x `shrink` pixels averaged into one."""
+    """Writes a photograph in which `shrink` x `shrink` pixels are averaged into one."""
     image = oiio.ImageBuf(str(source))
     spec = image.spec()
     region = oiio.ROI(0, spec.width // shrink, 0, spec.height // shrink, 0, 1, 0, spec.nchannels)

@@ -1,17 +1,17 @@
-"""Every method in the same trainer: scenes x methods x seeds, one row of figures a run.
+"""Every method in the same trainer: scenes x methods x seeds, one row of figures per run.
 
     .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study table|printed|lambda|pareto|ablation] [--schedule 0.1] [--shrink 2] [--seeds 1]
-    .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # the generated scene, made if it is not there
-    .venv/bin/python benchmarks/methods.py --show docs                              # rows -> docs/results.md and its charts
+    .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # the generated scene, which is made if it is missing
+    .venv/bin/python benchmarks/methods.py --show docs                              # writes docs/results.md and its charts from the rows
 
-Rows go to --rows (default docs/results/rows.jsonl), one JSON object a line; runs whose row is there are not run again, so an
-experiment that was stopped goes on where it was. Scenes between runs lie in --work (default build/methods).
+Rows are added to --rows (default docs/results/rows.jsonl), one JSON object per line. A run whose row exists is not run again, so a
+stopped experiment can be continued. --work (default build/methods) holds the scenes that later runs need.
 
-    table   `svrgs train` with each method from the sparse points, all with the published schedule times --schedule
-    printed the paper's printed weights of the image loss, from the sparse points
-    lambda  the paper's sweep of lambda_F, from the sparse points
-    pareto  `svrgs prune` of the table's 3DGS scene (of --trained, share of the schedule), every method at several counts
-    ablation  the same with `pressure`, one part of it left out at a time
+    table     `svrgs train` with each method from sparse points, all with the published schedule times --schedule
+    printed   the weights of the image loss as the paper prints them, from sparse points
+    lambda    the sweep of lambda_F of the paper, from sparse points
+    pareto    `svrgs prune` of the 3DGS scene of `table` (trained with the schedule --trained), every method at several counts
+    ablation  the same with method `pressure`, with one part of it changed at a time
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.method_report import write_report
-from benchmarks.method_scenes import prepared
+from method_report import write_report
+from method_scenes import prepared
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame", "iterations", "before", "curves", "peak_memory_bytes")
@@ -53,13 +53,13 @@ OURS = ("svr", "svr-self", "svr-even", "saliency", "pressure")
 
 
 def pareto() -> dict[str, list[str]]:
-    """Learned methods adapt their strength to the target, the others cut to it."""
+    """The runs of the study pareto: every method at every target."""
     runs = {"3dgs": ["--method", "3dgs"]}
     return runs | {f"{method} {target}": ["--method", method, "--target", target] for target in TARGETS for method in RIVALS + OURS}
 
 
 PRESSURE = "from svrgs_addon.finetune.methods import pressure; "
-ABLATION = {  # what is changed in the program before it runs
+ABLATION = {  # name of the run: Python code that changes the program before it runs
     "pressure": "",
     "pressure alike for all": PRESSURE + "pressure.POWER = 0",
     "no dropout in recovery": PRESSURE + "pressure.DROPOUT = 0",
@@ -80,7 +80,7 @@ STUDIES = {
 
 
 def requests(options: argparse.Namespace) -> Iterator[dict]:
-    """What identifies each run; scene by scene, so that a stopped experiment has whole scenes."""
+    """The keys that identify each run, scene by scene, so that a stopped experiment has complete scenes."""
     for scene in options.scene:
         for seed in range(options.seeds):
             for study in options.study:
@@ -94,7 +94,7 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
 
 
 def command(request: dict, data: list[str], work: Path) -> list[str]:
-    """The svrgs command of a run; data: its --colmap and --images."""
+    """The svrgs command of a run. data: its flags --colmap and --images."""
     out = work / f"{request['study']}.ply"
     trained = work / f"trained-{request['seed']}-{request['trained']}.ply"
     common = [*request["flags"], *data, "--seed", str(request["seed"]), "--schedule", str(request["schedule"]), "--json", "--quiet"]
@@ -106,7 +106,7 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
 
 
 def measured(request: dict, data: list[str], work: Path) -> dict:
-    """The row of a run: its request and its figures, or why there are none."""
+    """The row of a run: its request and its figures, or an error."""
     started = time.time()
     done = subprocess.run(command(request, data, work), cwd=ROOT, capture_output=True, text=True)
     if done.returncode:
@@ -139,22 +139,24 @@ def run(options: argparse.Namespace):
 
 
 def folder_of(options: argparse.Namespace, scene: str) -> Path | None:
-    """Where a scene's dataset lies; None for the generated one, unless it is given."""
+    """The folder of a scene's dataset; None for the generated scene, unless a folder is given."""
     return next((Path(folder) for name, _, folder in (given.partition("=") for given in options.scene) if name == scene and folder), None)
 
 
 def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", action="append", default=[], metavar="NAME=DIR", help="a COLMAP dataset; 'demo' alone: the generated scene")
+    parser.add_argument(
+        "--scene", action="append", default=[], metavar="NAME=DIR", help="name and folder of a COLMAP dataset; 'demo' without a folder: the generated scene"
+    )
     parser.add_argument("--study", action="append", choices=list(STUDIES), help="default: all")
-    parser.add_argument("--only", action="append", metavar="WORD", help="only runs whose name has it")
+    parser.add_argument("--only", action="append", metavar="WORD", help="only runs whose name contains this")
     parser.add_argument("--schedule", type=float, default=0.1, help="share of the published 30 000 + 5 000 iterations (default: 0.1)")
-    parser.add_argument("--trained", type=float, help="with pareto: the schedule of the scene that is pruned (default: --schedule)")
-    parser.add_argument("--shrink", type=int, default=1, help="pixels a side that become one (default: 1)")
+    parser.add_argument("--trained", type=float, help="with pareto and ablation: the schedule of the scene that is pruned (default: --schedule)")
+    parser.add_argument("--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--rows", type=Path, default=ROOT / "docs" / "results" / "rows.jsonl")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "methods")
-    parser.add_argument("--show", type=Path, metavar="DIR", help="write results.md and results/*.svg there from the rows, run nothing")
+    parser.add_argument("--show", type=Path, metavar="DIR", help="write results.md and results/*.svg to this folder, and run nothing")
     options = parser.parse_args()
     options.study = options.study or list(STUDIES)
     return options

@@ -1,7 +1,7 @@
-"""Runs one train or prune job and says where its time and memory went. A request on stdin, an answer on stdout, JSON each.
+"""Runs one train or prune job and measures where its time and memory go. It reads a request from stdin and writes an answer to stdout, as JSON.
 
-Request: colmap, out, kind ("train" or "prune"), iterations, recovery, seed; scene (prune only); profile; train and prune
-settings to change: "phase" and "run", names and values of settings.Phase (the first phase) and settings.Settings.
+Request: colmap, out, kind ("train" or "prune"), iterations, recovery, seed, profile (bool); scene (prune only); settings to change:
+"phase", by name those of the first phase (settings.Phase), and "run", by name those of the run (settings.Settings).
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from dataclasses import replace
 from pathlib import Path
 
 PACKAGE = str(Path(__file__).resolve().parents[1] / "svrgs_addon")
-STAGES_SHOWN = 12
-LIBRARY_DEPTH = 6  # of calls inside other packages that are followed; deeper ones are left out
+STAGES_SHOWN = 12  # functions in the answer, those with the most time
+LIBRARY_DEPTH = 6  # calls inside other packages are followed to this depth
 
 
 def time_native_calls() -> dict[str, float]:
-    """From here on, seconds spent in the native library by function."""
+    """Starts to time calls of the native library. Returns a dict that gets the seconds of each function."""
     from svrgs_addon import native
 
     seconds: dict[str, float] = {}
@@ -39,11 +39,12 @@ def time_native_calls() -> dict[str, float]:
 
 
 def stages(profile: cProfile.Profile) -> dict[str, float]:
-    """Seconds of each function of the package outside native calls: its own, with its share of the libraries' below it."""
-    found = pstats.Stats(profile).stats  # (file, line, name): calls, primitive calls, own, with callees, {caller: the same four}
+    """Seconds of each function of the package, without native calls: its own time, and its share of the time of other packages that it
+    calls."""
+    found = pstats.Stats(profile).stats  # (file, line, name): calls, primitive calls, own time, time with callees, {caller: the same four}
     ours = {key for key in found if key[0].startswith(PACKAGE)}
     native = {key for key in found if key[2] in ("timed_native_call", "call_library")}
-    below: dict[tuple, dict[tuple, float]] = {key: {} for key in found}  # caller: library functions, and its share of their time
+    below: dict[tuple, dict[tuple, float]] = {key: {} for key in found}  # caller: {function of another package: the caller's share of its time}
     for key in found.keys() - ours - native:
         callers = found[key][4]
         total = sum(times[3] for times in callers.values()) or 1.0
@@ -59,20 +60,22 @@ def stages(profile: cProfile.Profile) -> dict[str, float]:
 
 
 def settings_of(request: dict):
-    from plans import prune_settings, train_settings
+    """The plan of the job, with the settings that the request changes."""
+    from svrgs_addon.finetune.methods import method_named
+    from svrgs_addon.finetune.plan import prune_plan, train_plan
     from svrgs_addon.finetune.settings import Densify
 
     iterations, recovery, seed = request["iterations"], request["recovery"], request["seed"]
     if request["kind"] == "train":
-        settings = train_settings("3dgs", iterations, recovery, seed=seed, densify=Densify(until=int(0.6 * iterations)))
+        settings = train_plan(method_named("3dgs"), iterations, recovery, seed=seed, densify=Densify(until=int(0.6 * iterations)))
     else:
-        settings = prune_settings("svr", iterations, recovery, seed=seed, min_contribution=0.02)
+        settings = prune_plan(method_named("svr"), iterations, recovery, seed=seed, min_contribution=0.02)
     first, *rest = settings.phases
     return replace(settings, phases=(replace(first, **request["phase"]), *rest), **request["run"])
 
 
 def run_job(request: dict) -> dict:
-    """The job's own result with figures of memory and time beside it."""
+    """The job's result, with further figures of memory and time."""
     from svrgs_addon import memory
     from svrgs_addon.jobs import train_and_prune
     from svrgs_addon.photographs.dataset import load_dataset

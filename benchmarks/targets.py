@@ -1,12 +1,13 @@
-"""How near learned methods come to what is asked for: Gaussians that masks alone would leave against a share, dB lost against a drop.
+"""How close methods come to a target: the Gaussians that masks alone would leave against a share, or the dB lost against an allowed drop.
 
-    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr-mask,maskgs] [--shares 0.5,0.25] [--json]
-    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply --methods svr,svr-mask --drops 0.2,0.5,1 [--recovery N]
+    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr,maskgs] [--shares 0.5,0.25] [--json]
+    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply --methods pressure,svr --drops 0.2,0.5,1 [--recovery N]
 
-Further options (--images DIR, --schedule 0.3) go to `svrgs prune` as they are.
+Further options (--images DIR, --schedule 0.3) are passed to `svrgs prune`.
 
-`make demo` leaves such a pair: build/demo/scene and build/demo/trained.ply. The final ranking, which meets the share exactly, is
-not part of the figure. A row of JSON or of the table for each method and share, or drop (error: in dB).
+`make demo` makes a dataset and a trained scene: build/demo/scene and build/demo/trained.ply. It prints one row, of JSON or of a table, per
+method and share or drop. The error of a share is relative, that of a drop is in dB. The final ranking, which meets a share exactly, is not
+part of the figure.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ COLUMNS = ("method", "asked", "target", "reached", "error", "strength", "psnr be
 
 
 def row(options: argparse.Namespace, method: str, flag: str, asked: float, folder: Path) -> dict:
+    """The figures of one run. flag: --target or --max-drop; asked: its value. It ends the program if the run fails."""
     words = ["--iterations", options.iterations, "--recovery", options.recovery, "--out", folder / f"{method}.ply", "--quiet", "--json"]
     command = [
         sys.executable,
@@ -49,7 +51,7 @@ def row(options: argparse.Namespace, method: str, flag: str, asked: float, folde
     if flag == "--max-drop":
         figures |= {"target": asked, "reached": result["drop"], "error": result["drop"] - asked}
     elif result["reached"] is None:
-        sys.exit(f"{method} learns no masks: there is nothing to compare")
+        sys.exit(f"{method} learns no masks, so there is nothing to compare")
     else:
         figures |= {"target": result["target"], "reached": result["reached"], "error": result["reached"] / result["target"] - 1}
     return {"method": method, "asked": f"{flag} {asked}", **figures, "psnr before": result["before"]["psnr"]}
@@ -63,12 +65,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--colmap", type=Path, required=True)
     parser.add_argument("--scene", type=Path, required=True)
-    parser.add_argument("--methods", default="svr-mask,maskgs", type=lambda text: text.split(","))
+    parser.add_argument("--methods", default="svr,maskgs", type=lambda text: text.split(","))
     numbers = lambda text: [float(part) for part in text.split(",")]  # noqa: E731
     parser.add_argument("--shares", default="0.5,0.25", type=numbers)
-    parser.add_argument("--drops", type=numbers, help="instead of shares")
+    parser.add_argument("--drops", type=numbers, help="allowed drops in dB, instead of shares")
     parser.add_argument("--iterations", type=int, default=3_000)
-    parser.add_argument("--recovery", type=int, help="default: 0, with --drops 5000")
+    parser.add_argument("--recovery", type=int, help="recovery steps (default: 0, with --drops 5000)")
     parser.add_argument("--json", action="store_true")
     options, options.further = parser.parse_known_args()
     flag, values = ("--max-drop", options.drops) if options.drops else ("--target", options.shares)

@@ -42,7 +42,7 @@ def job_of(obj: bpy.types.Object | None) -> Job | None:
     if path not in jobs:
         jobs[path] = Job(JobFolder(path))
     job = jobs[path]
-    job.look()
+    job.refresh()
     return job if job.state != "missing" else None
 
 
@@ -120,7 +120,7 @@ def tick() -> float | None:
         try:
             _update(job)
         except Exception as error:  # any error: Blender removes a timer that raises, and then no job would be followed
-            job.give_up(str(error) or type(error).__name__)
+            job.abort(str(error) or type(error).__name__)
             redraw_panels()
     return INTERVAL if any(job.running for job in jobs.values()) else None
 
@@ -194,6 +194,6 @@ def unregister():
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     for job in jobs.values():
-        job.leave()
+        job.detach()
     jobs.clear()
     links.clear()

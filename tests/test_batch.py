@@ -222,7 +222,7 @@ def test_several_splats_in_a_folder_fail_alone(tmp_path):
 def test_scenes_of_one_name_must_not_overwrite_each_other(tmp_path, where):
     touch(tmp_path / "a/x.ply", tmp_path / "b/x.ply")
     both = [tmp_path / "a/x.ply", tmp_path / "b/x.ply"]
-    with pytest.raises(SceneError, match="two scenes are called 'x'"):
+    with pytest.raises(SceneError, match="two scenes have the name 'x'"):
         expand(both, None, **where)
     assert [item.out.parent.name for item in expand(both, None, None)] == ["a", "b"]
 

@@ -13,7 +13,7 @@ from svrgs_addon.bench.cases import room_case
 from svrgs_addon.bench.floors import LANES, stage_floors
 from svrgs_addon.bench.interactive import measure_interactive
 from svrgs_addon.bench.measure import measure, peaks_of, work_counts
-from svrgs_addon.bench.plots import drawings, front
+from svrgs_addon.bench.plots import charts, front
 from svrgs_addon.bench.scaling import measure_scaling
 from svrgs_addon.bench.scenes import room
 from svrgs_addon.bench.skips import measure_skips
@@ -135,9 +135,9 @@ def test_skips_change_no_picture(small):
 def test_scaling_and_its_charts(tmp_path):
     entries = measure_scaling(1, ignore, sizes=((48, 32), (96, 64)), counts=(500, 1000), count=500)
     assert [(entry["axis"], entry["count"], entry["pixels"]) for entry in entries][:2] == [("pixels", 500, 48 * 32), ("pixels", 500, 96 * 64)]
-    charts = drawings({"scaling": entries})
-    assert charts.keys() == {"scaling-pixels", "scaling-gaussians"}
-    for chart in charts.values():
+    documents = charts({"scaling": entries})
+    assert documents.keys() == {"scaling-pixels", "scaling-gaussians"}
+    for chart in documents.values():
         assert len(ET.fromstring(chart).findall(".//*[@class='dot']")) == 2
 
 
@@ -148,15 +148,15 @@ def test_orbiting():
 
 
 def test_knobs_chosen_at_run_time_and_their_charts(small, monkeypatch):
-    monkeypatch.setattr(variants, "why_not", lambda: "no compiler")
+    monkeypatch.setattr(variants, "missing_tools", lambda: "no compiler")
     told = []
     entries = knobs.measure_knobs(small, 1, told.append)
     assert "no compiler" in told[0]
     assert [entry["value"] for entry in entries if entry["knob"] == "simd"] == native.supported_levels()[:-1]
     assert all(entry["forward_ms"] > 0 and entry["image_mean"] < 1e-2 for entry in entries)
-    charts = drawings({"knobs": entries})
-    assert charts.keys() == {"knob-simd"}
-    labels = ET.fromstring(charts["knob-simd"]).findall(".//*[@class='label']")
+    documents = charts({"knobs": entries})
+    assert documents.keys() == {"knob-simd"}
+    labels = ET.fromstring(documents["knob-simd"]).findall(".//*[@class='label']")
     assert f"{native.best_level()} (default)" in [label.text for label in labels]
 
 
@@ -165,7 +165,7 @@ def test_every_knob_has_one_default_and_a_title():
     for knob in {setting.knob for setting in found}:
         assert sum(setting.default for setting in found if setting.knob == knob) == 1
     handmade = [{"knob": s.knob, "value": s.value, "default": s.default, "forward_ms": 2.0 + i, "image_mean": 0.0} for i, s in enumerate(found)]
-    assert len(drawings({"knobs": handmade})) == len({setting.knob for setting in found})
+    assert len(charts({"knobs": handmade})) == len({setting.knob for setting in found})
 
 
 def test_front_keeps_what_nothing_beats():

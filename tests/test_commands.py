@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -197,6 +200,15 @@ def test_failures_that_are_nobody_s_input_exit_1(tiny, svrgs, monkeypatch):
     monkeypatch.setattr(commands.registry, "describe", out_of_memory)
     done = svrgs("info", tiny.splat)
     assert (done.status, done.out, done.err) == (1, "", "svrgs: out of memory\n")
+
+
+@pytest.mark.parametrize("command", ["info", "render", "train", "prune", "eval", "compare", "bench"])
+def test_every_command_has_help_in_any_encoding(command):
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(
+        [sys.executable, "-m", "svrgs_addon", command, "--help"], cwd=Path(__file__).resolve().parents[1], env=environment, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "") and done.stdout.startswith(f"usage: svrgs {command}")
 
 
 def test_help_and_version(svrgs):

@@ -110,16 +110,16 @@ def test_nothing_grows_where_nothing_pulls():
     assert bits(model) == before
 
 
-def test_faint_gaussians_are_not_worth_keeping():
+def test_faint_gaussians_are_not_kept():
     model = gaussians([0.1] * 4)
     model.opacity_logits[:] = [logit(p) for p in (0.0049, 0.0051, 0.9, 1e-6)]
-    assert densify.worth_keeping(model, RULE, EXTENT, after_reset=False).tolist() == [False, True, True, False]
+    assert densify.keep_mask(model, RULE, EXTENT, after_reset=False).tolist() == [False, True, True, False]
 
 
 def test_huge_gaussians_go_once_opacities_were_reset():
     model = gaussians([[0.99] * 3, [0.1, 0.1, 1.01], [0.01, 50, 0.01]])
-    assert densify.worth_keeping(model, RULE, EXTENT, after_reset=False).all()
-    assert densify.worth_keeping(model, RULE, EXTENT, after_reset=True).tolist() == [True, False, False]
+    assert densify.keep_mask(model, RULE, EXTENT, after_reset=False).all()
+    assert densify.keep_mask(model, RULE, EXTENT, after_reset=True).tolist() == [True, False, False]
 
 
 def test_opacities_are_reset_to_a_hundredth_at_most():

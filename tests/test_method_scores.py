@@ -111,7 +111,7 @@ def test_sensitivities_are_those_of_the_reference(level, view):
     r.forward(scene, camera, RenderOptions(background=BACKGROUND), outputs=())
     ids = r.visible()
     found = np.zeros((30, 6, 6))
-    upper = sensitivity._share(r.moments(), sensitivity.jacobians(scene, camera, ids))
+    upper = sensitivity._view_part(r.moments(), sensitivity.jacobians(scene, camera, ids))
     found[ids[:, None], sensitivity._UPPER[0], sensitivity._UPPER[1]] = upper
     found[ids[:, None], sensitivity._UPPER[1], sensitivity._UPPER[0]] = upper
     scale = np.abs(expected).max(axis=(1, 2))

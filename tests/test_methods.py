@@ -74,7 +74,7 @@ def test_names_and_menu_numbers_are_each_one_method_s():
 
 
 def test_a_weight_the_method_does_not_have_is_refused():
-    with pytest.raises(SceneError, match="no term that lambda-m weighs"):
+    with pytest.raises(SceneError, match="no term with the weight lambda-m"):
         prune_settings("svr", 10, 10, lambda_m=1e-3)
     assert prune_settings("compact3dgs", 10, 10, lambda_m=1e-3).lambda_m == 1e-3
 

@@ -106,7 +106,7 @@ def test_masks_come_and_go_without_touching_the_rest():
     before = bits(model)
     model.add_masks(9.0)
     assert (model.mask_logits == 9).all() and not model.moments[MASK].any()
-    model.forget_extras()
+    model.remove_extras()
     assert bits(model) == before and not model.learns_masks
     with pytest.raises(AttributeError):
         _ = model.mask_logits

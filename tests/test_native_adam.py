@@ -7,7 +7,7 @@ import torch
 from native_helpers import FLOAT_LEVELS, LEVELS, rasterizer
 from svrgs_addon import native
 from svrgs_addon.errors import NativeError
-from svrgs_addon.finetune.moments import none_yet, packed, unpacked
+from svrgs_addon.finetune.moments import packed, unpacked, zero_moments
 
 pytestmark = pytest.mark.usefixtures("default_threads")
 
@@ -57,7 +57,7 @@ def test_adam_is_that_of_torch(level, width):
     """20 dense steps from zero moments, each from the same state, eps as 3DGS sets it."""
     r = rasterizer(level)
     start, grads = steps_of(101, width, r.dtype)
-    param, moments = start.copy(), none_yet(start)
+    param, moments = start.copy(), zero_moments(start)
     tolerance = 1e-6 if r.dtype == np.float32 else 1e-12
     for step, grad in enumerate(grads, 1):
         expected, expected_moments = torch_step(param, moments, grad, step, [{}] * width, lr=0.02, eps=1e-15)
@@ -72,7 +72,7 @@ def test_adam_takes_other_settings_and_a_rate_per_column(level):
     r = rasterizer(level)
     start, grads = steps_of(37, 5, r.dtype)
     rates = np.array([1e-3, 0, 0.5, 2e-2, 1e-4])
-    param, moments = start.copy(), none_yet(start)
+    param, moments = start.copy(), zero_moments(start)
     tolerance = 2e-6 if r.dtype == np.float32 else 1e-12
     for step, grad in enumerate(grads, 1):
         expected, _ = torch_step(param, moments, grad, step, [{"lr": rate} for rate in rates], betas=(0.8, 0.95), eps=1e-3)
@@ -87,7 +87,7 @@ def test_packed_moments_follow_those_in_64_bits_without_bias(level):
     r, rng = rasterizer(level), np.random.default_rng(4)
     scale = 10.0 ** rng.uniform(-8, 1, 4096)
     param = np.zeros(4096, r.dtype)
-    moments, m, v = none_yet(param), np.zeros(4096), np.zeros(4096)
+    moments, m, v = zero_moments(param), np.zeros(4096), np.zeros(4096)
     for step in range(1, 3001):
         grad = (scale * rng.normal(0.5, 1, 4096)).astype(r.dtype)
         r.adam(param, moments, grad, None, lr=1e-3, step=step)
@@ -139,7 +139,7 @@ def test_adam_skips_and_counts_rows_that_are_not_finite(level, ids):
 def test_adam_with_zero_gradient_and_moments_stays_put(level):
     r = rasterizer(level)
     param, zero = np.ones((9, 3), r.dtype), np.zeros((9, 3), r.dtype)
-    assert r.adam(param, none_yet(zero), zero, None, lr=1.0, step=1) == 0
+    assert r.adam(param, zero_moments(zero), zero, None, lr=1.0, step=1) == 0
     assert (param == 1).all()
 
 
@@ -147,7 +147,7 @@ def test_adam_with_zero_gradient_and_moments_stays_put(level):
 def test_adam_of_no_rows_does_nothing(level):
     r = rasterizer(level)
     param = np.ones((9, 3), r.dtype)
-    assert r.adam(param, none_yet(param), np.empty((0, 3), r.dtype), np.empty(0, np.uint32), lr=1.0, step=1) == 0
+    assert r.adam(param, zero_moments(param), np.empty((0, 3), r.dtype), np.empty(0, np.uint32), lr=1.0, step=1) == 0
     assert (param == 1).all()
 
 
@@ -156,7 +156,7 @@ def test_adam_refuses_rows_outside_the_array_or_out_of_order(ids):
     r = rasterizer("scalar")
     param = np.ones((9, 3), np.float32)
     with pytest.raises(ValueError, match="ids"):
-        r.adam(param, none_yet(param), np.ones((2, 3), np.float32), np.array(ids, np.uint32), lr=1.0, step=1)
+        r.adam(param, zero_moments(param), np.ones((2, 3), np.float32), np.array(ids, np.uint32), lr=1.0, step=1)
     assert (param == 1).all()
 
 
@@ -168,7 +168,7 @@ def test_adam_has_the_same_bits_for_any_number_of_threads(share):
     results = set()
     for threads in (1, 2, 3, 7, 16):
         native.set_threads(threads)
-        arrays = [start.copy(), none_yet(start)]
+        arrays = [start.copy(), zero_moments(start)]
         for step, grad in enumerate(grads, 1):
             r.adam(*arrays, np.ascontiguousarray(grad[ids]), None if share == 1 else ids, lr=0.02, step=step)
         results.add(b"".join(a.tobytes() for a in arrays))
@@ -199,7 +199,7 @@ def test_sh_coefficients_share_the_second_moment_of_degree_0(level, coefficients
     """20 dense steps from zero moments, each from the same state, against the formula in float64."""
     r = rasterizer(level)
     param, rates, grads = sh_steps_of(53, coefficients, r.dtype)
-    moments, start, single = none_yet(param), param.copy(), r.dtype == np.float32
+    moments, start, single = zero_moments(param), param.copy(), r.dtype == np.float32
     for step, grad in enumerate(grads, 1):
         state = [a.astype(np.float64) for a in (param, *unpacked(moments, param.shape))]
         expected, m, v = shared_step(*state, grad.astype(np.float64), step, rates)
@@ -234,7 +234,7 @@ def test_first_moments_in_16_bits_follow_those_in_64_without_bias(level):
     r, rng = rasterizer(level), np.random.default_rng(4)
     param = np.zeros((256, 16, 3), r.dtype)
     goal = 10.0 ** rng.uniform(-8, 1, (256, 1, 1)) * rng.normal(size=param.shape)
-    moments, m = none_yet(param), np.zeros(param.shape)
+    moments, m = zero_moments(param), np.zeros(param.shape)
     for step in range(1, 1001):
         grad = (goal * (1 + 1e-3 * rng.normal(size=param.shape))).astype(r.dtype)
         r.adam(param, moments, grad, None, lr=1e-3, step=step)
@@ -265,4 +265,4 @@ def test_sh_of_some_rows_and_rows_that_are_not_finite(level, coefficients):
 def test_sh_rows_of_another_width_are_refused():
     param = np.zeros((5, 2, 3), np.float32)
     with pytest.raises(NativeError, match="SH coefficients"):
-        rasterizer("scalar").adam(param, none_yet(param), param.copy(), None, lr=0.1, step=1)
+        rasterizer("scalar").adam(param, zero_moments(param), param.copy(), None, lr=0.1, step=1)

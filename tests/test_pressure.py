@@ -12,7 +12,7 @@ from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import masks
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS, pressure
-from svrgs_addon.finetune.methods.pressure import LARGEST, SHARES, pressure_shares
+from svrgs_addon.finetune.methods.pressure import LARGEST, WEIGHTS, pressure_weights
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.penalties import OpacityPressure
 from svrgs_addon.finetune.run import Run
@@ -49,44 +49,44 @@ def test_a_lambda_above_every_saliency_is_refused_at_once():
     assert run.iteration == 0
 
 
-def test_what_would_be_missed_least_is_pressed_hardest():
-    cost = np.array([4.0, 1.0, 0.25, 1e-9, 0.0])
-    shares = pressure_shares(cost, 2)
-    assert shares.mean() == pytest.approx(1) and (np.diff(shares[:4]) > 0).all() and shares[4] == shares[3]
-    np.testing.assert_allclose(shares / shares[1], [0.5, 1, 2, LARGEST, LARGEST])
+def test_the_pressure_is_largest_where_the_removal_error_is_small():
+    errors = np.array([4.0, 1.0, 0.25, 1e-9, 0.0])
+    weights = pressure_weights(errors, 2)
+    assert weights.mean() == pytest.approx(1) and (np.diff(weights[:4]) > 0).all() and weights[4] == weights[3]
+    np.testing.assert_allclose(weights / weights[1], [0.5, 1, 2, LARGEST, LARGEST])
 
 
-def test_from_few_photographs_all_are_pressed_alike(monkeypatch):
+def test_few_photographs_give_every_gaussian_the_same_weight(monkeypatch):
     run = run_of(replace(prune_settings("pressure", 160, 0), target=20))
     views = len(run.training_cameras)
-    assert views < pressure.FEW and shares_of(run) is None
+    assert views < pressure.FEW and weights_of(run) is None
     monkeypatch.setattr(pressure, "FEW", views)
-    assert len(np.unique(shares_of(run))) > COUNT // 2
+    assert len(np.unique(weights_of(run))) > COUNT // 2
 
 
-def shares_of(run):
+def weights_of(run):
     run._prepare(*run.phase())
-    return run.method.shares(run)
+    return run.method.gaussian_weights(run)
 
 
-def test_shares_follow_their_gaussians(monkeypatch):
+def test_weights_follow_their_gaussians(monkeypatch):
     monkeypatch.setattr(pressure, "FEW", 0)
     run = run_of(replace(prune_settings("pressure", 160, 0), target=20))
     for _ in range(21):  # removal errors every 16 pressed steps, each step pressed
         run.advance()
-    before = dict(zip(run.model.origin, run.model.values[SHARES], strict=True))
+    before = dict(zip(run.model.origin, run.model.values[WEIGHTS], strict=True))
     run.model.keep(np.arange(run.model.count) % 2 == 0)
     run.model.reorder(np.arange(run.model.count)[::-1])
     run.close()
     assert len(set(before.values())) > COUNT // 2
-    assert all(before[origin] == share for origin, share in zip(run.model.origin, run.model.values[SHARES], strict=True))
+    assert all(before[origin] == weight for origin, weight in zip(run.model.origin, run.model.values[WEIGHTS], strict=True))
 
 
-@pytest.mark.parametrize("by_faintness", [False, True])
-def test_gradient_of_an_uneven_pressure(by_faintness):
+@pytest.mark.parametrize("by_transparency", [False, True])
+def test_gradient_of_an_uneven_pressure(by_transparency):
     rng = np.random.default_rng(0)
-    logits, shares, h = rng.normal(0, 2, 12), rng.uniform(0.3, 3, 12), 1e-6
-    pressure = OpacityPressure(0.7, by_faintness, shares)
+    logits, weights, h = rng.normal(0, 2, 12), rng.uniform(0.3, 3, 12), 1e-6
+    pressure = OpacityPressure(0.7, by_transparency, weights)
     slopes = [(pressure.value(logits + h * e, np) - pressure.value(logits - h * e, np)) / (2 * h) for e in np.eye(12)]
     np.testing.assert_allclose(pressure.grad(logits), slopes, rtol=1e-6)
 
@@ -125,7 +125,7 @@ def test_a_drop_is_held_by_method_saliency():
     assert prune_settings("maskgs", 10, 5, max_drop=0.5).method.name == "maskgs"
 
 
-def test_pushes_keep_their_distance_in_a_short_phase():
+def test_pressed_steps_keep_their_distance_in_a_short_phase():
     def spacing(method: str, steps: int) -> int:
         return METHODS[method].press_every(prune_settings(method, steps, 0).phases[0])
 

@@ -13,6 +13,7 @@ from svrgs_addon.errors import SceneError
 from svrgs_addon.report.line_chart import Series, line_chart
 from svrgs_addon.report.page import Phase, Report, View, page, write_report
 from svrgs_addon.report.pictures import data_uri, difference_image, mask_to_rgb, png_bytes
+from svrgs_addon.report.svg_axes import nice_ticks, short_number
 
 BEFORE = {
     "psnr": 27.41,
@@ -265,3 +266,17 @@ def test_long_curve_is_thinned_but_keeps_its_course():
     points = np.array([p.split(",") for p in chart.attributes("polyline")[0]["points"].split()], float)
     assert 100 < len(points) < 1000
     assert (np.diff(points, axis=0) > 0).all()
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 17), (-3, 1e7), (1e-9, 2e-9), (0.94, 0.95)])
+def test_ticks_are_round_and_within_the_axis(low, high):
+    ticks = nice_ticks(low, high)
+    assert 3 <= len(ticks) <= 8 and low <= ticks[0] and ticks[-1] <= high * (1 + 1e-9)
+    steps = np.diff(ticks)
+    np.testing.assert_allclose(steps, steps[0])
+    assert f"{steps[0]:.0e}"[0] in "125"
+
+
+def test_tick_texts_are_short():
+    texts = {0: "0", 0.05: "0.05", 9_999: "9999", 1e4: "10 k", 2.5e6: "2.5 M", 1e10: "1e10", -2e-7: "-2e-7"}
+    assert {value: short_number(value) for value in texts} == texts

@@ -174,7 +174,7 @@ OTHER = {
 
 
 def refuse_resume(tiny, data, out: Path, settings=SETTINGS, **options):
-    with pytest.raises(FormatError, match="was written by a run with other settings or inputs; delete .*o.ply.job to start anew"):
+    with pytest.raises(FormatError, match="this checkpoint is of a run with other settings or inputs; delete .*o.ply.job to start again"):
         prune(tiny, data, out, settings, resume=True, **options)
 
 

@@ -101,7 +101,7 @@ def test_a_target_may_be_as_small_as_is_asked_for(tiny, data, tmp_path):
 
 def test_a_target_needs_iterations_to_prune_in(data, tmp_path):
     for method in ("maskgs", "opacity", "saliency"):
-        with pytest.raises(SceneError, match=f"method '{method}' without iterations in which it prunes cannot reach a target"):
+        with pytest.raises(SceneError, match=f"method '{method}' cannot reach a target without iterations in which it prunes"):
             train_and_prune.train(data, train_settings(method, 0, 5, target=20), train_and_prune.JobContext(tmp_path / "o.ply"))
 
 

@@ -1,1 +1,1 @@
-"""Run time against error: measured cases, their floors, tables and plots."""
+"""`svrgs bench`: run time and numerical error of the native core, lower bounds of the run time, tables and charts."""

@@ -1,4 +1,4 @@
-"""The error of the float levels: images and gradients against the float64 level of the same case."""
+"""The numerical error of the float32 levels: images and gradients, compared with the float64 level of the same case."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .trial import LAMBDA_F, WANTED, drawn_masks, target_of
 
 
 class _Rendered:
-    """The case at one level: images, and gradients a row per Gaussian of the scene."""
+    """A case rendered at one level: its images, and its gradients with one row per Gaussian of the scene."""
 
     def __init__(self, case: Case, level: str | None, masks: np.ndarray, full: bool):
         self.rasterizer = Rasterizer(level)
@@ -28,7 +28,7 @@ class _Rendered:
         self.ids = self.rasterizer.visible()
 
     def grad(self, name: str) -> np.ndarray:
-        """(N * width,) float64, zero where a Gaussian is not visible."""
+        """The gradient of a parameter, flat, (N * width,) float64; 0 for Gaussians that are not visible."""
         rows = self.grads[name]
         full = np.zeros((self.count, *rows.shape[1:]))
         full[self.ids] = rows
@@ -36,10 +36,11 @@ class _Rendered:
 
 
 def error(case: Case, level: str | None = None, masks: np.ndarray | None = None, lambda_f: float = LAMBDA_F, full: bool = False) -> dict:
-    """image_max, image_mean, mask_max, grad_rel_l2, grad_cosine (the worst parameter's), nonfinite, crossed.
+    """The errors of a level, with these keys: image_max, image_mean, mask_max; grad_rel_l2 and grad_cosine of the worst parameter;
+    nonfinite: number of values that are not finite; crossed.
 
-    Where the levels disagree on which Gaussians pass a threshold, one of them is a whole Gaussian off: such pixels take no
-    part and `crossed` is their share. masks (N,) uint8: by default nine of ten exist; full: F walks each ray to its end.
+    In a pixel where the levels disagree on whether a Gaussian passes a threshold, they differ by a whole Gaussian. Such pixels are left
+    out, and `crossed` is their share. masks (N,) uint8: by default 9 of 10 Gaussians exist. full: F counts every hit of a ray.
     """
     masks = drawn_masks(case.scene.count)[0] if masks is None else masks
     ours, exact = _Rendered(case, level, masks, full), _Rendered(case, "float64", masks, full)
@@ -61,14 +62,14 @@ def error(case: Case, level: str | None = None, masks: np.ndarray | None = None,
 
 
 def _image_grads(rendered: _Rendered, weight: np.ndarray, lambda_f: float) -> dict[str, np.ndarray]:
-    """dL/drgb and dL/dF of a fine-tuning step, zero where weight (H, W) is."""
+    """dL/drgb and dL/dF of a fine-tuning step, 0 where weight (H, W) is 0."""
     rgb = rendered.images["rgb"]
     d_rgb = rendered.rasterizer.loss(rgb, target_of(rgb))[2]
     return {"rgb": d_rgb * weight[..., None], "mask": mask_loss_grad(rendered.images["mask"], lambda_f)[1] * weight}
 
 
 def _distance(ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """(relative L2 distance, cosine) of two gradients; of two that vanish (0, 1)."""
+    """(relative L2 distance, cosine) of two gradients; (0, 1) if both are 0."""
     norm, other = np.linalg.norm(exact), np.linalg.norm(ours)
     if not norm or not other:
         return float(norm != other), float(norm == other)

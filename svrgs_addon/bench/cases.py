@@ -1,4 +1,4 @@
-"""What is measured: a scene and a view of it, generated or the user's."""
+"""The cases that are measured: a scene and a view of it, generated or from files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COUNTS, SH_DEGREES, SIZES = (100_000, 500_000), (0, 3), ((640, 360), (1280, 720)
 
 @dataclass(frozen=True)
 class Case:
-    """One scene in one view."""
+    """A scene and a view of it."""
 
     name: str  # 'room', or the file's name
     scene: Scene
@@ -36,14 +36,14 @@ class Case:
 
 
 def room_case(count: int = COUNTS[0], sh_degree: int = 3, width: int = SIZES[0][0], height: int = SIZES[0][1]) -> Case:
-    """A generated room; by default the one that knobs and skips are measured on."""
+    """A generated room. The defaults are those on which knobs and skips are measured."""
     return Case("room", room(count, sh_degree), orbit_camera(width, height))
 
 
 def chosen_cases(options: argparse.Namespace) -> Iterator[Case]:
-    """Views of options.scene, or of generated rooms where no file is given. Raises SceneError, FormatError."""
+    """Views of options.scene, or of generated rooms if no file is given. Raises SceneError, FormatError."""
     if options.scene is None and (options.cameras or options.colmap):
-        raise SceneError("cameras are given but no scene to look at: give --scene FILE")
+        raise SceneError("cameras are given without a scene: add --scene FILE")
     if options.scene is not None:
         return _given(options.scene, _first_view(options), options.quick)
     return _rooms(options.quick)

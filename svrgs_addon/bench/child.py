@@ -1,8 +1,7 @@
-"""A process that runs one build of the native library on a generated room, one request at a time.
+"""A child process that runs one build of the native library on a generated room, one request at a time.
 
-Requests and answers are one JSON object a line, on stdin and stdout. {"level": name or null} is answered
-by {"forward": seconds, "step": seconds}, or {"error": sentence}; with "save": FILE as well, the image is written
-there first.
+Requests come on stdin and answers go to stdout, one JSON object per line. The request {"level": name or null} is answered by
+{"forward": seconds, "step": seconds} or {"error": sentence}. With "save": FILE, the image is written there first.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from .trial import Trial
 
 
 class Child:
-    """The parent's side: starts the process with the given library (None: the installed one) and asks it."""
+    """The parent's side. It starts the process with the given library (None: the installed one) and sends requests."""
 
     def __init__(self, case: Case, library: Path | None = None):
         variables = subprocess_python.environment()
@@ -37,18 +36,19 @@ class Child:
         self._process, self._requests, self._answers = process, process.stdin, process.stdout
 
     def ask(self, **request) -> dict:
+        """The answer to a request. Raises NativeError if it is an error or if the process has ended."""
         try:
             self._requests.write(json.dumps(request) + "\n")
             self._requests.flush()
             answer = json.loads(self._answers.readline())
         except (OSError, ValueError):
-            raise NativeError("a measuring process ended before it answered") from None
+            raise NativeError("a child process of the measurement ended before it answered") from None
         if "error" in answer:
             raise NativeError(answer["error"])
         return answer
 
     def image(self, folder: Path, **request) -> np.ndarray:
-        """The picture it draws, (H, W, 3)."""
+        """The image that the child renders, (H, W, 3)."""
         path = folder / "image.npy"
         self.ask(**request, save=str(path))
         return np.load(path)
@@ -57,7 +57,7 @@ class Child:
         return self
 
     def __exit__(self, *_):
-        with contextlib.suppress(OSError):  # it has ended already
+        with contextlib.suppress(OSError):  # the process may have ended
             self._requests.close()
         self._process.wait()
         self._answers.close()
@@ -74,7 +74,7 @@ def main(words: list[str]):
         try:
             trials[level] = trials.get(level) or Trial(case, level)
             answer = _answer(trials[level], request)
-        except (NativeError, TypeError) as error:  # a build or a level that cannot do this
+        except (NativeError, TypeError) as error:  # the build or the level does not support the request
             answer = {"error": str(error)}
         print(json.dumps(answer), flush=True)
 

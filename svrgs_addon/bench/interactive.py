@@ -1,4 +1,4 @@
-"""A large scene under an orbiting camera: pictures a second."""
+"""Frames per second of a large scene under an orbiting camera."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from .scenes import orbit_camera, room
 from .timing import WARMUPS, seconds
 
 COUNT, SIZE = 1_000_000, (640, 360)
-FRAMES, STEP = 30, 1.0  # degrees a frame
+FRAMES, STEP = 30, 1.0  # number of frames; degrees per frame
 
 
 def measure_interactive(tell: Callable[[str], None], count: int = COUNT, size: tuple[int, int] = SIZE, frames: int = FRAMES) -> dict:
-    """The result's `interactive`: ms of the median and of the slowest frame, frames a second; `rest_ms` where nothing moved."""
+    """The entry `interactive` of the result: milliseconds of the median and of the slowest frame, frames per second, and `rest_ms`, the
+    milliseconds of a frame whose camera has not moved."""
     tell(f"orbiting around {count:,} Gaussians")
     preview = Preview(room(count), native.RenderOptions())
     cameras = [orbit_camera(*size, turn=STEP * k) for k in range(WARMUPS + frames)]

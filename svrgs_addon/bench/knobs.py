@@ -1,4 +1,4 @@
-"""Run time against image error for every constant that trades one for the other."""
+"""Run time and image error for several values of each constant that trades time for error ("knob")."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from .cases import Case
 from .child import Child
 from .timing import WARMUPS, ratio
 
-PLAIN = {"level": None}  # how the standard build is asked
+STANDARD = {"level": None}  # request for the standard build
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One value of one knob: a level chosen at run time, or a macro of a build."""
+    """One value of one knob: a SIMD level, which is chosen at run time, or a macro, which needs a build of its own."""
 
     knob: str
     value: str
     default: bool = False
-    level: str | None = None  # None: the best
-    macro: str = ""
+    level: str | None = None  # None: the best level
+    macro: str = ""  # NAME=VALUE; empty: the standard build
 
     @property
     def request(self) -> dict:
         return {"level": self.level}
 
 
-# Values of a build: knob -> (macro, {value: what the macro is set to; '' for the standard}).
+# Knobs that need a build: knob -> (macro, {value of the knob: value of the macro; '' for the standard build}).
 BUILD_KNOBS = {
     "exp_degree": ("SVRGS_EXP_DEGREE", {"3": "3", "4": "4", "5": ""}),
     "alpha_cut": ("SVRGS_ALPHA_CUT", {f"{n:g}/255": f"{n / 255:.12g}" if n != 1 else "" for n in (0.5, 1, 2, 4)}),
@@ -45,7 +45,7 @@ BUILD_KNOBS = {
 
 
 def settings() -> list[Setting]:
-    """Every value of every knob, the standard ones among them."""
+    """All values of all knobs, including the standard ones."""
     best = native.best_level()
     levels = [level for level in native.supported_levels() if level != "float64"]
     found = [Setting("simd", level, level == best, level=level) for level in levels]
@@ -55,9 +55,12 @@ def settings() -> list[Setting]:
 
 
 def measure_knobs(case: Case, repeat: int, tell: Callable[[str], None], chosen: list[Setting] | None = None) -> list[dict]:
-    """The result's `knobs`, measured on a generated room: one entry per setting that can be measured here."""
+    """The entry `knobs` of the result, measured on a generated room: one item per setting that can be measured on this machine.
+
+    tell: called with progress and with the reason why a setting is left out.
+    """
     chosen = settings() if chosen is None else chosen
-    missing = variants.why_not()
+    missing = variants.missing_tools()
     if missing:
         tell(f"knobs that need another build of the library are left out: {missing}")
         chosen = [setting for setting in chosen if setting.knob not in BUILD_KNOBS]
@@ -74,15 +77,16 @@ def measure_knobs(case: Case, repeat: int, tell: Callable[[str], None], chosen: 
 
 
 class _Bench:
-    """The standard build, its figures, and the picture of the float64 level that errors are measured against."""
+    """The standard build, its forward time, and the reference picture of the float64 level."""
 
     def __init__(self, case: Case, folder: Path, standard: Child, repeat: int):
         self.case, self.folder, self.standard, self.repeat = case, folder, standard, repeat
         self.truth = standard.image(folder, level="float64")
-        readings = [standard.ask(**PLAIN) for _ in range(WARMUPS + repeat)][WARMUPS:]
+        readings = [standard.ask(**STANDARD) for _ in range(WARMUPS + repeat)][WARMUPS:]
         self.forward_ms = 1e3 * float(np.median([reading["forward"] for reading in readings]))
 
     def entry(self, setting: Setting) -> dict:
+        """The figures of one setting. Raises NativeError if its build fails."""
         if setting.macro:
             library = variants.build(setting.macro, self.folder)
             with Child(self.case, library) as child:
@@ -90,7 +94,7 @@ class _Bench:
         return self._compared(setting, self.standard)
 
     def _compared(self, setting: Setting, child: Child) -> dict:
-        """Both builds in turn, so that what slows the machine slows both."""
+        """The figures of a setting. Both builds are measured in turn, so that a slow machine slows both."""
         difference = np.abs(child.image(self.folder, **setting.request) - self.truth)
         forward, step = (1.0, 1.0) if setting.default else self._ratios(setting, child)
         return {
@@ -105,7 +109,7 @@ class _Bench:
         }
 
     def _ratios(self, setting: Setting, child: Child) -> tuple[float, float]:
-        pairs = [(child.ask(**setting.request), self.standard.ask(**PLAIN)) for _ in range(WARMUPS + self.repeat)][WARMUPS:]
+        pairs = [(child.ask(**setting.request), self.standard.ask(**STANDARD)) for _ in range(WARMUPS + self.repeat)][WARMUPS:]
         ours, plain = zip(*pairs, strict=True)
         forward, step = (([a[name] for a in ours], [b[name] for b in plain]) for name in ("forward", "step"))
         return ratio(*forward), ratio(*step)

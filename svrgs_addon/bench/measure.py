@@ -1,4 +1,4 @@
-"""Times, work counts and floors of one case."""
+"""Times, work counts and floors (lower bounds of the time) of one case."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from .floors import row_lines, stage_floors
 from .timing import rounds, seconds, summary
 from .trial import Trial
 
-FULL_WALK = ("used_pairs", "blocks", "hit_blocks", "hits")  # counts that grow where F walks each ray to its end
-PEAK_READINGS = 3  # of which the best counts: a peak is what can be reached
+FULL_WALK = ("used_pairs", "blocks", "hit_blocks", "hits")  # counts that are larger if F counts every hit of a ray
+PEAK_READINGS = 3  # readings of a peak; the best one counts
 
 
 def measure(case: Case, thread_counts: list[int], error: dict, repeat: int) -> list[dict]:
-    """One entry of the result's `cases` per thread count; error: of this case. Each round has its own peaks: the machine drifts."""
+    """One item of the result's `cases` per thread count. error: the errors of this case. Peaks are measured in each round, because the speed
+    of a machine changes over time."""
     trial = Trial(case)
     level, work, entries = trial.rasterizer.level, work_counts(trial), []
     for threads in thread_counts:
@@ -30,7 +31,7 @@ def measure(case: Case, thread_counts: list[int], error: dict, repeat: int) -> l
 
 
 def peaks_of(level: str, thread_counts: list[int]) -> dict[int, dict]:
-    """What this machine reaches with so many threads: {threads: {fma: flop/s, read: bytes/s, update: bytes/s}}."""
+    """The peaks of this machine: {threads: {fma: flop/s, read: bytes/s, update: bytes/s}}."""
     peaks = {}
     for threads in thread_counts:
         native.set_threads(threads)
@@ -40,7 +41,7 @@ def peaks_of(level: str, thread_counts: list[int]) -> dict[int, dict]:
 
 
 def work_counts(trial: Trial, disabled_skips=()) -> dict:
-    """Counts of the colour pass, as NAME_full those with F to each ray's end, and the memory its Gaussians lie in (floors.row_lines)."""
+    """Work counts of the pass for colours; as NAME_full those with F to the end of each ray; and floors.row_lines of the visible Gaussians."""
     trial.forward("none", disabled_skips=disabled_skips)
     counts = trial.rasterizer.work(count_pixels=True)
     trial.forward(disabled_skips=disabled_skips)
@@ -50,7 +51,7 @@ def work_counts(trial: Trial, disabled_skips=()) -> dict:
 
 
 def _round(trial: Trial, peaks: list[dict]) -> dict[str, float]:
-    """Seconds of every stage, each run once; what the machine reaches meanwhile is added to `peaks`."""
+    """Seconds of every stage, each run once. The peaks of the machine in this round are added to `peaks`."""
     peaks.append(native.peaks(trial.rasterizer.level))
     inside = trial.rasterizer.stage_seconds
     trial.forward("none")

@@ -1,10 +1,10 @@
-"""Which charts a result gives: one per knob, two for scaling."""
+"""The charts of a result: one per knob, and two for scaling."""
 
 from __future__ import annotations
 
 from .chart import Axis, Point, chart
 
-# knob -> what the chart is called
+# knob -> title of the chart
 KNOBS = {
     "simd": "SIMD level",
     "exp_degree": "Degree of the polynomial for 2^x",
@@ -13,12 +13,12 @@ KNOBS = {
     "tile": "Tile side, pixels",
     "block": "Pixels of a block",
 }
-SCALING = {"pixels": "pixels", "gaussians": "count"}  # axis -> what grows along it
-LARGE_RATIO = 10  # times further apart than this are drawn on a logarithmic axis
+SCALING = {"pixels": "pixels", "gaussians": "count"}  # axis -> key of the entries of `scaling` with its values
+LARGE_RATIO = 10  # if the longest time is more than so many times the shortest, the axis is logarithmic
 
 
-def drawings(result: dict) -> dict[str, str]:
-    """{file name without its suffix: SVG document} of everything in the result that can be drawn."""
+def charts(result: dict) -> dict[str, str]:
+    """All charts of the result: {file name without suffix: SVG document}."""
     found = {}
     for knob, title in KNOBS.items():
         if entries := [entry for entry in result.get("knobs", ()) if entry["knob"] == knob]:
@@ -30,7 +30,7 @@ def drawings(result: dict) -> dict[str, str]:
 
 
 def knob_chart(title: str, knobs: list[dict]) -> str:
-    """Forward time over mean image error; entries of the result's `knobs`."""
+    """Forward time over mean image error. knobs: the entries of one knob."""
     points = [Point(k["image_mean"], k["forward_ms"], k["value"], k["default"]) for k in knobs]
     times = [point.y for point in points]
     y = Axis("forward, ms", log=True) if max(times) > LARGE_RATIO * min(times) else Axis("forward, ms", from_zero=True)
@@ -38,13 +38,13 @@ def knob_chart(title: str, knobs: list[dict]) -> str:
 
 
 def scaling_chart(axis: str, scaling: list[dict], key: str) -> str:
-    """Forward time over pixels or Gaussians, both logarithmic; entries of the result's `scaling`."""
+    """Forward time over pixels or Gaussians, on logarithmic axes. scaling: the entries of one axis; key: the values of the x axis."""
     points = [Point(s[key], s["forward_ms"], f"{s['forward_ms']:.3g} ms") for s in scaling]
     return chart(f"Forward time over {axis}", points, Axis(axis, log=True), Axis("forward, ms", log=True), points)
 
 
 def front(points: list[Point]) -> list[Point]:
-    """The points that none beats in both time and error, by rising error."""
+    """The Pareto front: the points that no other point beats in both time and error, by rising error."""
     best = float("inf")
     found: list[Point] = []
     for point in sorted(points, key=lambda p: (p.x, p.y)):

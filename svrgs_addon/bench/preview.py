@@ -1,4 +1,4 @@
-"""A scene under a moving camera: every picture is exact, and none is drawn twice."""
+"""A scene under a moving camera. Every picture is exact; a picture of an unmoved camera is not rendered again."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..scene import Scene
 
 
 class Preview:
-    """Draws one scene again and again. Keeps a copy of it along a Morton curve: what a view sees then lies together."""
+    """Renders one scene repeatedly. It keeps a copy in Morton order, so that the Gaussians of a view are near each other in memory."""
 
     def __init__(self, scene: Scene, options: RenderOptions | None = None, level: str | None = None):
         self.options = options or RenderOptions()
@@ -20,7 +20,7 @@ class Preview:
         self._drawn: tuple[bytes, np.ndarray] | None = None
 
     def image(self, camera: Camera) -> np.ndarray:
-        """Colours (H, W, 3) float32, not clamped; read-only. The picture of a camera that has not moved is the last one."""
+        """Colours (H, W, 3) float32, not clamped, read-only. If the camera has not moved, it returns the last picture."""
         key = camera.key
         if self._drawn is None or self._drawn[0] != key:
             image = self._rasterizer.forward(self.scene, camera, self.options)["rgb"]

@@ -1,4 +1,4 @@
-"""`svrgs bench`: what is measured, in which order, and where it goes."""
+"""`svrgs bench`: runs the chosen measurements in order and collects their result."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .cases import chosen_cases, room_case
 from .interactive import measure_interactive
 from .knobs import measure_knobs
 from .measure import measure, peaks_of
-from .plots import drawings
+from .plots import charts
 from .scaling import measure_scaling
 from .skips import measure_skips
 from .stress import measure_stress, stress_charts
@@ -22,7 +22,8 @@ REPEAT, QUICK_REPEAT = 9, 3
 
 
 def bench(options: argparse.Namespace) -> dict:
-    """The result: machine, cases, and knobs, skips, scaling, interactive where asked for; plots go to options.plots."""
+    """The JSON result: machine, cases, and the chosen ones of knobs, skips, scaling, interactive. Charts go to options.plots. Raises
+    SplatError, NativeError."""
     if options.plots:
         check_writable(options.plots / "plot.svg")
     if options.stress:
@@ -47,12 +48,12 @@ def bench(options: argparse.Namespace) -> dict:
     if options.interactive:
         result["interactive"] = measure_interactive(tell)
     if options.plots:
-        result["plots"] = _write(options.plots, drawings(result))
+        result["plots"] = _write(options.plots, charts(result))
     return result
 
 
 def _stress(options: argparse.Namespace) -> dict:
-    """The result's one part where no time is measured."""
+    """The result of --stress, which measures no time."""
     native.set_threads(options.threads)
     result: dict = {"stress": measure_stress(tell)}
     if options.plots:
@@ -61,7 +62,7 @@ def _stress(options: argparse.Namespace) -> dict:
 
 
 def tell(sentence: str):
-    """What is being measured, for whoever waits; stdout is the result's."""
+    """Prints progress on stderr; stdout is for the result."""
     print(f"bench: {sentence}", file=sys.stderr, flush=True)
 
 
@@ -70,10 +71,10 @@ def _machine(cores: int, level: str, peaks: dict[int, dict]) -> dict:
     return {"cores": cores, "simd": level, "simd_levels": levels, "peaks": {str(threads): peak for threads, peak in peaks.items()}}
 
 
-def _write(folder: Path, charts: dict[str, str]) -> list[str]:
+def _write(folder: Path, documents: dict[str, str]) -> list[str]:
     paths = []
-    for name, drawing in charts.items():
+    for name, document in documents.items():
         paths.append(folder / f"{name}.svg")
         with atomic_write(paths[-1]) as file:
-            file.write(drawing.encode())
+            file.write(document.encode())
     return [str(path) for path in paths]

@@ -1,4 +1,4 @@
-"""Forward time as images and scenes grow."""
+"""Forward time over the size of the image and over the number of Gaussians."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from .scenes import orbit_camera, room
 from .timing import rounds, seconds, summary
 from .trial import drawn_masks
 
-COUNT, SIZE = 500_000, (640, 360)  # while the other one grows
+COUNT, SIZE = 500_000, (640, 360)  # number of Gaussians and image size while the other one is varied
 SIZES = ((320, 180), (640, 360), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160))
 COUNTS = (100_000, 250_000, 500_000, 1_000_000, 2_500_000, 5_000_000)
 
 
 def measure_scaling(repeat: int, tell: Callable[[str], None], sizes=SIZES, counts=COUNTS, count=COUNT) -> list[dict]:
-    """The result's `scaling`: over pixels at `count` Gaussians, and over Gaussians at SIZE."""
+    """The entry `scaling` of the result: over pixels with `count` Gaussians, and over Gaussians at image size SIZE."""
     entries = []
     for axis, case in _cases(sizes, counts, count):
         tell(f"scaling over {axis}: {case.scene.count:,} Gaussians, {case.camera.width} x {case.camera.height}")

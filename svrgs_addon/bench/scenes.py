@@ -1,4 +1,4 @@
-"""Generated scenes with the statistics of trained captures: a furnished room of flat splats, and views of it."""
+"""Generated scenes with statistics like those of trained scenes: a room with objects, made of flat Gaussians, and views of it."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from ..geometry.morton_order import morton_order
 from ..scene import SH_COEFFICIENTS, Scene
 
 ROOM = np.array([4.0, 2.5, 4.0])  # half sides, metres
-OBJECTS = 70
-WALL_SHARE, FAINT_SHARE = 0.4, 0.35
-SIGMA = 0.75  # of the log-scales
-COVER = 0.7  # median splat radius over the distance between neighbours on a surface
-FLATNESS = 0.15  # third axis over the other two
+OBJECTS = 70  # number of ellipsoids
+WALL_SHARE, FAINT_SHARE = 0.4, 0.35  # shares of the Gaussians
+SIGMA = 0.75  # standard deviation of the log-scales
+COVER = 0.7  # median radius of a Gaussian over the distance between neighbours on a surface
+FLATNESS = 0.15  # scale of the third axis over that of the other two
 FIELD_OF_VIEW = 50.0  # degrees, vertical
 
 
 def room(count: int, sh_degree: int = 3, seed: int = 7) -> Scene:
-    """`count` Gaussians on the walls of a room and on ellipsoids in it; a third faint, the others mostly opaque."""
+    """A scene of `count` Gaussians on the walls of a room and on ellipsoids in it. A third of them is faint, the others are mostly opaque."""
     rng = np.random.default_rng(seed)
     walls = int(count * WALL_SHARE)
     points, normals, area = (np.concatenate(parts) for parts in zip(_walls(rng, walls), _objects(rng, count - walls), strict=True))
@@ -35,21 +35,21 @@ def room(count: int, sh_degree: int = 3, seed: int = 7) -> Scene:
 
 
 def orbit_camera(width: int, height: int, turn: float = 0.0) -> Camera:
-    """A view from near one corner of the room to its middle; `turn` in degrees around the vertical axis."""
+    """A camera near one corner of the room that faces its middle. turn: degrees around the vertical axis; width, height in pixels."""
     angle = np.radians(40 + turn)
     eye = 0.95 * ROOM * (np.cos(angle), -0.5, np.sin(angle))
     return look_at(eye, np.array([0, 0.8, 0]), width, height)
 
 
 def facing_camera(scene: Scene, width: int, height: int) -> Camera:
-    """A view along +z to the median of the means, from twice the distance within which 80 % of them lie."""
+    """A camera that faces the median of the means along +z. Its distance is twice the radius that holds 80 % of the means."""
     middle = np.median(scene.means, axis=0).astype(np.float64)
     reach = np.percentile(np.linalg.norm(scene.means - middle, axis=1), 80)
     return look_at(middle - (0, 0, max(2 * reach, 1e-3)), middle, width, height)
 
 
 def look_at(eye: np.ndarray, target: np.ndarray, width: int, height: int) -> Camera:
-    """COLMAP frame, y down; principal point in the middle."""
+    """A camera at `eye` that faces `target`, in COLMAP's convention (y down), with the principal point in the middle."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross((0.0, 1.0, 0.0), forward)
     right /= np.linalg.norm(right)
@@ -61,7 +61,7 @@ def look_at(eye: np.ndarray, target: np.ndarray, width: int, height: int) -> Cam
 
 
 def _walls(rng: np.random.Generator, count: int):
-    """Points on the six walls, outward normals, surface per point."""
+    """Points on the six walls (count, 3), outward normals (count, 3), surface area per point (count,)."""
     areas = np.array([ROOM[1] * ROOM[2], ROOM[0] * ROOM[2], ROOM[0] * ROOM[1]]) * 8
     axis = rng.choice(3, count, p=areas / areas.sum())
     side = rng.choice([-1.0, 1.0], count)
@@ -73,7 +73,7 @@ def _walls(rng: np.random.Generator, count: int):
 
 
 def _objects(rng: np.random.Generator, count: int):
-    """Points on ellipsoids of 5 to 60 cm, outward normals, surface per point."""
+    """Points on ellipsoids of 5 to 60 cm (count, 3), outward normals (count, 3), surface area per point (count,)."""
     radii = np.exp(rng.uniform(np.log(0.1), np.log(0.6), (OBJECTS, 1))) * rng.uniform(0.5, 1.5, (OBJECTS, 3))
     centres = rng.uniform(-0.85, 0.85, (OBJECTS, 3)) * ROOM * (1, 0.9, 1)
     areas = 4 * np.pi * ((radii**1.6 * np.roll(radii, 1, 1) ** 1.6).mean(1)) ** (1 / 1.6)  # Thomsen's formula
@@ -86,7 +86,7 @@ def _objects(rng: np.random.Generator, count: int):
 
 
 def _facing(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Quaternions w x y z that turn the third axis to the normal, spun around it at random."""
+    """Quaternions (n, 4), w x y z, that rotate the third axis to the normal, with a random rotation around it."""
     half = np.stack([1 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(len(normals))], 1)
     half[half[:, 0] < 1e-6] = (0, 1, 0, 0)
     half /= np.linalg.norm(half, axis=1, keepdims=True)

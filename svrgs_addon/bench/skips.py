@@ -1,4 +1,4 @@
-"""What each kind of work left undone saves, and that it changes no picture."""
+"""The time that each kind of skipped work saves, and the change of the picture, which should be none."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .trial import WANTED, Trial
 
 
 def measure_skips(case: Case, repeat: int, tell: Callable[[str], None]) -> list[dict]:
-    """The result's `skips`."""
+    """The entry `skips` of the result."""
     trial = Trial(case)
     entries = []
     for skip in skips():
@@ -29,7 +29,7 @@ def measure_skips(case: Case, repeat: int, tell: Callable[[str], None]) -> list[
 
 
 def _entry(skip: str, stage: str, once: Callable[[], dict[str, float]], repeat: int, image_max: float | None, **more) -> dict:
-    """once() returns seconds with the skip as 'on' and without it as 'off'; more: further keys of the entry."""
+    """One entry. once(): measures the seconds with the skip ('on') and without it ('off'); more: further keys of the entry."""
     readings = rounds(once, repeat)
     on, off = readings["on"], readings["off"]
     times = {"on_ms": 1e3 * float(np.median(on)), "off_ms": 1e3 * float(np.median(off)), "gain": ratio(off, on)}
@@ -37,7 +37,7 @@ def _entry(skip: str, stage: str, once: Callable[[], dict[str, float]], repeat: 
 
 
 def _native(trial: Trial, skip: str, repeat: int) -> dict:
-    """A skip of the rasterizer: drawing colours with and without it, and what it does to the whole step and the counts."""
+    """A skip of the rasteriser: the time of colours with and without it, the gain of a whole step, and the work counts."""
     disabled = (skip,)
     change = np.abs(trial.forward()["rgb"] - trial.forward(disabled_skips=disabled)["rgb"]).max()
     steps = rounds(lambda: {"on": seconds(trial.step), "off": seconds(trial.step, disabled)}, repeat)
@@ -49,32 +49,32 @@ def _native(trial: Trial, skip: str, repeat: int) -> dict:
     return _entry(skip, "forward", colours, repeat, float(change), **more)
 
 
-def _there_and_back(trial: Trial, mask_kind: str, full: bool) -> float:
-    """Seconds of an image and its gradients to everything."""
+def _forward_backward(trial: Trial, mask_kind: str, full: bool) -> float:
+    """Seconds of a forward pass and of the backward pass to all parameters."""
     image_grads = trial.image_grads if mask_kind != "none" else {"rgb": trial.image_grads["rgb"]}
     return seconds(trial.forward, mask_kind, full) + seconds(trial.rasterizer.backward, image_grads, WANTED)
 
 
 def _mask(trial: Trial, repeat: int) -> dict:
-    """Colours alone, against F and its gradient beside them, both up to the stop."""
+    """Colours only, against colours and F with its gradient; both up to the stop."""
     once = {"on": ("none", False), "off": ("svr", False)}
-    return _entry("mask", "forward and backward", lambda: {name: _there_and_back(trial, *kind) for name, kind in once.items()}, repeat, None)
+    return _entry("mask", "forward and backward", lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()}, repeat, None)
 
 
 def _behind_the_stop(trial: Trial, repeat: int) -> dict:
-    """F that stops with the colours, against F to the end of each ray: another F, so that no picture is compared."""
+    """F up to the stop of the colours, against F to the end of each ray. The two F differ by definition, so no pictures are compared."""
     once = {"on": ("svr", False), "off": ("svr", True)}
-    return _entry("behind_the_stop", "forward and backward", lambda: {name: _there_and_back(trial, *kind) for name, kind in once.items()}, repeat, None)
+    return _entry("behind_the_stop", "forward and backward", lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()}, repeat, None)
 
 
 def _unused_gradients(trial: Trial, repeat: int) -> dict:
-    """Gradients of the masks alone, against those of every parameter."""
+    """Gradients of the masks only, against gradients of all parameters."""
     trial.forward()
     return _entry("unused_gradients", "backward", lambda: {"on": seconds(trial.backward, ("masks",)), "off": seconds(trial.backward, WANTED)}, repeat, None)
 
 
 def _sparse_adam(trial: Trial, repeat: int) -> dict:
-    """Adam on the Gaussians this view saw, against all of them. Moments of unseen ones differ: no picture is compared."""
+    """Adam on the visible Gaussians, against Adam on all. Moments of the others differ by definition, so no pictures are compared."""
     trial.forward()
     ids, grads = trial.rasterizer.visible(), trial.backward()
     dense = {name: np.zeros((trial.model.count, *grad.shape[1:]), grad.dtype) for name, grad in grads.items()}
@@ -84,7 +84,7 @@ def _sparse_adam(trial: Trial, repeat: int) -> dict:
 
 
 def _sh_bands(trial: Trial, repeat: int) -> dict:
-    """A scene of degree 0 kept in arrays of degree 3: bands that are zero left out, against evaluated."""
+    """A scene of SH degree 0 in arrays of degree 3: the higher bands, which are 0, are left out, against evaluated."""
     scene = trial.case.scene
     sh = np.zeros((scene.count, SH_COEFFICIENTS[3], 3), np.float32)
     sh[:, 0] = scene.sh[:, 0]

@@ -1,6 +1,6 @@
-"""`svrgs bench --stress`: worst image and gradient error of hostile scenes, and how far 1,000 fine-tuning steps drift.
+"""`svrgs bench --stress`: worst image and gradient errors of extreme scenes, and the drift of float32 over 1,000 fine-tuning steps.
 
-Everything is held against the float64 level. What must be zero: values that are not finite.
+All errors are those against the float64 level. No value may be non-finite.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ EXTENT = 5.0  # of the generated room, for the position rate
 
 
 def measure_stress(tell: Callable[[str], None], level: str | None = None, drift_steps: Sequence[int] = DRIFT_STEPS) -> list[dict]:
-    """One entry a row: name, title, quantity, its worst image_max, grad_rel_l2 and crossed, nonfinite in all, and `points`."""
+    """One entry per row: row (its name), title, quantity; the worst image_max, grad_rel_l2 and crossed; the sum of nonfinite; `points`."""
     entries = []
     for row in rows():
         entries.append(_entry(row.name, row.title, row.quantity, [_point(row, value, level) for value in row.values], row))
@@ -36,9 +36,9 @@ def measure_stress(tell: Callable[[str], None], level: str | None = None, drift_
 
 
 def _point(row: Row, value, level: str | None) -> dict:
-    looked = row.make(value)
+    made = row.make(value)
     with np.errstate(over="ignore", invalid="ignore"):
-        found = error(looked.case, level, masks=looked.masks, lambda_f=looked.lambda_f, full=True)
+        found = error(made.case, level, masks=made.masks, lambda_f=made.lambda_f, full=True)
     return {"value": value if row.numeric else _label(value), **{key: found[key] for key in ("image_max", "grad_rel_l2", "crossed", "nonfinite")}}
 
 
@@ -55,8 +55,10 @@ def _entry(name: str, title: str, quantity: str, points: list[dict], row: Row | 
 
 
 def measure_drift(steps: Sequence[int] = DRIFT_STEPS, count: int = 400, size: tuple[int, int] = (64, 48)) -> list[dict]:
-    """Two runs of the same steps, one in float32 and one in float64: image_max between their renders of the view they learn,
-    grad_rel_l2 the distance of all parameters over how far they have moved.
+    """Compares two runs of the same steps, one in float32 and one in float64.
+
+    image_max: largest difference between their renderings of the training view. grad_rel_l2: distance between their parameters over the
+    distance that the float64 run has moved.
     """
     case = room_case(count, 1, *size)
     runs = [_Tuned(case, level) for level in (best_level(), "float64")]
@@ -78,7 +80,7 @@ def measure_drift(steps: Sequence[int] = DRIFT_STEPS, count: int = 400, size: tu
 
 
 class _Tuned:
-    """A scene that learns one view of itself, its colours reversed, with masks drawn anew at each step."""
+    """A scene that learns a mirrored picture of itself in one view, with masks that are sampled in each step."""
 
     def __init__(self, case, level: str):
         self.engine, self.camera = NativeEngine(level), case.camera
@@ -98,17 +100,17 @@ class _Tuned:
         return self.engine.rasterizer.forward(self.model, self.camera)["rgb"]
 
     def parameters(self) -> np.ndarray:
-        """Every parameter, float64, one after the other."""
+        """All parameters as one flat float64 array."""
         return np.concatenate([value.astype(np.float64).ravel() for value in self.model.values.values()])
 
 
 def stress_charts(entries: list[dict]) -> dict[str, str]:
-    """{file name without its suffix: SVG document}: errors over the quantity of each row; gradient dots, image rings."""
+    """One chart per row: {file name without suffix: SVG document}. Gradient errors are dots, image errors are rings."""
     return {f"stress-{entry['row']}": _chart(entry) for entry in entries}
 
 
 def _chart(entry: dict) -> str:
-    """Values that are no numbers stand one beside the other."""
+    """The chart of one row. Values that are not numbers are placed side by side with labels."""
     numeric = not isinstance(entry["points"][0]["value"], str)
     places = [point["value"] if numeric else i for i, point in enumerate(entry["points"])]
     labels = ["" if numeric else point["value"] for point in entry["points"]]

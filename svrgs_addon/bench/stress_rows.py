@@ -1,6 +1,6 @@
-"""What could break the arithmetic, a row each: a quantity that is driven from harmless to absurd, and the case at each value.
+"""Scenes that could break the arithmetic. Each row varies one quantity from harmless to extreme values and makes a case for each value.
 
-Scenes are small and seen by cameras at the origin that look along +z, so that every pixel can be held against float64.
+The scenes are small, and the cameras are at the origin and face +z, so that every pixel can be compared with float64.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ SIDES = ((1, 1), (1, 17), (17, 1), (15, 15), (16, 16), (17, 17), (31, 33), (257,
 
 
 @dataclass(frozen=True)
-class Looked:
-    """A case and how it is looked at."""
+class StressCase:
+    """A case, its masks and the weight of the spatial mask."""
 
     case: Case
     masks: np.ndarray  # (N,) uint8
@@ -33,13 +33,14 @@ class Looked:
 
 @dataclass(frozen=True)
 class Row:
-    """make(value) for each of the values; logarithmic: how its chart's axis runs; else values may be anything, told by `label`."""
+    """One varied quantity. make(value): the case for a value. logarithmic: whether the axis of its chart is. numeric: whether the values are
+    numbers; if not, the chart places them side by side with labels."""
 
     name: str
     title: str
     quantity: str
     values: Sequence
-    make: Callable[[Any], Looked]
+    make: Callable[[Any], StressCase]
     logarithmic: bool = True
     numeric: bool = True
 
@@ -72,7 +73,7 @@ def _camera(width: int = WIDTH, height: int = HEIGHT) -> Camera:
 
 
 def _scene(count: int = GAUSSIANS, seed: int = 1, size: float = 0.2, sh: int = 4) -> Scene:
-    """Like a trained one, 2 to 6 units in front of the camera."""
+    """A scene like a trained one, 2 to 6 units in front of the camera."""
     rng = np.random.default_rng(seed)
     means = np.column_stack([rng.normal(0, 0.8, (count, 2)), rng.uniform(2, 6, count)])
     coefficients = rng.normal(0, 0.1, (count, sh, 3))
@@ -82,7 +83,7 @@ def _scene(count: int = GAUSSIANS, seed: int = 1, size: float = 0.2, sh: int = 4
 
 
 def _on_ray(count: int, logit: float, size: float = 0.2) -> Scene:
-    """Gaussians one behind the other: all a little aside of the axis, elongated and turned, so that no gradient is zero by symmetry."""
+    """Gaussians behind each other on one ray, slightly off the axis, elongated and rotated, so that no gradient is 0 by symmetry."""
     rng = np.random.default_rng(2)
     depth = np.linspace(1, 5, count) if count > 1 else np.full(count, 2.0)
     means = np.column_stack([rng.normal(0, 0.05 * size, (count, 2)) * depth[:, None], depth])
@@ -91,9 +92,9 @@ def _on_ray(count: int, logit: float, size: float = 0.2) -> Scene:
     return Scene.of(*arrays)
 
 
-def _looked(name: str, scene: Scene, camera: Camera | None = None, keep: float = 0.7, lambda_f: float = 1e-4) -> Looked:
+def _stress_case(name: str, scene: Scene, camera: Camera | None = None, keep: float = 0.7, lambda_f: float = 1e-4) -> StressCase:
     masks = (np.random.default_rng(3).random(scene.count) < keep).astype(np.uint8)
-    return Looked(Case(name, scene, camera or _camera()), masks, lambda_f)
+    return StressCase(Case(name, scene, camera or _camera()), masks, lambda_f)
 
 
 def _changed(scene: Scene, **arrays: np.ndarray) -> Scene:
@@ -101,100 +102,100 @@ def _changed(scene: Scene, **arrays: np.ndarray) -> Scene:
     return replace(scene, **changed)
 
 
-def _quaternions(length: float) -> Looked:
+def _quaternions(length: float) -> StressCase:
     scene = _scene()
-    return _looked("quaternions", _changed(scene, quats=scene.quats.astype(np.float64) * length))
+    return _stress_case("quaternions", _changed(scene, quats=scene.quats.astype(np.float64) * length))
 
 
-def _bad_values(value: float) -> Looked:
-    """Gaussian i has the value in slot i; the others are sound."""
+def _bad_values(value: float) -> StressCase:
+    """Gaussian i has the bad value in parameter i; all others have good values."""
     scene = _scene()
     flat = {name: getattr(scene, name).reshape(scene.count, -1).copy() for name in ("means", "log_scales", "quats", "opacity_logits", "sh")}
     slots = [(array, column) for array in flat.values() for column in range(array.shape[1])]
     for i, (array, column) in enumerate(slots):
         array[i, column] = value
-    return _looked("bad values", replace(scene, **{name: array.reshape(getattr(scene, name).shape) for name, array in flat.items()}))
+    return _stress_case("bad values", replace(scene, **{name: array.reshape(getattr(scene, name).shape) for name, array in flat.items()}))
 
 
-def _needles(ratio: float) -> Looked:
+def _needles(ratio: float) -> StressCase:
     scene = _scene()
     log_scales = scene.log_scales.astype(np.float64) + np.log([1, 1 / ratio, 1 / ratio])
-    return _looked("needles", _changed(scene, log_scales=log_scales))
+    return _stress_case("needles", _changed(scene, log_scales=log_scales))
 
 
-def _sizes(log_scale: float) -> Looked:
+def _sizes(log_scale: float) -> StressCase:
     scene = _scene()
     log_scales = scene.log_scales.copy()
     log_scales[::2] = log_scale
-    return _looked("sizes", _changed(scene, log_scales=log_scales))
+    return _stress_case("sizes", _changed(scene, log_scales=log_scales))
 
 
-def _antialiased(size: float) -> Looked:
-    return _looked("antialiased", replace(_scene(size=size), antialiased=True))
+def _antialiased(size: float) -> StressCase:
+    return _stress_case("antialiased", replace(_scene(size=size), antialiased=True))
 
 
-def _opacities(logit: float) -> Looked:
+def _opacities(logit: float) -> StressCase:
     scene = _scene()
-    return _looked("opacity", _changed(scene, opacity_logits=np.where(np.arange(scene.count) % 2, scene.opacity_logits, logit)))
+    return _stress_case("opacity", _changed(scene, opacity_logits=np.where(np.arange(scene.count) % 2, scene.opacity_logits, logit)))
 
 
-def _around_the_cut(margin: float) -> Looked:
-    """Alternately that much above and below."""
+def _around_the_cut(margin: float) -> StressCase:
+    """Opacities alternately above and below 1/255, by the relative margin."""
     scene = _scene()
     opacity = (1 + np.where(np.arange(scene.count) % 2, margin, -margin)) / 255
-    return _looked("alpha cut", _changed(scene, opacity_logits=np.log(opacity / (1 - opacity))))
+    return _stress_case("alpha cut", _changed(scene, opacity_logits=np.log(opacity / (1 - opacity))))
 
 
-def _clamped_masks(keep: float) -> Looked:
-    return _looked("clamped", _changed(_scene(size=0.5), opacity_logits=np.full(GAUSSIANS, 8.0)), keep=keep)
+def _clamped_masks(keep: float) -> StressCase:
+    return _stress_case("clamped", _changed(_scene(size=0.5), opacity_logits=np.full(GAUSSIANS, 8.0)), keep=keep)
 
 
-def _one_ray(count: int) -> Looked:
-    return _looked("one ray", _on_ray(count, 0.0), _camera(9, 9))
+def _one_ray(count: int) -> StressCase:
+    return _stress_case("one ray", _on_ray(count, 0.0), _camera(9, 9))
 
 
-def _faint_ray(count: int) -> Looked:
-    return _looked("faint ray", _on_ray(count, float(np.log(1.02 / (255 - 1.02))), size=2.0), _camera(5, 5))
+def _faint_ray(count: int) -> StressCase:
+    return _stress_case("faint ray", _on_ray(count, float(np.log(1.02 / (255 - 1.02))), size=2.0), _camera(5, 5))
 
 
-def _depths(depth: float) -> Looked:
-    """Every other centre at that depth, as large as it is far, or as the near plane is."""
+def _depths(depth: float) -> StressCase:
+    """Every other Gaussian has its centre at this depth, and a size in proportion to it, or to the near plane if that is farther."""
     scene = _scene()
     means, log_scales, moved = scene.means.copy(), scene.log_scales.copy(), np.arange(scene.count) % 2 == 0
     means[moved] *= (depth / means[moved, 2])[:, None]
     log_scales[moved] += np.log(max(abs(depth), 0.2) / 4)
-    return _looked("depth", _changed(scene, means=means, log_scales=log_scales))
+    return _stress_case("depth", _changed(scene, means=means, log_scales=log_scales))
 
 
-def _offset(distance: float) -> Looked:
-    """The centres as float32 holds them out there; the camera moves along."""
+def _offset(distance: float) -> StressCase:
+    """The scene and the camera are moved by the distance; centres have the precision that float32 has there."""
     scene, camera = _scene(), _camera()
     shift = distance * np.array([1, -0.5, 1])
     viewmat = camera.viewmat.copy()
     viewmat[:3, 3] -= viewmat[:3, :3] @ shift
-    return _looked("offset", _changed(scene, means=scene.means + shift), replace(camera, viewmat=viewmat))
+    return _stress_case("offset", _changed(scene, means=scene.means + shift), replace(camera, viewmat=viewmat))
 
 
-def _sides(sides: tuple[int, int]) -> Looked:
-    return _looked("sides", _scene(size=0.4), _camera(*sides))
+def _sides(sides: tuple[int, int]) -> StressCase:
+    return _stress_case("sides", _scene(size=0.4), _camera(*sides))
 
 
-def _screen_filling(count: int) -> Looked:
-    return _looked("screen-filling", _on_ray(count, float(np.log(0.02 / 0.98)), size=1e3), _camera(70, 50))
+def _screen_filling(count: int) -> StressCase:
+    return _stress_case("screen-filling", _on_ray(count, float(np.log(0.02 / 0.98)), size=1e3), _camera(70, 50))
 
 
-def _copies(copies: int) -> Looked:
+def _copies(copies: int) -> StressCase:
     scene = _scene()
     means = scene.means.copy()
     means[:, 2] = 3
-    return _looked("copies", _changed(scene, means=means).select(np.arange(scene.count).repeat(copies)))
+    return _stress_case("copies", _changed(scene, means=means).select(np.arange(scene.count).repeat(copies)))
 
 
-def _lambda(weight: float) -> Looked:
-    return _looked("lambda_f", _scene(size=0.4), lambda_f=weight)
+def _lambda(weight: float) -> StressCase:
+    return _stress_case("lambda_f", _scene(size=0.4), lambda_f=weight)
 
 
-def _field(degrees: float) -> Looked:
+def _field(degrees: float) -> StressCase:
     camera = _camera()
     focal = WIDTH / (2 * np.tan(np.radians(degrees) / 2))
-    return _looked("field of view", _scene(), replace(camera, K=np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1.0]])))
+    return _stress_case("field of view", _scene(), replace(camera, K=np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1.0]])))

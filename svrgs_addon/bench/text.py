@@ -1,4 +1,4 @@
-"""The result as people read it in a terminal."""
+"""The result of `svrgs bench` as text for a terminal."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ MEGA, KILO = 1e6, 1e3
 
 
 def as_text(result: dict) -> str:
+    """The whole result as tables."""
     if "stress" in result:
         return _stress(result["stress"])
     parts = [_machine(result["machine"]), *(_case(case) for case in result["cases"])]
@@ -16,7 +17,7 @@ def as_text(result: dict) -> str:
 
 
 def table(rows: list[tuple[str, ...]], left: int = 1) -> str:
-    """Columns as wide as they need to be, the first `left` aligned to the left, the others to the right."""
+    """Rows as aligned columns: the first `left` columns to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     aligned = ([cell.ljust(w) if i < left else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))] for row in rows)
     return "\n".join("  " + "  ".join(row).rstrip() for row in aligned)
@@ -33,7 +34,7 @@ def _stress(entries: list[dict]) -> str:
     rows: list[tuple[str, ...]] = [("stress", "image", "gradient", "crossed", "not finite")]
     for entry in entries:
         rows.append((entry["title"], f"{entry['image_max']:.1e}", f"{entry['grad_rel_l2']:.1e}", f"{entry['crossed']:.2%}", str(entry["nonfinite"])))
-    return f"worst errors against float64:\n{table(rows)}"
+    return f"Worst errors against float64:\n{table(rows)}"
 
 
 def _machine(machine: dict) -> str:
@@ -82,7 +83,7 @@ def _skips(skips: list[dict]) -> str:
         step = f"{s['step_gain']:.2f}" if "step_gain" in s else "-"
         change = f"{s['image_max']:.1e}" if s["image_max"] is not None else "-"
         rows.append((s["skip"], s["stage"], f"{s['on_ms']:.2f}", f"{s['off_ms']:.2f}", f"{s['gain']:.2f}", step, change))
-    return "Work skipped:\n" + table(rows, 2)
+    return "Skipped work:\n" + table(rows, 2)
 
 
 def _scaling(scaling: list[dict]) -> str:
@@ -95,6 +96,6 @@ def _scaling(scaling: list[dict]) -> str:
 
 def _interactive(i: dict) -> str:
     return (
-        f"Orbiting around {i['count']:,} Gaussians at {i['width']} x {i['height']}, {i['threads']} threads: {i['frames_per_second']:.1f} pictures a second "
+        f"Orbiting around {i['count']:,} Gaussians at {i['width']} x {i['height']}, {i['threads']} threads: {i['frames_per_second']:.1f} frames per second "
         f"({i['frame_ms']:.1f} ms, slowest {i['slowest_ms']:.1f}; at rest {i['rest_ms']:.2f})"
     )

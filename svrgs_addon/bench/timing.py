@@ -1,4 +1,4 @@
-"""Clock readings and what is said of them."""
+"""Clock readings and their statistics."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-WARMUPS = 2
+WARMUPS = 2  # rounds that are run first and not counted
 
 
 def seconds(call: Callable, *arguments, **named) -> float:
-    """How long one call takes."""
+    """The seconds of one call."""
     start = time.perf_counter()
     call(*arguments, **named)
     return time.perf_counter() - start
 
 
 def rounds(once: Callable[[], dict[str, float]], repeat: int) -> dict[str, list[float]]:
-    """`repeat` readings of every name that once() returns, after a few rounds that do not count."""
+    """`repeat` readings of every name that once() returns, after WARMUPS rounds that are not counted."""
     readings: dict[str, list[float]] = {}
     for number in range(-WARMUPS, repeat):
         reading = once()
@@ -29,11 +29,11 @@ def rounds(once: Callable[[], dict[str, float]], repeat: int) -> dict[str, list[
 
 
 def summary(readings: list[float]) -> dict[str, float]:
-    """Median and half the distance between the 10th and 90th percentile, seconds in, milliseconds out."""
+    """The median, and half the distance between the 10th and the 90th percentile. Readings are seconds, the result is milliseconds."""
     low, high = np.percentile(readings, (10, 90))
     return {"ms": 1e3 * float(np.median(readings)), "spread_ms": 1e3 * float(high - low) / 2}
 
 
 def ratio(above: list[float], below: list[float]) -> float:
-    """Median of above / below, read in the same rounds: what slows the machine for a while cancels."""
+    """The median of above / below. Both were read in the same rounds, so a temporary slowdown of the machine cancels."""
     return float(np.median(np.divide(above, below)))

@@ -1,4 +1,4 @@
-"""One case at one SIMD level, ready to run again and again: every call does the same work."""
+"""One case at one SIMD level, to be run repeatedly. Every call does the same work."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from ..finetune.model import MASK, PARAMETERS, Model
 from ..native import RenderOptions, sample_masks
 from .cases import Case
 
-MASK_LOGIT = 2.2  # nine Gaussians of ten exist, so that mixed masks are part of what is measured
+MASK_LOGIT = 2.2  # existence logit: 9 of 10 Gaussians exist, so that mixed masks are measured
 LAMBDA_F = 1e-4
-SHIFT = 3  # pixels between the image and the one the loss compares it with
-RATE = 1e-13  # of Adam: the scene stays where it is
+SHIFT = 3  # pixels by which the target of the loss is shifted
+RATE = 1e-13  # learning rate: so small that the scene does not change
 WANTED = (*PARAMETERS, "masks")
 
 
 def drawn_masks(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(masks, slopes), (N,) each: always the same draw."""
+    """(masks, slopes), (N,) each; always the same sample."""
     return sample_masks(np.full(count, MASK_LOGIT, np.float32), 0, 1)
 
 
 def target_of(image: np.ndarray) -> np.ndarray:
-    """What the loss compares an image (H, W, 3) with: the same, shifted sideways."""
+    """The target of the loss for an image (H, W, 3): the image itself, shifted sideways."""
     return np.roll(image, SHIFT, axis=1)
 
 
 class Trial:
-    """The stages of a fine-tuning step of one case, each as one call."""
+    """A case at one level, with one method per stage of a fine-tuning step."""
 
     def __init__(self, case: Case, level: str | None = None):
         self.case = case
@@ -46,7 +46,7 @@ class Trial:
         return RenderOptions(sh_degree=sh_degree, antialiased=antialiased, full=full, mask_kind=mask_kind, disabled_skips=disabled_skips)
 
     def forward(self, mask_kind: str = "svr", full: bool = True, disabled_skips=(), sh_degree: int = 3) -> dict[str, np.ndarray]:
-        """Colours, and F unless mask_kind is 'none'."""
+        """Renders colours, and F unless mask_kind is 'none'."""
         outputs = ("rgb",) if mask_kind == "none" else ("rgb", "mask")
         options = self.options(mask_kind, full and mask_kind != "none", disabled_skips, sh_degree)
         return self.rasterizer.forward(self.model, self.case.camera, options, self.masks, outputs)
@@ -55,11 +55,11 @@ class Trial:
         return self.rasterizer.loss(self.images["rgb"], self.target)[2]
 
     def backward(self, wanted=WANTED) -> dict[str, np.ndarray]:
-        """Gradients of the last forward, a row per visible Gaussian."""
+        """Gradients of the last forward pass, one row per visible Gaussian."""
         return self.rasterizer.backward(self.image_grads, wanted)
 
     def adam(self, grads: dict[str, np.ndarray], ids: np.ndarray | None) -> float:
-        """Moves every parameter and mask logit of rows `ids` (None: all) by next to nothing. Returns the seconds this took inside the library."""
+        """An Adam step on all parameters and existence logits of rows `ids` (None: all). Returns the seconds spent in the library."""
         self.steps += 1
         total = 0.0
         for name in (*PARAMETERS, MASK):
@@ -69,7 +69,7 @@ class Trial:
         return total
 
     def step(self, disabled_skips=()):
-        """A whole fine-tuning step: forward, loss, backward, Adam."""
+        """A whole fine-tuning step: forward, loss, backward and Adam."""
         self.steps += 1
         rates = dict.fromkeys((*PARAMETERS, "sh_rest", MASK), RATE)
         options = self.options(disabled_skips=disabled_skips)

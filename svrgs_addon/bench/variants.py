@@ -1,4 +1,4 @@
-"""Builds of the native library with other constants, for measuring only."""
+"""Builds of the native library with other constants. They are used only to measure."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ..errors import NativeError
 SOURCES = Path(__file__).parents[2] / "native"
 
 
-def why_not() -> str:
-    """What is missing for building variants; '' where nothing is."""
+def missing_tools() -> str:
+    """A sentence on what is missing to build variants; '' if nothing is missing."""
     if not (SOURCES / "Makefile").is_file():
         return f"the native sources are not at {SOURCES}"
     missing = [tool for tool in ("make", os.environ.get("CXX", "g++")) if not shutil.which(tool)]
@@ -21,7 +21,8 @@ def why_not() -> str:
 
 
 def build(macro: str, folder: Path) -> Path:
-    """The library built with -D`macro`, in a new folder named after it. Raises NativeError with the compiler's last line."""
+    """Builds the library with -D`macro` in a new folder named after the macro. Returns its path. Raises NativeError with the last line of the
+    compiler."""
     place = folder / macro.replace("=", "-")
     library = place / "libsvrgs.so"
     place.mkdir()

@@ -1,1 +1,1 @@
-"""The command line: its words, what each command does, progress, lists of scenes."""
+"""The command line: its parser, its commands, lists of scenes, and `svrgs render`."""

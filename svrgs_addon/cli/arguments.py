@@ -1,8 +1,13 @@
-"""The command line's words. Options of datasets, training and pruning come from jobs/options.py; nothing heavy is imported here."""
+"""The parser of the command line. Options of datasets, training and pruning come from jobs/options.py.
+
+Nothing heavy is imported here, so that every command starts at once. The list of methods is imported when a help text shows it.
+"""
 
 from __future__ import annotations
 
 import argparse
+import shutil
+import textwrap
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -12,19 +17,41 @@ from .. import __version__
 from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions
 from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_of
 
-LEARNED = "svr, svr-self, svr-even, svr-a, svr-b, saliency, maskgs (also -alpha, -beta, -gamma), compact3dgs, gns"
-RANKED = "lightgaussian, pup, contribution, max-contribution, opacity"
-METHOD_HELP = f"pressure; learned: {LEARNED}; by a score, once: {RANKED}; none: 3dgs"
+NAME_WIDTH = 22  # characters of the first column of the list of methods
 CHOICES = {"engine": ENGINES}
 
 
 class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one sentence on stderr, and whose help lists the methods if it has the option --method."""
+
     def error(self, message: str):
         self.exit(2, f"{self.prog}: {message}\n")
 
+    def format_help(self) -> str:
+        if any(action.dest == "method" for action in self._actions):
+            self.formatter_class = argparse.RawDescriptionHelpFormatter  # keeps the lines of the list
+            self.epilog = method_list(shutil.get_terminal_size().columns - 2)
+        return super().format_help()
+
+    def _print_message(self, message: str, file: Any = None):
+        encoding = getattr(file, "encoding", None) or "utf-8"  # of a pipe, it may lack letters such as λ
+        super()._print_message(message.encode(encoding, "replace").decode(encoding), file)
+
+
+def method_list(width: int) -> str:
+    """All methods of the registry with their help texts, in lines of at most `width` characters."""
+    from ..finetune.methods import METHODS
+
+    indent = " " * NAME_WIDTH
+    wrapped = (
+        textwrap.wrap(f"  {name:{NAME_WIDTH - 2}}{method.help}", max(width, 2 * NAME_WIDTH), subsequent_indent=indent) for name, method in METHODS.items()
+    )
+    return "methods:\n" + "\n".join(line for lines in wrapped for line in lines)
+
 
 def parser() -> argparse.ArgumentParser:
-    root = Parser(prog="svrgs", description="Makes 3D Gaussian splat scenes several times smaller, and says what it cost.")
+    """The parser of `svrgs` with all its commands."""
+    root = Parser(prog="svrgs", description="Makes 3D Gaussian splat scenes several times smaller, and measures the loss of quality.")
     root.add_argument("--version", action="version", version=__version__)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for add in (_info, _render, _train, _prune, _eval, _compare, _bench):
@@ -33,14 +60,14 @@ def parser() -> argparse.ArgumentParser:
 
 
 def options_from(cls: type, words: argparse.Namespace, **more: Any) -> Any:
-    """An object of a dataclass of options from parsed words; more: further fields."""
+    """An object of a dataclass of options, from the parsed command line. more: values of further fields."""
     names = {field.name for field in fields(cls)} & set(vars(words))
     return cls(**({name: getattr(words, name) for name in names} | more))
 
 
 def _command(commands, name: str, help_: str) -> argparse.ArgumentParser:
     command = commands.add_parser(name, help=help_, description=help_)
-    command.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else there")
+    command.add_argument("--json", action="store_true", help="print the result as one JSON object on stdout, and nothing else there")
     return command
 
 
@@ -49,10 +76,11 @@ def _threads(command: argparse.ArgumentParser):
 
 
 def _options(command: argparse.ArgumentParser, cls: type, **required: bool):
-    """Adds every option of the dataclass; required: whether an option must be given, against what its field says."""
-    size = command.add_mutually_exclusive_group()
-    for name, option in options_of(cls).items():
-        _add(size if option.size else command, name, option, default_of(cls, name), required.get(name, option.required))
+    """Adds every option of the dataclass to the command. required: whether an option must be given, if its field says otherwise."""
+    options = options_of(cls)
+    size = command.add_mutually_exclusive_group() if any(option.size for option in options.values()) else None  # Python 3.11: never an empty group
+    for name, option in options.items():
+        _add(size if size is not None and option.size else command, name, option, default_of(cls, name), required.get(name, option.required))
 
 
 def _add(command, name: str, option: Option, default: Any, required: bool = False):
@@ -60,18 +88,17 @@ def _add(command, name: str, option: Option, default: Any, required: bool = Fals
     if option.kind.type is bool:
         command.add_argument(flag, action="store_true", help=option.help)
         return
-    help_ = METHOD_HELP if name == "method" else option.help
     shown = option.default_help or ("" if default is None or required else f"{default:g}" if isinstance(default, float) else str(default))
     words: dict[str, Any] = {"type": _reader(option.kind), "default": default, "required": required}
     if choices := CHOICES.get(name) or option.kind.choices:
         words["choices"] = choices
     elif option.metavar:
         words["metavar"] = option.metavar
-    command.add_argument(flag, help=help_ + (f" (default: {shown})" if shown else ""), **words)
+    command.add_argument(flag, help=option.help + (f" (default: {shown})" if shown else ""), **words)
 
 
 def _reader(kind: Kind) -> Callable[[str], Any]:
-    """The kind's reader with argparse's own error."""
+    """The reader of the kind, with the error type of argparse."""
 
     def read(word: str) -> Any:
         try:
@@ -83,68 +110,71 @@ def _reader(kind: Kind) -> Callable[[str], Any]:
 
 
 def _info(commands):
-    command = _command(commands, "info", "Says what is in a splat file.")
+    command = _command(commands, "info", "Describes a splat file: format, number of Gaussians, degree of the spherical harmonics.")
     _threads(command)
-    command.add_argument("scene", type=Path)
+    command.add_argument("scene", type=Path, help="splat file")
 
 
 def _render(commands):
     command = _command(commands, "render", "Renders a scene from its cameras: colours, spatial mask, depth, alpha.")
     _threads(command)
-    command.add_argument("scene", type=Path)
+    command.add_argument("scene", type=Path, help="splat file")
     cameras = command.add_mutually_exclusive_group(required=True)
     cameras.add_argument("--colmap", type=Path, metavar="DIR", help="COLMAP dataset or model; photographs are not needed")
     cameras.add_argument(
-        "--cameras", type=Path, metavar="JSON", help='cameras.json of a 3DGS run; with "orthographic": true in a view, fx and fy are pixels per unit'
+        "--cameras", type=Path, metavar="JSON", help='cameras.json of a 3DGS run; in a view with "orthographic": true, fx and fy are pixels per unit of length'
     )
-    command.add_argument("--views", default="all", help="all, train, test, or image names and positions, comma-separated (default: all)")
-    command.add_argument("--outputs", default="rgb", help="any of rgb,mask,depth,alpha (default: rgb)")
-    command.add_argument("--format", choices=("png", "exr", "npy"), default="png")
-    command.add_argument("--background", type=_reader(COLOUR), default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each (default: black)")
-    command.add_argument("--out", type=Path, required=True, metavar="DIR")
+    command.add_argument("--views", default="all", help="all, train, test, or names and numbers of views with commas between (default: all)")
+    command.add_argument("--outputs", default="rgb", help="one or more of rgb,mask,depth,alpha (default: rgb)")
+    command.add_argument("--format", choices=("png", "exr", "npy"), default="png", help="file format; exr and npy hold exact values (default: png)")
+    command.add_argument("--background", type=_reader(COLOUR), default=(0.0, 0.0, 0.0), metavar="R,G,B", help="background colour, 0..1 each (default: black)")
+    command.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the images to")
 
 
 def _train(commands):
-    _options(_command(commands, "train", "Trains a scene from photographs and COLMAP's sparse points."), TrainOptions)
+    _options(_command(commands, "train", "Trains a scene from photographs and the sparse points of COLMAP."), TrainOptions)
 
 
 def _prune(commands):
     command = _command(commands, "prune", "Prunes trained scenes and recovers their quality.")
-    command.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="splat files, folders of a splat and its COLMAP dataset, or folders of such")
+    command.add_argument(
+        "scenes", type=Path, nargs="+", metavar="SCENE",
+        help="splat file, or folder that holds a splat and its COLMAP dataset, or folder that holds such folders",
+    )  # fmt: skip
     _options(command, PruneOptions, colmap=False)
-    command.add_argument("--out", type=Path, metavar="FILE|DIR", help="a file for one scene, a folder for several (default: beside each scene)")
-    command.add_argument("--report", type=Path, metavar="DIR", help="write an HTML page there (one folder a scene if there are several)")
-    command.add_argument("--overwrite", action="store_true", help="with several scenes: also those whose output exists")
-    command.add_argument("--batch", action="store_true", help="treat a single scene like several: a JSON line each, finished ones skipped")
+    command.add_argument("--out", type=Path, metavar="FILE|DIR", help="file for one scene, folder for several (default: SCENE_pruned.ply next to each scene)")
+    command.add_argument("--report", type=Path, metavar="DIR", help="folder to write an HTML report to; with several scenes, one folder per scene in it")
+    command.add_argument("--overwrite", action="store_true", help="with several scenes: prune those again whose output exists")
+    command.add_argument("--batch", action="store_true", help="treat one scene like several: print one JSON line per scene and skip those whose output exists")
 
 
 def _eval(commands):
-    command = _command(commands, "eval", "Measures a scene against photographs.")
-    command.add_argument("scene", type=Path)
+    command = _command(commands, "eval", "Measures the quality of a scene on photographs: PSNR, SSIM, LPIPS, FLIP.")
+    command.add_argument("scene", type=Path, help="splat file")
     _options(command, DatasetOptions)
-    command.add_argument("--split", choices=("test", "train", "all"), default="test")
+    command.add_argument("--split", choices=("test", "train", "all"), default="test", help="views to measure on (default: test)")
 
 
 def _compare(commands):
-    command = _command(commands, "compare", "Two scenes side by side: pictures, differences, spatial masks, figures.")
-    command.add_argument("a", type=Path, metavar="A")
-    command.add_argument("b", type=Path, metavar="B")
+    command = _command(commands, "compare", "Compares two scenes: pictures, differences, spatial masks and figures of quality.")
+    command.add_argument("a", type=Path, metavar="A", help="first splat file")
+    command.add_argument("b", type=Path, metavar="B", help="second splat file")
     _options(command, DatasetOptions)
-    command.add_argument("--out", type=Path, required=True, metavar="DIR")
+    command.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the pictures and the HTML page to")
 
 
 def _bench(commands):
-    command = _command(commands, "bench", "Measures run time against error, on generated scenes or a given one.")
+    command = _command(commands, "bench", "Measures run time and numerical error, on generated scenes or a given one.")
     _threads(command)
-    command.add_argument("--scene", type=Path, metavar="FILE", help="a splat file instead of the generated scenes")
+    command.add_argument("--scene", type=Path, metavar="FILE", help="splat file to measure instead of the generated scenes")
     cameras = command.add_mutually_exclusive_group()
-    cameras.add_argument("--colmap", type=Path, metavar="DIR", help="look at the scene from this model's first view")
-    cameras.add_argument("--cameras", type=Path, metavar="JSON", help="look at it from the first camera of a 3DGS cameras.json")
-    command.add_argument("--repeat", type=_reader(POSITIVE), metavar="N", help="times each stage is run (default: 9)")
-    command.add_argument("--quick", action="store_true", help="the smallest cases only, 3 times each")
-    command.add_argument("--knobs", action="store_true", help="also run time against error for every constant that trades one for the other; needs a compiler")
-    command.add_argument("--skips", action="store_true", help="also what each kind of skipped work saves")
-    command.add_argument("--scaling", action="store_true", help="also forward time against pixels and Gaussians, up to 4K and 5 million")
-    command.add_argument("--interactive", action="store_true", help="also pictures a second of a million Gaussians under an orbiting camera")
-    command.add_argument("--stress", action="store_true", help="instead: errors of hostile scenes, and the drift of 1,000 steps, against float64")
-    command.add_argument("--plots", type=Path, metavar="DIR", help="measure knobs and skips (unless --stress), and draw the charts there")
+    cameras.add_argument("--colmap", type=Path, metavar="DIR", help="with --scene: use the first view of this COLMAP model")
+    cameras.add_argument("--cameras", type=Path, metavar="JSON", help="with --scene: use the first camera of this 3DGS cameras.json")
+    command.add_argument("--repeat", type=_reader(POSITIVE), metavar="N", help="number of times that each stage is measured (default: 9)")
+    command.add_argument("--quick", action="store_true", help="measure the smallest cases only, 3 times each")
+    command.add_argument("--knobs", action="store_true", help="also measure other values of the constants that trade time for error; needs a C++ compiler")
+    command.add_argument("--skips", action="store_true", help="also measure how much time each kind of skipped work saves")
+    command.add_argument("--scaling", action="store_true", help="also measure forward time over image size, up to 4K, and over Gaussians, up to 5 million")
+    command.add_argument("--interactive", action="store_true", help="also measure frames per second of a million Gaussians under an orbiting camera")
+    command.add_argument("--stress", action="store_true", help="instead: measure errors of extreme scenes, and the drift over 1,000 steps, against float64")
+    command.add_argument("--plots", type=Path, metavar="DIR", help="folder to write charts to; measures knobs and skips (unless --stress is given)")

@@ -1,4 +1,4 @@
-"""From what the user names to a list of scenes: splat files, scene folders, folders of scene folders."""
+"""The list of scenes of `svrgs prune`, from splat files, scene folders, and folders that hold scene folders."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from ..errors import SceneError
 from ..files import registry
 
-PRUNED = "_pruned"
+PRUNED = "_pruned"  # end of the default name of an output, before its suffix
 
 
 @dataclass(frozen=True)
@@ -17,26 +17,27 @@ class Item:
 
     name: str
     scene: Path
-    colmap: Path | None  # its dataset; None: not found
+    colmap: Path | None  # folder of its dataset; None: not found
     out: Path
 
 
 def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Path | None = None) -> list[Item]:
-    """Every scene under `paths`, in order.
+    """All scenes under `paths`, in order.
 
-    A folder with a splat is one scene, its dataset the folder itself; a folder without is searched one level down.
-    colmap: the dataset of every scene, instead. out: a folder, or for a single scene a file; default: beside each.
-    report: the folder of the reports, which have the scenes' names too.
-    Raises SceneError if a path does not exist, or is a folder without a scene.
+    A folder with a splat is one scene, and the folder is its dataset. In a folder without a splat, each folder is tried as a scene.
+    colmap: a dataset for all scenes instead. out: a folder, or a file for a single scene; None: the folder of each scene. report: the
+    folder of the reports, which are named after the scenes.
+    Raises SceneError if a path does not exist, if a folder has no scene, if two scenes would have the same output or report, and if `out`
+    is a file for several scenes.
     """
     found = [pair for path in paths for pair in _scenes(path, out)]
     names = [name for name, _ in found]
     if len(set(names)) < len(names) and (out or report):
-        raise SceneError(f"two scenes are called '{next(n for n in names if names.count(n) > 1)}': prune them into separate folders")
+        raise SceneError(f"two scenes have the name '{next(n for n in names if names.count(n) > 1)}': prune them into separate folders")
     alone = len(found) == 1 and not paths[0].is_dir()
     to_file = out is not None and not out.is_dir() and (out.name.lower().endswith(registry.suffixes(written=True)) or (alone and out.suffix != ""))
     if to_file and len(found) > 1:
-        raise SceneError(f"{out}: is the name of a file, but there are {len(found)} scenes; give a folder")
+        raise SceneError(f"{out}: is the name of a file, but there are {len(found)} scenes; give a folder instead")
     return [Item(name, scene, colmap or _dataset(scene), out if out and to_file else _output(name, scene, out)) for name, scene in found]
 
 
@@ -47,7 +48,7 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
         return [(path.stem, path)]
     outputs = out and out.resolve()
     if path.resolve() == outputs:
-        raise SceneError(f"{path}: is to hold scenes and outputs alike; choose another folder for the outputs")
+        raise SceneError(f"{path}: is the folder of both scenes and outputs; choose another folder for the outputs")
     own = _splat_in(path)
     if own:
         return [(path.name, own)]
@@ -58,25 +59,26 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
 
 
 def _splat_in(folder: Path) -> Path | None:
-    """The folder's splat: the last of a 3DGS run's point_cloud folder, or else its only splat file that is no output of ours.
+    """The splat of a folder: the last iteration in the point_cloud folder of a 3DGS run, or else the only splat file, outputs of
+    `svrgs prune` left out. None if there is no splat.
 
-    The folder itself where there are several: reading it fails with a sentence, and the other scenes go on.
+    If there are several, the folder itself is returned: reading it fails with a sentence, and the other scenes are pruned.
     """
     trained = {p: p.parent.name.removeprefix("iteration_") for p in _splats(folder, "point_cloud/iteration_*/point_cloud")}
     numbered = [p for p, number in trained.items() if number.isdecimal()]
-    if numbered:  # beside it such a run keeps its sparse points, input.ply
+    if numbered:  # the folder of a 3DGS run also holds input.ply, which has only sparse points
         return max(numbered, key=lambda p: int(trained[p]))
     files = [p for p in sorted(_splats(folder, "*")) if not p.stem.endswith(PRUNED) and not p.name.startswith(".")]
     return folder if len(files) > 1 else files[0] if files else None
 
 
 def _splats(folder: Path, pattern: str) -> list[Path]:
-    """The splat files of every format whose name without its suffix fits the pattern."""
+    """The splat files of all formats whose names without suffix match the pattern."""
     return [path for suffix in registry.suffixes() for path in folder.glob(pattern + suffix)]
 
 
 def _dataset(scene: Path) -> Path | None:
-    """The nearest folder above the splat that looks like a COLMAP dataset."""
+    """The nearest of the three folders above the splat that holds a COLMAP model; None if none does."""
     for folder in list(scene.absolute().parents)[:3]:
         if (folder / "sparse").is_dir() or any((folder / f"cameras{suffix}").exists() for suffix in (".bin", ".txt")):
             return folder

@@ -1,4 +1,7 @@
-"""What each command does: words in, files and a result out. A command imports what it alone needs, so that info starts at once."""
+"""The commands: each takes the parsed arguments, writes files, prints a result and returns the exit status.
+
+A command imports its modules itself, so that `svrgs info` starts at once.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +50,7 @@ def prune(words: Words) -> int:
     from . import batch_list
 
     options = options_from(PruneOptions, words, out=None, report=None)
-    method_of(options)  # a method that does not exist is an error of the command, not of each scene
+    method_of(options)  # raises for an unknown method once, not for each scene
     items = batch_list.expand(words.scenes, words.colmap, words.out, words.report)
     if len(items) == 1 and not words.batch:
         result = prune_scene(_of_item(options, items[0], words.report))
@@ -67,7 +70,7 @@ def prune(words: Words) -> int:
 
 
 def _of_item(options: PruneOptions, item: Item, report: Path | None) -> PruneOptions:
-    """The options of one scene's job."""
+    """The options of the job of one scene."""
     return replace(options, scene=item.scene, colmap=item.colmap, out=item.out, report=report)
 
 
@@ -117,7 +120,7 @@ def _set_threads(words: Words):
 
 
 def _figures(result: dict, lpips_missing: str = "") -> str:
-    """The figures of a result as people read them."""
+    """The figures of a result as text."""
     parts = [f"{result['count']:,} Gaussians", f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
     if result.get("lpips") is not None:
         parts.append(f"LPIPS {result['lpips']:.4f}")

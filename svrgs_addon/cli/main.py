@@ -1,6 +1,6 @@
-"""`svrgs` and `python -m svrgs_addon`: parse, run, one sentence on stderr where it fails.
+"""The entry point of `svrgs` and `python -m svrgs_addon`: it parses the arguments and runs the command.
 
-exit_status.py lists the exit codes.
+An error is one sentence on stderr. exit_status.py lists the exit codes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from .arguments import parser
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs one command; returns the exit status."""
+    """Runs one command and returns the exit status. arguments: None takes those of the process."""
     logging.basicConfig(format="svrgs: %(message)s", level=logging.WARNING)
     options = parser().parse_args(arguments)
 

@@ -1,4 +1,4 @@
-"""`svrgs render`: one file a view and output, VIEW.OUTPUT.EXT."""
+"""`svrgs render`: one file per view and output, VIEW.OUTPUT.EXT."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NAMES = ("rgb", "mask", "depth", "alpha")
 
 
 def render_views(options: argparse.Namespace) -> list[Path]:
-    """Renders options.outputs of options.views; returns the files written. All masks are 1, F walks each ray to its end."""
+    """Renders options.outputs of options.views and returns the files. All masks are 1, and F counts every hit of a ray. Raises SplatError."""
     outputs = _outputs(options.outputs)
     check_writable(options.out / "view.png")
     scene = load_scene(options.scene).scene
@@ -55,13 +55,14 @@ def _cameras(options: argparse.Namespace) -> list[Camera]:
 
 
 def choose(cameras: list[Camera], views: str) -> list[Camera]:
-    """Cameras by 'all', 'test' (every 8th), 'train', or a comma-separated list of image names, stems, or positions."""
+    """The cameras that `views` names: 'all', 'test' (every 8th), 'train', or a list of image names, with or without suffix, and numbers
+    from 0, with commas between. Raises SceneError if there is no such view."""
     if not cameras:
         raise SceneError("there are no cameras to render from")
     if views in ("all", "test", "train"):
         chosen = [c for i, c in enumerate(cameras) if views == "all" or (i % HOLDOUT == 0) == (views == "test")]
         if not chosen:
-            raise SceneError(f"there are no {views} views among the {len(cameras)}")
+            raise SceneError(f"there are no {views} views among the {len(cameras)} views")
         return chosen
     by_name = {key: camera for camera in cameras for key in (view_stem(camera.name), camera.name)}
     chosen = []
@@ -71,12 +72,12 @@ def choose(cameras: list[Camera], views: str) -> list[Camera]:
         elif part.isdecimal() and int(part) < len(cameras):
             chosen.append(cameras[int(part)])
         else:
-            raise SceneError(f"there is no view '{part}'; views are called like '{cameras[0].name}' or numbered 0 to {len(cameras) - 1}")
+            raise SceneError(f"there is no view '{part}'; views have names such as '{cameras[0].name}' and numbers 0 to {len(cameras) - 1}")
     return chosen
 
 
 def refuse_same_names(cameras: list[Camera]):
-    """Raises SceneError where one view's files would replace another's."""
+    """Raises SceneError if the files of one view would replace those of another."""
     by_stem: dict[str, Camera] = {}
     for camera in cameras:
         other = by_stem.setdefault(view_stem(camera.name), camera)
@@ -95,7 +96,7 @@ def _save(folder: Path, camera: Camera, output: str, image: np.ndarray, extensio
 
 
 def _as_picture(output: str, image: np.ndarray) -> np.ndarray:
-    """8 bits to look at, as outputs.py says."""
+    """An output as an 8-bit picture, shown as outputs.py defines."""
     if OUTPUTS[output].shown == "mask_map":
         return mask_to_rgb(image)
     if OUTPUTS[output].shown == "farthest":

@@ -1,4 +1,7 @@
-"""Checkpoints: arrays.npz first, manifest.json last. A folder without a manifest that fits its arrays, and itself, is not a checkpoint."""
+"""Checkpoints of a run: one folder per checkpoint, with arrays.npz and manifest.json.
+
+The manifest is written last and holds the digest of the arrays and of itself. A folder whose digests do not match is not a checkpoint.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +24,15 @@ from .run import Curves, Run
 from .strength_controller import StrengthController
 
 SCHEMA = 10
-KEPT = 2  # newest checkpoints kept
+KEPT = 2  # number of checkpoints that are kept
 _PARTS = ("values", "moments")
 
 
 def save(run: Run, folder: Path, identity: str) -> Path:
-    """Writes the run's state to folder/<iteration>, then forgets all but the newest two. identity: settings and inputs.
+    """Writes the state of the run to folder/<iteration> and deletes all checkpoints but the newest two. Returns the new folder.
 
-    Raises SceneError where it cannot be written; what there was before stays.
+    identity: digest of settings and inputs, compared by restore(). Raises SceneError if the checkpoint cannot be written; the earlier
+    checkpoints then stay.
     """
     target = folder / f"{run.iteration:07d}"
     try:
@@ -36,7 +40,7 @@ def save(run: Run, folder: Path, identity: str) -> Path:
     except SceneError:
         if read_manifest(target) is None:
             shutil.rmtree(target, ignore_errors=True)
-            _forget_if_empty(folder)
+            _delete_if_empty(folder)
         raise
     for old in _folders(folder)[:-KEPT]:
         shutil.rmtree(old, ignore_errors=True)
@@ -73,28 +77,31 @@ def _write(run: Run, target: Path, identity: str):
 
 
 def restore(run: Run, folder: Path, identity: str) -> bool:
-    """Puts the newest whole checkpoint's state into the run. False: there is none. FormatError: it is of another run."""
+    """Restores the run from the newest valid checkpoint. Returns False if there is none. Raises FormatError if it is of another run.
+
+    A damaged checkpoint is deleted, with a warning, and the one before it is tried.
+    """
     for candidate in reversed(_folders(folder)):
         manifest = read_manifest(candidate)
         if manifest is None:
-            logging.warning("%s is damaged or of another version: trying the checkpoint before it", candidate)
-            shutil.rmtree(candidate, ignore_errors=True)  # it must not outlive, as the newest, those written from here on
+            logging.warning("checkpoint %s is damaged or of another version: the one before it is tried", candidate)
+            shutil.rmtree(candidate, ignore_errors=True)  # else it would stay the newest, and save() would delete new ones instead
             continue
         if manifest["identity"] != identity:
-            raise FormatError(f"{candidate}: was written by a run with other settings or inputs; delete {folder} to start anew")
+            raise FormatError(f"{candidate}: this checkpoint is of a run with other settings or inputs; delete {folder} to start again")
         _apply(run, candidate, manifest)
         return True
     return False
 
 
-def forget(folder: Path):
-    """Removes every checkpoint, and the folder if nothing else is in it."""
+def delete_all(folder: Path):
+    """Deletes every checkpoint in the folder, and the folder if it is empty then."""
     for old in _folders(folder):
         shutil.rmtree(old, ignore_errors=True)
-    _forget_if_empty(folder)
+    _delete_if_empty(folder)
 
 
-def _forget_if_empty(folder: Path):
+def _delete_if_empty(folder: Path):
     with contextlib.suppress(OSError):
         folder.rmdir()
 
@@ -124,7 +131,7 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def read_manifest(folder: Path) -> dict | None:
-    """What save() wrote of the checkpoint in `folder`; None where it is not whole, or was changed since."""
+    """The manifest of the checkpoint in `folder`, without its digest. None if the checkpoint is incomplete or was changed."""
     try:
         manifest = json.loads((folder / "manifest.json").read_bytes())
         own = manifest.pop("digest")
@@ -136,7 +143,7 @@ def read_manifest(folder: Path) -> dict | None:
 
 
 def text_digest(manifest: dict) -> str:
-    """Of the manifest as JSON, without its own digest."""
+    """SHA-256 of the manifest as JSON. The manifest must not contain its digest yet."""
     return hashlib.sha256(json.dumps(manifest).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""3DGS adaptive density control: clone small Gaussians, split large ones, where the image still pulls at their centres."""
+"""Adaptive density control of 3DGS (section 5.2): it clones small Gaussians and splits large ones whose position gradient is large."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ RESET_OPACITY = 0.01
 
 
 class Statistics:
-    """Per-Gaussian mean of |dL/d(projected centre)|, in units of half the image, since the last densification."""
+    """The mean norm of dL/d(projected centre) of each Gaussian since the last densification, in units of half the image."""
 
     def __init__(self, count: int):
         self.total = np.zeros(count, np.float32)
         self.views = np.zeros(count, np.int32)
 
     def add(self, visible: np.ndarray, means2d: np.ndarray, width: int, height: int):
-        """visible (V,) ids; means2d (V, 2) gradients in pixels."""
-        rows = visible.astype(np.intp)  # once, not at each of the four accesses
+        """Adds one view. visible (V,): rows; means2d (V, 2): gradients per pixel; width, height of the view in pixels."""
+        rows = visible.astype(np.intp)  # NumPy would convert it at each of the four accesses
         self.total[rows] += np.hypot(means2d[:, 0] * (0.5 * width), means2d[:, 1] * (0.5 * height))
         self.views[rows] += 1
 
@@ -33,15 +33,18 @@ class Statistics:
 def densify(
     model: Model, statistics: Statistics, rule: Densify, extent: float, rng: np.random.Generator, fits: Callable[[int], bool] = lambda _: True
 ) -> np.ndarray:
-    """Adds clones and the children of splits to the model, if so many fit; returns (N,) bool, False for the parents to be removed."""
+    """Adds clones and the children of splits to the model. fits(n): whether memory holds n more Gaussians; if not, nothing is added.
+
+    Returns (N,) bool over the Gaussians of the model, the new ones included: False for split parents, which the caller removes.
+    """
     largest = np.exp(model.log_scales.max(axis=1))
-    pulled = statistics.mean() >= rule.gradient
+    selected = statistics.mean() >= rule.gradient
     small = largest <= rule.small * extent
-    clone, split = np.flatnonzero(pulled & small), np.flatnonzero(pulled & ~small)
-    born = np.concatenate([clone, np.repeat(split, rule.split_into)])
-    if not len(born) or not fits(len(born)):
+    clone, split = np.flatnonzero(selected & small), np.flatnonzero(selected & ~small)
+    parents = np.concatenate([clone, np.repeat(split, rule.split_into)])
+    if not len(parents) or not fits(len(parents)):
         return np.ones(model.count, bool)
-    rows = {name: value[born] for name, value in model.values.items()}
+    rows = {name: value[parents] for name, value in model.values.items()}
     _place_children(rows, len(clone), rule, rng)
     model.append(rows)
     stays = np.ones(model.count, bool)
@@ -49,8 +52,9 @@ def densify(
     return stays
 
 
-def worth_keeping(model: Model, rule: Densify, extent: float, after_reset: bool) -> np.ndarray:
-    """(N,) bool: not too faint, and after the first opacity reset not too large. (The published screen-size rule never fires.)"""
+def keep_mask(model: Model, rule: Densify, extent: float, after_reset: bool) -> np.ndarray:
+    """(N,) bool: the Gaussians that 3DGS does not prune: opacity at least min_opacity and, after the first opacity reset, a scale of at most
+    max_scale times the extent. The published rule on the size on the screen is left out, because it never applies."""
     keep = model.opacity_logits >= np.log(rule.min_opacity / (1 - rule.min_opacity))
     if after_reset:
         keep &= np.exp(model.log_scales.max(axis=1)) <= rule.max_scale * extent
@@ -58,7 +62,7 @@ def worth_keeping(model: Model, rule: Densify, extent: float, after_reset: bool)
 
 
 def _place_children(rows: dict[str, np.ndarray], clones: int, rule: Densify, rng: np.random.Generator):
-    """Children of a split are drawn from their parent's own Gaussian and shrunk; clones stay where they are."""
+    """Draws the positions of a split's children from their parent's Gaussian and shrinks them. The first `clones` rows are clones and stay."""
     if len(rows["means"]) == clones:
         return
     children = slice(clones, None)
@@ -69,7 +73,7 @@ def _place_children(rows: dict[str, np.ndarray], clones: int, rule: Densify, rng
 
 
 def reset_opacity(model: Model):
-    """opacity <- min(opacity, 0.01), its moments zeroed."""
+    """Opacity reset of 3DGS: opacity becomes min(opacity, 0.01), and its moments become 0."""
     limit = np.log(RESET_OPACITY / (1 - RESET_OPACITY))
     np.minimum(model.opacity_logits, limit, out=model.values["opacity_logits"])
     model.moments["opacity_logits"][:] = 0

@@ -1,6 +1,7 @@
-"""The native engine: one optimisation step with NumPy arrays and the native kernels, nothing else.
+"""The native engine: one optimisation step with NumPy arrays and the native kernels.
 
-An engine is anything with `step(model, step) -> StepResult`; torch_engine.py is the readable twin.
+An engine is any object with `step(model, step) -> StepResult`. torch_engine.py is a reference implementation in PyTorch; this engine is
+tested against it.
 """
 
 from __future__ import annotations
@@ -19,27 +20,27 @@ BETAS, EPS = (0.9, 0.999), 1e-15
 
 @dataclass
 class Step:
-    """What one step looks at and by which rules."""
+    """The inputs of one optimisation step: a view, its photograph, learning rates, masks and the terms of the loss."""
 
     camera: Camera
     target: np.ndarray  # (H, W, 3) in the model's dtype, display sRGB 0..1
-    number: int  # counts from 1 over the run; Adam's t
-    rates: dict[str, float]
+    number: int  # step of the run, from 1: Adam's t
+    rates: dict[str, float]  # learning rates by parameter name, as Rates.at() gives them
     options: RenderOptions
     l1_weight: float = 0.8
     ssim_weight: float = 0.2
-    masks: np.ndarray | None = None  # (N,) uint8, this step's draw
+    masks: np.ndarray | None = None  # (N,) uint8, the masks of this step; None: all 1
     slope: np.ndarray | None = None  # (N,) dM/dlogit; None: masks are not learned
-    lambda_f: float = 0.0
-    lambda_m: float = 0.0
-    gates: bool = False  # masks multiply scale too (Compact3DGS), and learn only while open
+    lambda_f: float = 0.0  # weight of mean F^2
+    lambda_m: float = 0.0  # weight of (mean M)^2
+    gates: bool = False  # masks multiply the scale too, and have a gradient only where they are 1 (Compact3DGS)
     penalty: MeanExistence | OpacityPressure | None = None
-    update: bool = True  # False: gradients only (3DGS takes no optimiser step where it densifies)
-    want_means2d: bool = False
+    update: bool = True  # False: gradients only (3DGS takes no optimiser step in a step that densifies)
+    want_means2d: bool = False  # the gradient of the projected centres is returned, for densification
 
     @property
     def spatial(self) -> bool:
-        """Whether F is rendered and penalised."""
+        """Whether the step renders F and penalises it."""
         return self.lambda_f > 0 and self.masks is not None
 
     @property
@@ -48,23 +49,23 @@ class Step:
         return float(self.masks.mean()) ** 2 if self.masks is not None else 0.0
 
     @property
-    def reaching_all(self) -> set[str]:
-        """Parameters with a gradient on every Gaussian, seen or not."""
+    def dense_gradients(self) -> set[str]:
+        """Parameters whose gradient is not sparse: it reaches every Gaussian, not only the visible ones."""
         return ({MASK} if self.lambda_m else set()) | ({self.penalty.parameter} if self.penalty else set())
 
 
 @dataclass
 class StepResult:
-    """Loss terms before the step, and what densification wants to know."""
+    """The terms of the loss before the update, and the gradients that densification needs."""
 
     l1: float
     ssim: float
     mask_loss: float  # mean F^2
-    visible: np.ndarray  # (V,) uint32
-    means2d: np.ndarray | None = None  # (V, 2) dL/d(projected centre), pixels
+    visible: np.ndarray  # (V,) uint32: rows of the Gaussians that the view sees, ascending
+    means2d: np.ndarray | None = None  # (V, 2) dL/d(projected centre), per pixel
     global_loss: float = 0.0  # (mean M)^2
-    penalty: float = 0.0  # weighted
-    nonfinite: int = 0  # rows skipped because their gradient was not finite
+    penalty: float = 0.0  # value of Step.penalty, its weight included
+    nonfinite: int = 0  # rows that were not updated because their gradient was not finite
 
     def image_loss(self, step: Step) -> float:
         return step.l1_weight * self.l1 + step.ssim_weight * (1 - self.ssim)
@@ -74,18 +75,18 @@ class StepResult:
 
 
 def mask_loss_grad(mask: np.ndarray, weight: float) -> tuple[float, np.ndarray]:
-    """mean F^2 (paper Eq. 10) and weight * its gradient; mask: F (H, W)."""
+    """mean F^2 (SVR-GS Eq. 10) and `weight` times its gradient, (H, W). mask: F (H, W)."""
     flat = mask.ravel()
     return float(np.dot(flat, flat)) / flat.size, mask * mask.dtype.type(2 * weight / flat.size)
 
 
 def global_mask_grad(masks: np.ndarray, slope: np.ndarray, lambda_m: float) -> np.ndarray:
-    """d/dlogits of lambda_m (mean M)^2 (MaskGaussian), (N,)."""
+    """Gradient of lambda_m (mean M)^2 with respect to the existence logits, (N,) (MaskGaussian). slope: dM/dlogit (N,)."""
     return slope * slope.dtype.type(2 * lambda_m * float(masks.mean()) / len(masks))
 
 
 class NativeEngine:
-    """Forward, loss, backward and a sparse Adam step: only Gaussians this view saw are touched."""
+    """Forward, loss, backward and a sparse Adam step. Sparse: only the Gaussians that the view sees are updated."""
 
     def __init__(self, level: str | None = None):
         self.rasterizer = Rasterizer(level)
@@ -114,18 +115,20 @@ class NativeEngine:
         return result
 
     def _update(self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...], ids: np.ndarray) -> tuple[dict, int]:
-        """Gradients into an Adam step at once, but for those that something is added to, or that others follow from."""
-        apart = [name for name in PARAMETERS if name in step.reaching_all or name == "log_scales" and step.gates]
-        at_once = [name for name in PARAMETERS if name not in apart]
-        tensors = {name: (model.values[name], model.moments[name]) for name in at_once}
-        rates = {name: _row_rates(name, step.rates, model) for name in at_once}
+        """Backward and Adam in one call of the library. A parameter is updated separately if its gradient is needed here: because a
+        penalty is added to it, or because the gradient of the gates follows from it. Returns the gradients `wanted` and the number of
+        rows that were not finite."""
+        separate = [name for name in PARAMETERS if name in step.dense_gradients or name == "log_scales" and step.gates]
+        fused = [name for name in PARAMETERS if name not in separate]
+        tensors = {name: (model.values[name], model.moments[name]) for name in fused}
+        rates = {name: _row_rates(name, step.rates, model) for name in fused}
         update = self.rasterizer.backward_update
-        grads, bad = update(image_grads, tensors, rates, step=step.number, betas=BETAS, eps=EPS, wanted=(*wanted, *apart))
-        return grads, bad + sum(self._step_rows(model, step, name, grads[name], ids) for name in apart)
+        grads, bad = update(image_grads, tensors, rates, step=step.number, betas=BETAS, eps=EPS, wanted=(*wanted, *separate))
+        return grads, bad + sum(self._step_rows(model, step, name, grads[name], ids) for name in separate)
 
     def _step_rows(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray) -> int:
-        """Adam on one parameter's rows `ids`, or on all rows where something reaches all."""
-        if name in step.reaching_all:
+        """An Adam step on rows `ids` of one parameter, or on all rows if its gradient is dense. Returns the number of rows that were not finite."""
+        if name in step.dense_gradients:
             dense = np.zeros(model.values[name].shape, model.dtype)
             if name == MASK and step.lambda_m and step.masks is not None and step.slope is not None:
                 dense += global_mask_grad(step.masks, step.slope, step.lambda_m)
@@ -141,14 +144,14 @@ class NativeEngine:
 
 
 def mask_logit_rows(step: Step, grads: dict[str, np.ndarray], ids: np.ndarray) -> np.ndarray:
-    """dL/dlogit (V,) of the visible Gaussians' masks; a gate's comes from scale as well (methods/compact3dgs.py)."""
+    """dL/d(existence logit) of the visible Gaussians `ids`, (V,). The gradient of a gate also comes from the scale (methods/compact3dgs.py)."""
     d_masks = grads["masks"] + grads["log_scales"].sum(axis=1) if step.gates else grads["masks"]
     assert step.slope is not None
     return d_masks * step.slope[ids]
 
 
 def _row_rates(name: str, rates: dict[str, float], model: Model):
-    """The rate of a tensor, or one per column: SH above degree 0 learns more slowly."""
+    """The learning rate of a parameter. For sh one rate per column: degrees above 0 have a smaller rate."""
     if name != "sh":
         return rates[name]
     columns = np.full(3 * model.sh.shape[1], rates["sh_rest"])

@@ -1,4 +1,4 @@
-"""The one loop: advances a run to its end, tells an observer, measures curves, stops and saves where asked."""
+"""The loop of every run: it advances the run to its end, calls an observer after each step, measures curves, and stops on request."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ CURVE_POINTS = 40
 
 @dataclass
 class Progress:
-    """What an observer is told after each step."""
+    """The argument of an observer, made after each step."""
 
     iteration: int
     total: int
     phase: str
-    label: str  # of the phase, for people
+    label: str  # of the phase, as shown to users
     count: int
     loss: float  # exponentially smoothed
     iterations_per_second: float
@@ -34,8 +34,11 @@ def run_to_end(
     checkpoint: Callable[[], object],
     measure: Callable[[], float | None],  # a PSNR for the curves
 ):
-    """Advances until finished; the curves gain CURVE_POINTS points on the way. On stop(): checkpoint, then Cancelled. A checkpoint
-    too where a photograph cannot be read any more."""
+    """Advances the run until it is finished. Its curves get about CURVE_POINTS points.
+
+    When stop() returns True, it saves a checkpoint and raises Cancelled. A SplatError, for example of a photograph that can no longer
+    be read, is raised on after a checkpoint, if a step was done and none is half done.
+    """
     total, begun, first, counted_from = run.settings.total, time.perf_counter(), run.iteration, run.iteration
     every = max(1, total // CURVE_POINTS)
     try:
@@ -52,7 +55,7 @@ def run_to_end(
                 checkpoint()
                 raise Cancelled
     except SplatError:
-        if run.whole and run.iteration > first:
+        if run.between_steps and run.iteration > first:
             with contextlib.suppress(SplatError):
                 checkpoint()
         raise

@@ -1,4 +1,4 @@
-"""The arrays a run changes: parameters, Adam moments, mask logits. Every move of rows goes through keep(), reorder() or append()."""
+"""The arrays that a run changes: parameters, Adam moments, existence logits. Rows change only through keep(), reorder() and append()."""
 
 from __future__ import annotations
 
@@ -10,33 +10,34 @@ import numpy as np
 
 from ..errors import SceneError
 from ..scene import SH_C0, SH_COEFFICIENTS, Scene
-from .moments import none_yet
+from .moments import zero_moments
 
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 MASK = "mask_logits"
 MIN_SQUARED_DISTANCE = 1e-7
 NEIGHBOURS = 3
-BLOCK_ROWS = 65_536  # moved at a time
+BLOCK_ROWS = 65_536  # rows copied at a time
 INITIAL_OPACITY = 0.1
 
 
 class Model:
-    """N Gaussians in training: `values`, and their Adam `moments` (moments.py) under the same names.
+    """N Gaussians in training.
 
-    Values are the arrays of Scene (raw, shapes as there) and, while masks are learned, mask_logits (N,); all of one
-    real dtype. origin (N,) int32: the row of the source scene each Gaussian came from, -1 for new ones. metadata: the
-    source scene's other fields.
+    values: the arrays of Scene by name (raw, shapes as there) and, while masks are learned, mask_logits (N,), the existence
+    logits. All have the same dtype, float32 or float64. moments: the Adam moments of each value (moments.py), under the same
+    names. origin (N,) int32: row of each Gaussian in the source scene, -1 for Gaussians that were added. metadata: the other
+    fields of the source scene.
     """
 
     def __init__(self, values: dict[str, np.ndarray], moments: dict | None = None, origin: np.ndarray | None = None, metadata: dict | None = None):
         self.values = values
-        self.moments = moments or {name: none_yet(array) for name, array in values.items()}
+        self.moments = moments or {name: zero_moments(array) for name, array in values.items()}
         self.origin = np.arange(len(values["means"]), dtype=np.int32) if origin is None else origin
         self.metadata = metadata or {}
 
     @classmethod
     def of(cls, scene: Scene, dtype=np.float32, copy: bool = True) -> Model:
-        """copy=False: takes over the scene's own arrays, and changes them."""
+        """The model of a scene. copy=False: the model uses the scene's own arrays and changes them."""
         values = {name: getattr(scene, name).astype(dtype, copy=copy) for name in PARAMETERS}
         return cls(values, metadata={name: value for name, value in vars(scene).items() if name not in PARAMETERS})
 
@@ -59,46 +60,48 @@ class Model:
         return MASK in self.values
 
     def add_masks(self, init: float):
-        """Gives every Gaussian an existence logit, all alike."""
+        """Gives every Gaussian an existence logit of the value `init`."""
         self.add(MASK, np.full(self.count, init, self.dtype))
 
     def add(self, name: str, values: np.ndarray):
-        """Gives every Gaussian one more value (N,), or another in its place; its moments start at zero."""
-        self.values[name], self.moments[name] = values, none_yet(values)
+        """Adds one value per Gaussian (N,), or replaces it. Its moments start at zero."""
+        self.values[name], self.moments[name] = values, zero_moments(values)
 
-    def forget_extras(self):
-        """Masks, and whatever else was added."""
+    def remove_extras(self):
+        """Removes the existence logits and every other value that add() added."""
         for arrays in (self.values, self.moments):
             for name in arrays.keys() - set(PARAMETERS):
                 del arrays[name]
 
     def keep(self, mask: np.ndarray):
-        """Keeps the rows where mask (N,) is True, moments included. Within the arrays' own memory: a copy would be the run's peak."""
-        self._move(np.flatnonzero(mask), moved_up)
+        """Keeps the rows where mask (N,) is True, moments included. It works in place: a copy would raise the peak memory of the run."""
+        self._select(np.flatnonzero(mask), compacted)
 
     def reorder(self, index: np.ndarray):
-        """Row i becomes what row index[i] was, moments included; index (N,): a permutation. Copies one array at a time."""
-        self._move(index, lambda array, rows: array.take(rows, axis=0))
+        """Permutes the rows, moments included: the new row i is the old row index[i]. index (N,): a permutation. Copies one array at a time."""
+        self._select(index, lambda array, rows: array.take(rows, axis=0))
 
-    def _move(self, rows: np.ndarray, moved: Callable[[np.ndarray, np.ndarray], np.ndarray]):
-        """moved(array, rows) is array[rows]."""
+    def _select(self, rows: np.ndarray, selected: Callable[[np.ndarray, np.ndarray], np.ndarray]):
+        """Selects `rows` of every array. selected(array, rows) returns array[rows]."""
         for arrays in (self.values, self.moments):
             for name in arrays:
-                arrays[name] = moved(arrays[name], rows)
+                arrays[name] = selected(arrays[name], rows)
         self.origin = self.origin[rows]
 
     def append(self, rows: dict[str, np.ndarray]):
-        """Adds new Gaussians with zero moments; rows: an array for every name in `values`."""
+        """Adds Gaussians with zero moments. rows: one array per name in `values`."""
         added = len(rows["means"])
         for name, new in rows.items():
             new = new.astype(self.dtype)
             self.values[name] = np.concatenate([self.values[name], new])
-            self.moments[name] = np.concatenate([self.moments[name], none_yet(new)])
+            self.moments[name] = np.concatenate([self.moments[name], zero_moments(new)])
         self.origin = np.concatenate([self.origin, np.full(added, -1, np.int32)])
 
     def into_scene(self) -> Scene:
-        """The end of a run: the model as a Scene, rows in the source's order and new ones after them, and the source's other
-        fields as far as they still fit. The model gives up its arrays, one after the other; where they are in that order, none is copied.
+        """The model as a Scene, at the end of a run. It takes the arrays out of the model, so the model is empty afterwards.
+
+        Rows have the order of the source; added Gaussians follow. The other fields of the source are kept; its attributes only
+        if no Gaussian was added. An array that is already in this order is not copied.
         """
         self.moments = {}
         rows = self._source_order()
@@ -109,13 +112,13 @@ class Model:
         return Scene(**arrays, **(self.metadata | {"attributes": attributes}))
 
     def _source_order(self) -> np.ndarray | slice:
-        """Index of the rows as the source had them, new ones last in their present order; a slice of all where they are so already."""
+        """Index that puts rows into the order of the source, added ones last in their present order. A slice of all rows if they already are."""
         order = np.argsort(np.where(self.origin < 0, np.iinfo(np.int32).max, self.origin), kind="stable")
         return slice(None) if (np.diff(order) > 0).all() else order
 
 
-def moved_up(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """array[rows] for ascending rows, in the first part of the array's own memory."""
+def compacted(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """array[rows] for ascending rows, written in place: the result is a view of the first rows of the array."""
     for start in range(0, len(rows), BLOCK_ROWS):
         part = rows[start : start + BLOCK_ROWS]
         array[start : start + len(part)] = array[part]
@@ -123,10 +126,10 @@ def moved_up(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3) -> Scene:
-    """3DGS initialisation: one isotropic Gaussian a point, opacity 0.1, as large as its three neighbours are far.
+    """Initialisation of 3DGS: one isotropic Gaussian per point, with opacity 0.1 and the size of the distance to its neighbours.
 
-    points (P, 3) world; colors (P, 3) uint8. log-scale = log sqrt(mean squared distance to the 3 nearest points).
-    Raises SceneError for fewer than 4 points, or where scipy is not installed.
+    points (P, 3): world coordinates; colors (P, 3) uint8. log-scale = log sqrt(mean squared distance to the 3 nearest points).
+    Raises SceneError for fewer than 4 points, and if scipy is not installed.
     """
     try:
         from scipy.spatial import cKDTree
@@ -134,7 +137,7 @@ def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3
         raise SceneError(f"training from sparse points needs the package scipy: run {sys.executable} -m pip install scipy") from None
     n = len(points)
     if n <= NEIGHBOURS:
-        raise SceneError(f"{n} sparse points are too few to start training from: at least {NEIGHBOURS + 1} are needed")
+        raise SceneError(f"the COLMAP model has too few sparse points: {n}; training needs at least {NEIGHBOURS + 1}")
     distance, _ = cKDTree(points).query(points, k=NEIGHBOURS + 1)
     squared = np.maximum((distance[:, 1:] ** 2).mean(axis=1), MIN_SQUARED_DISTANCE)
     quats = np.zeros((n, 4), np.float32)

@@ -1,8 +1,24 @@
-"""Both Adam moments of the values in one array, as the native library keeps them (native/include/svrgs.h, svrgs_adam).
+"""The Adam moments m and v in the layout of the native library (native/include/svrgs.h, svrgs_adam).
 
-float32 values have uint32 words, m in 20 bits and v in 12, so that they take no more memory than what they belong to; float64
-values, which are for comparison, have complex128, m + i v. SH coefficients (N, K, 3) share one v a Gaussian, that of degree 0: a row
-holds m of each, float32 in 16 bits, and then v. The mean of the squared basis over all directions is the same for every coefficient.
+Of a float32 value, one 32-bit word holds both moments. So they need no more memory than the value itself:
+
+    bits       31          30 - 23          22 - 12                    11 - 4          3 - 0
+    holds      sign of m   exponent of m    mantissa of m, 11 bits     exponent of v   mantissa of v, 4 bits
+    rounding   m: to nearest                                           v: stochastic
+
+v is never negative and needs no sign. One step changes v by about 0.1 %, while the last stored bit of v is 3 to 6 % of v. So v needs
+stochastic rounding: a random number of 19 bits is added before the last 19 bits are cut off, and the stored value is right on average.
+
+SH coefficients (N, K, 3) have one m each and one v per Gaussian:
+
+    part of a row        holds                                                       rounding
+    3 K times 16 bits    m: sign, 8 bits of exponent, 7 bits of mantissa             stochastic
+    (0 or 16 bits)       padding to a multiple of 32 bits
+    32 bits              v of the mean square of the three gradients of degree 0     none
+
+One v is enough because the mean of the squared basis over all directions is the same for every coefficient (docs/methods.md, "Adam").
+
+float64 values are for comparison and are not rounded: m + i v as complex128; of SH coefficients, m of each and then v as float64.
 """
 
 from __future__ import annotations
@@ -12,13 +28,13 @@ import numpy as np
 from ..native import moments_like
 
 
-def none_yet(values: np.ndarray) -> np.ndarray:
-    """The moments of float32 or float64 values before the first step, all zero."""
+def zero_moments(values: np.ndarray) -> np.ndarray:
+    """The moments of `values` (float32 or float64) before the first step: all 0."""
     return np.zeros(*moments_like(values.shape, values.dtype))
 
 
 def unpacked(moments: np.ndarray, shape: tuple) -> tuple[np.ndarray, np.ndarray]:
-    """First and second moments m, v of values of that shape, as real as these: both of it, but v (N,) of SH coefficients."""
+    """The moments m and v as floats of the values' dtype. shape: that of the values; m has it, and v too, but v of SH coefficients is (N,)."""
     if len(shape) == 3:
         return _unpacked_shared(moments, shape)
     if moments.dtype == np.complex128:
@@ -27,7 +43,7 @@ def unpacked(moments: np.ndarray, shape: tuple) -> tuple[np.ndarray, np.ndarray]
 
 
 def packed(m: np.ndarray, v: np.ndarray, step: int) -> np.ndarray:
-    """What the library stores of moments m, v, as from unpacked(), after the step of that number."""
+    """The inverse of unpacked(): the layout that the library stores after step number `step`, which seeds the stochastic rounding."""
     if m.ndim == 3:
         return _packed_shared(m, v, step)
     if m.dtype == np.float64:
@@ -57,11 +73,11 @@ def _packed_shared(m: np.ndarray, v: np.ndarray, step: int) -> np.ndarray:
 
 
 def _leading_bits(m: np.ndarray) -> np.ndarray:
-    """The upper 20 of float32 values, rounded to nearest."""
+    """The upper 20 bits of float32 values, rounded to nearest; the lower 12 bits are 0."""
     return m.view(np.uint32) + np.uint32(0x800) & np.uint32(0xFFFFF000)
 
 
 def _noise(bits: np.ndarray, step: int) -> np.ndarray:
-    """Random bits, to be added before others are cut off: so a value is rounded up as often as it is near to that."""
+    """32 random bits per value for the stochastic rounding, from the leading bits of m and the step number."""
     x = bits ^ np.uint32(step * 0x9E3779B1 & 0xFFFFFFFF)
     return (x ^ x >> np.uint32(15)) * np.uint32(0x85EBCA6B)

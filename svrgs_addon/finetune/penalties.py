@@ -1,4 +1,4 @@
-"""Penalties on one parameter of every Gaussian, seen or not: a value that NumPy and torch compute alike, and its gradient."""
+"""Penalties on one parameter of all Gaussians, visible or not. The value is written once for NumPy and torch; the gradient is analytic."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 
 from .model import MASK
 
-LOGIT_SHIFT = 20.0  # GNS pulls logits towards minus this
-MIN_FAINTNESS = 0.05
+LOGIT_SHIFT = 20.0  # GNS pulls opacity logits towards -20
+MIN_TRANSPARENCY = 0.05
 
 
 @dataclass(frozen=True)
 class MeanExistence:
-    """weight * mean sigmoid(m): Compact3DGS section 3.1, m the mask logits."""
+    """weight * mean sigmoid(m), where m are the existence logits (Compact3DGS, arXiv 2311.13681 section 3.1)."""
 
     weight: float
     parameter: ClassVar[str] = MASK
@@ -32,33 +32,38 @@ class MeanExistence:
 
 @dataclass(frozen=True)
 class OpacityPressure:
-    """weight * (mean (l + 20))^2 on the opacity logits l, every Gaussian's share divided by max(0.05, 1 - opacity) where
-    `by_faintness`: the two forms of GNS (arXiv 2511.16980). shares (N,): what each Gaussian's counts, 1 on average; None: alike."""
+    """The pressure on opacity logits l, in the two forms of GNS (arXiv 2511.16980), with a weight s_i per Gaussian:
+
+        weight * (mean_i s_i (l_i + 20) / max(0.05, 1 - opacity_i))^2      by_transparency
+        weight * (mean_i s_i (l_i + 20))^2                                 otherwise
+
+    gaussian_weights: s (N,), 1 on average; None: all 1.
+    """
 
     weight: float
-    by_faintness: bool
-    shares: np.ndarray | None = None
+    by_transparency: bool
+    gaussian_weights: np.ndarray | None = None
     parameter: ClassVar[str] = "opacity_logits"
 
     def value(self, logits, xp):
         """A scalar; logits (N,) an array of the module xp, numpy or torch."""
         excess = logits + LOGIT_SHIFT
-        if self.by_faintness:
-            excess = excess / xp.clip(1 - sigmoid(logits, xp), MIN_FAINTNESS, None)
-        if self.shares is not None:
-            excess = excess * xp.asarray(self.shares)
+        if self.by_transparency:
+            excess = excess / xp.clip(1 - sigmoid(logits, xp), MIN_TRANSPARENCY, None)
+        if self.gaussian_weights is not None:
+            excess = excess * xp.asarray(self.gaussian_weights)
         return self.weight * excess.mean() ** 2
 
     def grad(self, logits: np.ndarray) -> np.ndarray:
         """(N,) in the logits' dtype."""
         excess, slopes = logits + LOGIT_SHIFT, np.ones_like(logits)
-        if self.by_faintness:
+        if self.by_transparency:
             o = sigmoid(logits, np)
-            faintness = np.maximum(1 - o, logits.dtype.type(MIN_FAINTNESS))
-            slopes = 1 / faintness + np.where(1 - o > MIN_FAINTNESS, excess * o * (1 - o) / faintness**2, 0)
-            excess = excess / faintness
-        if self.shares is not None:
-            excess, slopes = excess * self.shares, slopes * self.shares
+            transparency = np.maximum(1 - o, logits.dtype.type(MIN_TRANSPARENCY))
+            slopes = 1 / transparency + np.where(1 - o > MIN_TRANSPARENCY, excess * o * (1 - o) / transparency**2, 0)
+            excess = excess / transparency
+        if self.gaussian_weights is not None:
+            excess, slopes = excess * self.gaussian_weights, slopes * self.gaussian_weights
         return (slopes * (2 * self.weight * float(excess.mean()) / len(logits))).astype(logits.dtype, copy=False)
 
 

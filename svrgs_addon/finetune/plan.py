@@ -1,4 +1,4 @@
-"""From a request to the plan of a run: the method, and the settings it leads to. The phases are the method's own."""
+"""The plan of a run: its method and all settings, made from a request. The method defines the phases."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .settings import Densify, Phase, Settings
 
 @dataclass(frozen=True, kw_only=True)
 class Plan(Settings):
-    """One whole run. Each run takes a copy of the method."""
+    """The settings of a run and its method. Each run works on a copy of the method."""
 
     method: Method
 
@@ -31,7 +31,8 @@ def train_plan(
     schedule: float = 1.0,
     **rest,
 ) -> Plan:
-    """`svrgs train`: from the sparse points. share: of the Gaussians there are when densification ends, instead of a target."""
+    """The plan of `svrgs train`, which starts from sparse points. lambda_f, lambda_m: None takes the method's own weight. share: share
+    of the Gaussians that exist when densification ends; it replaces a target. Raises SceneError for a weight that the method lacks."""
     phases = scaled(method.train_phases(iterations, recovery, densify or Densify(), coarse_until), schedule)
     share = share or (0.0 if target else method.share)
     return _plan(method, phases, False, lambda_f, lambda_m, target=target, share=share, **rest)
@@ -49,7 +50,8 @@ def prune_plan(
     max_drop: float = 0.0,
     **rest,
 ) -> Plan:
-    """`svrgs prune`: on an already trained scene, then recovery. Methods that rank have no phase before recovery."""
+    """The plan of `svrgs prune`, which starts from a trained scene. Methods that rank have no phase before the recovery. With a
+    max_drop, the method may be replaced by its max_drop_method. Raises SceneError for a weight that the method lacks."""
     if max_drop and method.max_drop_method:
         method = METHODS[method.max_drop_method]
     phases = scaled(method.prune_phases(iterations, recovery, prune_every), schedule)
@@ -63,10 +65,8 @@ def _plan(method: Method, phases: list[Phase], trained: bool, lambda_f: float | 
 
 
 def scaled(phases: list[Phase], share: float) -> list[Phase]:
-    """The phases with their milestones at `share` of their steps. Masks learn 1/share times as fast, so that their logits come as far.
-
-    Weights of the loss stay: they say what a Gaussian is worth, not when.
-    """
+    """The phases with all step counts multiplied by `share`. The rate of the masks is divided by `share`, so that logits still change
+    by the same amount in the whole phase. The weights of the loss stay: they trade quality against count, whatever the number of steps."""
     if share == 1:
         return phases
     steps = lambda n: max(1, round(n * share)) if n else 0  # noqa: E731
@@ -81,17 +81,18 @@ def scaled(phases: list[Phase], share: float) -> list[Phase]:
 
 
 def _scaled_densify(d: Densify, steps) -> Densify:
-    """Densification starts and ends sooner. It still averages gradients over as many views, and opacities still have as long to recover."""
+    """Densification for a shorter schedule: it starts and ends earlier. The steps between two densifications and between two opacity
+    resets do not shrink, because gradients must be averaged over as many views and opacities need as many steps to recover."""
     every, until = max(d.every, steps(d.every)), steps(d.until)
     reset_every = max(1, round(max(d.reset_every, steps(d.reset_every)) / every)) * every
     return replace(d, start=min(max(d.start, steps(d.start)), until // 3), until=until, every=every, reset_every=reset_every)
 
 
 def weights(method: Method, trained: bool, lambda_f: float | None, lambda_m: float | None) -> dict[str, float]:
-    """The weights asked for, or else the method's own. Raises SceneError for a weight that the method does not have."""
+    """lambda_f and lambda_m as given, or the method's own if None. Raises SceneError for a weight that the method does not use."""
     own = dict(zip(("lambda_f", "lambda_m"), method.weights(trained), strict=True))
     if lambda_f is not None and not method.lambda_f:
-        raise SceneError(f"method '{method.name}' has no spatial mask to weigh: leave lambda-f out, or use pressure or an svr method")
+        raise SceneError(f"method '{method.name}' has no spatial mask: leave lambda-f out, or use pressure, saliency or an svr method")
     if lambda_m is not None and not own["lambda_m"]:
-        raise SceneError(f"method '{method.name}' has no term that lambda-m weighs: leave it out, or use maskgs, compact3dgs, gns or pressure")
+        raise SceneError(f"method '{method.name}' has no term with the weight lambda-m: leave it out, or use maskgs, compact3dgs, gns or pressure")
     return own | {key: value for key, value in (("lambda_f", lambda_f), ("lambda_m", lambda_m)) if value is not None}

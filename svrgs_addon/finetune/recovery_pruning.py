@@ -1,7 +1,8 @@
-"""Pruning during recovery, where a drop in PSNR is allowed: recovery wins back quality, and more Gaussians can go for it.
+"""Pruning during the recovery, when a drop in PSNR is allowed (--max-drop; docs/methods.md, "Holding a loss of quality").
 
-At CUTS of the recovery, the Gaussians with the lowest saliency are removed. Each cut removes as many as bring the drop to the
-allowed one by the next cut. It assumes that the steps in between recover the same share of this cut's loss as they did of the last.
+The recovery wins back PSNR, so more Gaussians can be removed. At the shares CUTS of the recovery, the Gaussians of lowest saliency
+are removed. A cut removes so many that the drop is expected to equal the allowed drop at the next cut. The expectation: the steps
+up to the next cut win back the same share of this cut's loss as they did for the last cut.
 """
 
 from __future__ import annotations
@@ -13,26 +14,27 @@ from .run_view import Keep, RunView
 from .saliency import saliency
 from .settings import Phase
 
-CUTS = (0.25, 0.5, 0.75, 0.9)  # of a recovery
-RECOVERED, DECAY = 0.65, 0.93  # share recovered of the first cut's loss, and the largest; factor on it from cut to cut
-DEEPEST = 1.5  # dB below the allowed PSNR that a cut may leave for the recovery
+CUTS = (0.25, 0.5, 0.75, 0.9)  # shares of the recovery's steps
+RECOVERED, DECAY = 0.65, 0.93  # share of a cut's loss that is won back: assumed for the first cut, at most for later ones; factor per cut
+DEEPEST = 1.5  # dB that a cut may go below the allowed PSNR
 
 
 @dataclass
 class RecoveryPruning:
-    """State: PSNR on a few training views (RunView.psnr) before the first step, before the last cut, and after it."""
+    """Decides the cuts. Its state is three PSNRs in dB on a few training views (RunView.psnr): before the first step of the run,
+    before the last cut, after the last cut."""
 
     start: float = 0.0
     before_cut: float = 0.0
     after_cut: float = 0.0
 
     def before_step(self, run: RunView):
-        """Notes the PSNR that the run starts from."""
+        """Measures the PSNR before the first step of the run."""
         if not self.start:
             self.start = run.psnr(None)
 
     def cut(self, run: RunView, phase: Phase, number: int) -> Keep:
-        """The Gaussians that stay after step `number` of the recovery."""
+        """(N,) bool: the Gaussians that stay after step `number` of the recovery. None: all, because no cut is due or no dB are to spare."""
         if number not in [round(share * phase.steps) for share in CUTS]:
             return None
         now = run.psnr(None)
@@ -47,9 +49,9 @@ class RecoveryPruning:
 
     def recovered_share(self, now: float) -> float:
         """The share of the next cut's loss that the recovery is expected to win back."""
-        cost = self.before_cut - self.after_cut
-        return min(max(DECAY * (now - self.after_cut) / cost, 0.0), RECOVERED) if cost > 0 else RECOVERED
+        loss = self.before_cut - self.after_cut
+        return min(max(DECAY * (now - self.after_cut) / loss, 0.0), RECOVERED) if loss > 0 else RECOVERED
 
     def drop(self, run: RunView) -> float:
-        """dB lost since the first step."""
+        """PSNR lost since before the first step, in dB."""
         return self.start - run.psnr(None)

@@ -1,4 +1,7 @@
-"""One fine-tuning run: which view, which rates, which masks; when to densify, prune, recover. Deterministic for a given seed."""
+"""One fine-tuning run: it chooses the view, learning rates and masks of each step, and decides when to densify and prune.
+
+A run is deterministic for a given seed.
+"""
 
 from __future__ import annotations
 
@@ -29,14 +32,14 @@ from .settings import Densify, Phase
 from .strength_controller import controller_for
 from .views import Views, as_real, fitting_reduction
 
-SMOOTHING = 0.05  # of the loss shown
-RESETS_NEED = 3  # opacities need a third of the steps between two resets to recover; a later reset is left out
-REORDER_SHARE = 0.1  # rows are put in Morton order again when so many were added since
+SMOOTHING = 0.05  # weight of the newest loss in the smoothed one
+RESETS_NEED = 3  # opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left in the phase is skipped
+REORDER_SHARE = 0.1  # rows are put in Morton order again when this share of them was added since
 
 
 @dataclass
 class Curves:
-    """Values over iterations, for plots."""
+    """Number of Gaussians, smoothed loss and PSNR in dB over iterations, for plots."""
 
     iteration: list[int] = field(default_factory=list)
     count: list[int] = field(default_factory=list)
@@ -45,7 +48,10 @@ class Curves:
 
 
 class Run:
-    """One fine-tuning run: model, position in the schedule, statistics. `advance()` does one iteration."""
+    """One fine-tuning run: the model, the position in the schedule, and statistics. `advance()` does one iteration.
+
+    It implements RunView, which is all that methods and controllers read. checkpoint.py saves and restores its state.
+    """
 
     def __init__(self, model: Model, dataset: Dataset, settings: Plan, engine, antialiased: bool = False):
         self.model, self.dataset, self.settings, self.engine = model, dataset, settings, engine
@@ -53,20 +59,20 @@ class Run:
         self.method = copy(settings.method)
         self.controller = controller_for(settings, self.method.learns_masks)
         self.recovery_pruning = RecoveryPruning() if settings.max_drop else None
-        self.drop: float | None = None  # dB lost, once the run is over, where a loss is allowed
-        self.target = settings.target  # 0: none, or a share of a number not known yet
+        self.drop: float | None = None  # PSNR lost in dB, set at the end of a run that allows a drop
+        self.target = settings.target  # 0: no target, or a share of a number that is not known yet
         self.iteration = 0
         self.statistics = densify.Statistics(model.count)
         self.views = Views(dataset.train_indices, settings.seed, settings.views_by_loss)
         self.initial_count = model.count
-        self.unordered = 0  # Gaussians added since rows were last put in order
+        self.unordered = 0  # Gaussians added since the rows were last put in Morton order
         self.curves = Curves()
         self.loss = math.nan
-        self.nonfinite = 0  # Gaussian rows whose gradient was not finite and was left out
-        self.held_back = 0  # densifications that added nothing, for want of memory
-        self.seconds: dict[str, float] = {}  # by phase
-        self.whole = True  # no step is half done
-        self._photographs: Generator | None = None  # of this epoch
+        self.nonfinite = 0  # rows that were not updated because their gradient was not finite
+        self.held_back = 0  # densifications that added nothing because memory was short
+        self.seconds: dict[str, float] = {}  # by name of the phase
+        self.between_steps = True  # False while a step is being done
+        self._photographs: Generator | None = None  # those left in this epoch
 
     @cached_property
     def extent(self) -> float:
@@ -77,15 +83,18 @@ class Run:
         return self.iteration >= self.settings.total
 
     def phase(self) -> tuple[Phase, int]:
-        """The phase of the next iteration, and its number within it (from 1)."""
+        """The phase of the next iteration, and the number of its step in this phase (from 1)."""
         return self.settings.at(self.iteration)
 
     def advance(self):
-        """One iteration: loss and gradients, then densification or the optimiser step, then pruning events."""
+        """One iteration: loss and gradients, then densification or the optimiser step, then pruning.
+
+        Raises SceneError if the loss is not finite, or if almost no Gaussian would be left; and what reading a photograph raises.
+        """
         started = time.perf_counter()
         phase, number = self.phase()
-        (view, reduction), target = self._next_photograph()  # which may fail: nothing has changed yet
-        self.whole = False
+        (view, reduction), target = self._next_photograph()  # reading may fail, so it comes before any change
+        self.between_steps = False
         if not self.iteration:
             self._into_order()
         self._prepare(phase, number)
@@ -95,27 +104,27 @@ class Run:
         self.iteration += 1
         self._density_control(phase, number, step, result)
         self._prune(phase, number)
-        self.whole = True
+        self.between_steps = True
         self.seconds[phase.name] = self.seconds.get(phase.name, 0.0) + time.perf_counter() - started
 
     def close(self):
-        """Ends the reading threads."""
+        """Ends the threads that read photographs."""
         if self._photographs is not None:
             self._photographs.close()
             self._photographs = None
 
     def _next_photograph(self) -> tuple[tuple[int, int], np.ndarray]:
-        """((view, reduction), target) of the next step."""
+        """((view, reduction), photograph) of the next step."""
         if self._photographs is None:
-            self._photographs = self.dataset.stream(self._looks(), self._target)
+            self._photographs = self.dataset.stream(self._steps_of_epoch(), self._target)
         try:
             return next(self._photographs)
         except StopIteration:  # the epoch is over
             self._photographs = None
             return self._next_photograph()
 
-    def _looks(self) -> Iterator[tuple[int, int]]:
-        """(view, reduction) of each step left in this epoch."""
+    def _steps_of_epoch(self) -> Iterator[tuple[int, int]]:
+        """(view, reduction) of each step that is left in this epoch."""
         for iteration, view in enumerate(self.views.rest(), self.iteration):
             if iteration == self.settings.total:
                 return
@@ -123,22 +132,22 @@ class Run:
             camera = self.dataset.cameras[view]
             yield view, fitting_reduction(phase.reduction(number), camera.width, camera.height)
 
-    def _target(self, look: tuple[int, int]) -> np.ndarray:
-        view, reduction = look
+    def _target(self, view_and_reduction: tuple[int, int]) -> np.ndarray:
+        view, reduction = view_and_reduction
         return as_real(self.dataset.image(view), self.model.dtype, reduction)
 
     def _prepare(self, phase: Phase, number: int):
-        """Before a step: notes where the run starts from, and lets the method change what it needs."""
+        """What precedes a step: PSNR at the start, target, the method's own preparation, and the start of the controller."""
         if self.recovery_pruning:
             self.recovery_pruning.before_step(self)
         if not phase.active:
-            self.model.forget_extras()
+            self.model.remove_extras()
             return
-        if self.settings.share and not self.target and not _grows(phase, number):
+        if self.settings.share and not self.target and not _densifying(phase, number):
             self.target = max(1, round(self.settings.share * self.model.count))
         self.target = self.target or self.method.budget(self)
         self.method.prepare(self, phase, number)
-        if self.controller and not _grows(phase, number):
+        if self.controller and not _densifying(phase, number):
             self.controller.before_step(self)
 
     def _step(self, phase: Phase, number: int, camera: Camera, target: np.ndarray) -> Step:
@@ -164,7 +173,7 @@ class Run:
         degree = number // phase.sh_every if phase.sh_every else 3
         return RenderOptions(min(degree, 3), self.antialiased, s.full, kind, background=s.background)
 
-    # --- what methods and controllers read: RunView
+    # --- RunView: what methods and controllers read
 
     @property
     def strength(self) -> float:
@@ -204,7 +213,7 @@ class Run:
     def _record(self, result: StepResult, step: Step, view: int):
         loss = result.loss(step)
         if not math.isfinite(loss):
-            raise SceneError(f"the loss is not finite at iteration {self.iteration + 1} (view {step.camera.name}): the scene or its images hold bad values")
+            raise SceneError(f"the loss is not finite at iteration {self.iteration + 1} (view {step.camera.name}): the scene or the photograph has bad values")
         self.loss = loss if math.isnan(self.loss) else self.loss + SMOOTHING * (loss - self.loss)
         self.nonfinite += result.nonfinite
         self.views.shown(view, result.image_loss(step))
@@ -222,9 +231,9 @@ class Run:
     def _densify(self, phase: Phase, number: int, rule: Densify):
         before = self.model.count
         rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
-        keep = densify.densify(self.model, self.statistics, rule, self.extent, rng, self._fits)
+        keep = densify.densify(self.model, self.statistics, rule, self.extent, rng, self._memory_allows)
         self.unordered += self.model.count - before
-        keep &= densify.worth_keeping(self.model, rule, self.extent, number > rule.reset_every)
+        keep &= densify.keep_mask(self.model, rule, self.extent, number > rule.reset_every)
         survivors = self.method.survivors(self) if phase.active else None
         self._keep(keep if survivors is None else keep & survivors)
         last = number + rule.every >= rule.until
@@ -232,27 +241,29 @@ class Run:
             self._into_order()
         self.statistics = densify.Statistics(self.model.count)
 
-    def _fits(self, born: int) -> bool:
-        """Whether memory holds so many more Gaussians; said once if not, and training goes on with those there are."""
+    def _memory_allows(self, added: int) -> bool:
+        """Whether memory is enough for so many more Gaussians. If not, training goes on without them; the first time it warns."""
         count, coefficients, _ = self.model.sh.shape
-        sentence = memory.shortage(f"growing beyond {count:,} Gaussians", memory.growing(count, born, coefficients, self.dataset.cameras))
+        sentence = memory.shortage(f"growing beyond {count:,} Gaussians", memory.growing(count, added, coefficients, self.dataset.cameras))
         if sentence and not self.held_back:
             logging.warning("iteration %d: %s; training goes on without growing", self.iteration, sentence)
         self.held_back += bool(sentence)
         return not sentence
 
     def _into_order(self):
-        """Puts near Gaussians into near rows (geometry/morton_order.py), where statistics are empty or about to be: they are not moved along."""
+        """Puts the rows in Morton order (geometry/morton_order.py). The densification statistics are not reordered, so it is called only
+        when they are empty or are reset next."""
         if self.settings.spatial_order:
             self.model.reorder(morton_order(self.model.means))
         self.unordered = 0
 
     def _prune(self, phase: Phase, number: int):
-        """After a step: the method prunes outside densification and when its phase ends; recovery prunes where a drop is allowed."""
+        """What follows a step: the controller; pruning by the method, outside densification and at the end of its phase; pruning in the
+        recovery, if a drop is allowed."""
         last = number == phase.steps
-        if phase.active and self.controller and not _grows(phase, number):
+        if phase.active and self.controller and not _densifying(phase, number):
             self.controller.after_step(self, phase, number)
-        if phase.active and (last or not _grows(phase, number)):
+        if phase.active and (last or not _densifying(phase, number)):
             self._keep(self.method.after_step(self, phase, number))
         if phase.active and last:
             self._keep(self.method.final_mask(self))
@@ -268,6 +279,6 @@ class Run:
             self.statistics = densify.Statistics(self.model.count)
 
 
-def _grows(phase: Phase, number: int) -> bool:
-    """Whether step `number` of the phase lies within densification, and others follow in it."""
+def _densifying(phase: Phase, number: int) -> bool:
+    """Whether step `number` of the phase is before the end of densification and is not the last step of the phase."""
     return phase.densify is not None and number < min(phase.densify.until, phase.steps)

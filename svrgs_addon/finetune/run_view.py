@@ -1,4 +1,4 @@
-"""What a method may read of a run. Run (run.py) is the only implementation; methods and controllers know no more of it than this."""
+"""The protocol through which methods and controllers read a run. Run (run.py) is its only implementation."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Keep = np.ndarray | None  # (N,) bool, True for the Gaussians that stay; None: a
 
 
 class RunView(Protocol):
-    """A run between two steps."""
+    """The state of a run between two steps."""
 
     model: Model
     iteration: int  # steps done
     initial_count: int  # Gaussians at the start
-    target: int  # Gaussians to keep; 0: none asked for, or not known yet
+    target: int  # Gaussians to keep; 0: no target, or not known yet
 
     @property
     def settings(self) -> Settings:
@@ -28,15 +28,15 @@ class RunView(Protocol):
 
     @property
     def extent(self) -> float:
-        """Size of the scene, world units: Dataset.extent."""
+        """Size of the scene in world units (Dataset.extent)."""
 
     @property
     def strength(self) -> float:
-        """Factor on the weights of the method's terms: StrengthController.strength, or 1."""
+        """Factor on the weights of the method's terms: StrengthController.strength, or 1 without a controller."""
 
     @property
     def psnr_before(self) -> float:
-        """PSNR in dB on a few training views before the first step. Known where the settings allow a drop, else 0."""
+        """PSNR in dB on a few training views before the first step. 0 if the settings allow no drop: then it is not measured."""
 
     @property
     def training_cameras(self) -> list[Camera]:
@@ -44,17 +44,17 @@ class RunView(Protocol):
 
     @property
     def rasterizer(self) -> Rasterizer:
-        """For scores. A step overwrites its buffers."""
+        """The engine's rasteriser, for scores. The next step overwrites its buffers."""
 
     @property
     def score_options(self) -> RenderOptions:
-        """Options for scores: all SH bands, no masks."""
+        """Options for scores: all SH bands, no spatial mask."""
 
     def psnr(self, kept: Keep) -> float:
-        """PSNR in dB on a few training views, of the Gaussians `kept`."""
+        """PSNR in dB on a few training views, rendered with the Gaussians `kept` (N,) bool; None: with all."""
 
     def current_mask(self) -> Keep:
-        """The Gaussians that would stay if the method decided now and had no target."""
+        """(N,) bool: the Gaussians that would stay if the method decided now and had no target."""
 
     def expected_count(self) -> float:
-        """The number of Gaussians that the learned masks expect to stay."""
+        """Expected number of Gaussians under the learned masks: the sum of their probabilities."""

@@ -1,14 +1,17 @@
-"""Saliency: what the existence of one Gaussian is worth to the objective of SVR-GS, without sampling masks.
+"""Saliency of a Gaussian: its removal error over its mask penalty, computed without sampling masks.
 
-A colour and the spatial mask F are linear in the existence M of one Gaussian. Removing it changes them by their derivatives:
+The colour C of a pixel and its spatial mask F are linear in the existence M of one Gaussian. So the removal of one Gaussian changes
+them by exactly their derivatives:
 
     removal error = sum over views of the mean over all pixels of |dC/dM|^2 / 3,   dC/dM = alpha T (c - b)
     mask penalty  = SHARE * sum over views of the mean over its own pixels of 2 F dF/dM
     saliency      = removal error / mask penalty                                    in units of lambda_F
 
-The removal error is the Delta SE of GaussianPOP (arXiv 2602.06830): the growth of the squared error when the Gaussian alone is
-removed. The mask penalty is the Gaussian's part in F^2, to first order. The objective falls when a Gaussian with a saliency below
-lambda_F is removed. Each Gaussian is charged for the same SHARE of an image, however large it is: it costs memory and time as one.
+b is the colour that the pixel would have if the ray began behind the Gaussian. The removal error is the Delta SE of GaussianPOP
+(arXiv 2602.06830): the squared error that the removal of this Gaussian alone would cause. The mask penalty is what the Gaussian adds
+to F^2, to first order. The objective of SVR-GS (arXiv 2509.11116, Eq. 10) falls when a Gaussian with a saliency below lambda_F is
+removed. "Its own pixels" are those in which it is blended. So each Gaussian is charged for the same SHARE of an image, whatever its
+size, because each needs the same memory and time. The paper charges by pixel.
 """
 
 from __future__ import annotations
@@ -23,12 +26,12 @@ from ..scene import Scene
 from .model import Model
 from .views import fitting_reduction
 
-SHARE = 4e-7  # of an image
-REDUCTION = 2  # views at half their size: nearly the same ranking in a fraction of the time
+SHARE = 4e-7  # share of an image that each Gaussian is charged for
+REDUCTION = 2  # views are rendered at half their size: nearly the same ranking in a fraction of the time
 
 
 def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """(N,) float64; 0 for Gaussians that no view sees."""
+    """Removal error of each Gaussian, (N,) float64: squared error of colours in 0..1, summed over views. 0 for Gaussians that no view sees."""
     total = np.zeros(scene.count)
     for view in _reduced(cameras):
         rasterizer.forward(scene, view, options, outputs=())
@@ -37,7 +40,7 @@ def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rast
 
 
 def saliency(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """(N,) float64, in units of lambda_F; 0 for Gaussians that no view sees."""
+    """Saliency of each Gaussian, (N,) float64, in units of lambda_F. 0 for Gaussians that no view sees."""
     n, options = scene.count, replace(options, mask_kind="svr")
     removal_error, mask_penalty = np.zeros(n), np.zeros(n)
     for view in _reduced(cameras):
@@ -55,7 +58,7 @@ def _reduced(cameras: list[Camera]) -> list[Camera]:
 
 
 def _removal_error(rasterizer: Rasterizer, view: Camera, count: int) -> np.ndarray:
-    """(N,): the part of the view that was rendered last."""
+    """Removal errors in the view that was rendered last, (N,) float64."""
     sums = np.zeros(count)
     rasterizer.add_removal(sums, np.zeros((view.height, view.width, 3), rasterizer.dtype))
     return sums / (3 * view.height * view.width)

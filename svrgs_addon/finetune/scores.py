@@ -1,4 +1,4 @@
-"""Scores that rank Gaussians once, without learning: what they contribute to a set of views."""
+"""Scores that rank Gaussians without learning: their contribution to a set of views."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ..scene import Scene
 
 
 def contribution(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Per Gaussian over all views: sum of alpha T (float64), its maximum (float32), pixels blended (int64); (N,) each."""
+    """Of each Gaussian over all views, (N,) each: sum of alpha T (float64), largest alpha T (float32), pixels in which it is blended (int64)."""
     sums, peaks, pixels, _ = _statistics(scene, cameras, rasterizer, options)
     return sums, peaks, pixels
 
 
 def significance(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """(N,) float64: sum over views and the pixels a Gaussian is blended in of its opacity times T (LightGaussian)."""
+    """Opacity times the sum of T over all views and the pixels in which the Gaussian is blended, (N,) float64 (LightGaussian)."""
     *_, transmittance = _statistics(scene, cameras, rasterizer, options)
     return transmittance / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
 
@@ -31,7 +31,7 @@ def _statistics(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, opt
 
 
 def top(score: np.ndarray, count: int) -> np.ndarray:
-    """(N,) bool: the `count` highest scores; ties go to the earlier row."""
+    """(N,) bool: True for the `count` highest scores (N,). Of equal scores, the earlier row wins."""
     order = np.lexsort((np.arange(len(score)), -score))
     keep = np.zeros(len(score), bool)
     keep[order[:count]] = True

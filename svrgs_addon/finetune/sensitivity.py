@@ -1,13 +1,16 @@
-"""PUP 3D-GS's sensitivity: how much all views would change if a Gaussian moved or changed its size, as log det of a 6x6 matrix.
+"""Sensitivity of PUP 3D-GS (arXiv 2406.10219): how much the views change when a Gaussian moves or changes its size.
+
+The score is log det H of a 6x6 matrix per Gaussian:
 
     H = sum over views, pixels, channels of g g^T,    g = dC/d(mean, log-scale)
 
-A colour depends on these six through alpha alone (the turn of its own view-dependent colour is left out), and alpha through the
-centre mu and the covariance Sigma on the screen: with w = L (pixel - mu), L^T L k^2 = Sigma^-1 and k^2 = 2 ln 2,
+The colour C of a pixel depends on these six values through alpha alone; the change of the view-dependent colour with position is left
+out. alpha depends on them through the centre mu and the covariance Sigma on the screen. With w = (u, v) = L (pixel - mu),
+L^T L k^2 = Sigma^-1 and k^2 = 2 ln 2:
 
     d ln alpha = k^2 w^T L dmu + k^4/2 w^T (L dSigma L^T) w = t^T J,    t = (u, v, uu, uv, vv)
 
-so that a view's share of H is J^T S J, S the sum over its pixels of W t t^T (W: native.Rasterizer.moments).
+So one view adds J^T S J to H, where S is the sum over its pixels of W t t^T (W: native.Rasterizer.moments).
 """
 
 from __future__ import annotations
@@ -21,9 +24,9 @@ from ..native_library import thresholds
 from ..scene import Scene
 from .views import fitting_reduction
 
-REDUCTION = 4  # published: views at a quarter of their size
+REDUCTION = 4  # views are rendered at a quarter of their size, as published
 K2 = 2 * np.log(2)
-ROWS = 32_768  # Gaussians at a time
+ROWS = 32_768  # Gaussians that are worked on at a time
 _UPPER = np.triu_indices(6)
 # S[i, j] is the moment of t_i t_j.
 _T = ("u", "v", "uu", "uv", "vv")
@@ -31,7 +34,7 @@ _S = np.array([[MOMENTS.index("".join(sorted(a + b))) for b in _T] for a in _T])
 
 
 def log_determinants(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """(N,) float64, -inf where H is singular: never seen, or along a line at most."""
+    """log det H of each Gaussian, (N,) float64. -inf if H is singular: no pixel sees the Gaussian, or only pixels on one line do."""
     sums = np.zeros((scene.count, len(_UPPER[0])))
     for camera in cameras:
         view = camera.reduced(fitting_reduction(REDUCTION, camera.width, camera.height))
@@ -39,7 +42,7 @@ def log_determinants(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer
         ids, moments = rasterizer.visible(), rasterizer.moments()
         for start in range(0, len(ids), ROWS):
             rows = ids[start : start + ROWS]
-            sums[rows] += _share(moments[start : start + ROWS], jacobians(scene, view, rows))
+            sums[rows] += _view_part(moments[start : start + ROWS], jacobians(scene, view, rows))
     result = np.empty(scene.count)
     for start in range(0, scene.count, ROWS):
         part = slice(start, start + ROWS)
@@ -47,15 +50,15 @@ def log_determinants(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer
     return result
 
 
-def _share(moments: np.ndarray, J: np.ndarray) -> np.ndarray:
-    """J^T S J, upper triangle (V, 21), of moments (V, 12) and J (V, 5, 6)."""
+def _view_part(moments: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """What a view adds to H: the upper triangle of J^T S J, (V, 21). moments (V, 12), J (V, 5, 6)."""
     return (J.swapaxes(1, 2) @ moments[:, _S] @ J)[:, *_UPPER]
 
 
 def _log_det(upper: np.ndarray) -> np.ndarray:
     H = np.zeros((len(upper), 6, 6))
     H[:, *_UPPER] = H[:, _UPPER[1], _UPPER[0]] = upper
-    scale = np.sqrt(np.maximum(np.einsum("nii->ni", H), 0))  # to a unit diagonal first: positions and log-scales have different units
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", H), 0))  # H is scaled to a unit diagonal, because positions and log-scales differ in units
     seen = (scale > 0).all(axis=1)
     scale = np.where(seen[:, None], scale, 1.0)
     sign, log_det = np.linalg.slogdet(H / (scale[:, :, None] * scale[:, None, :]))
@@ -63,7 +66,7 @@ def _log_det(upper: np.ndarray) -> np.ndarray:
 
 
 def jacobians(scene: Scene, camera: Camera, ids: np.ndarray) -> np.ndarray:
-    """J (V, 5, 6) of the Gaussians `ids`, float64: d ln alpha = t^T J d(mean, log-scale), at any pixel."""
+    """J of the Gaussians `ids`, (V, 5, 6) float64: d ln alpha = t^T J d(mean, log-scale) at every pixel."""
     W, K = camera.viewmat[:3, :3], camera.K
     points = scene.means[ids].astype(np.float64) @ W.T + camera.viewmat[:3, 3]
     axes = W @ rotation_matrices(scene.quats[ids].astype(np.float64)) * np.exp(scene.log_scales[ids].astype(np.float64))[:, None, :]  # (V, 3, 3)
@@ -73,18 +76,18 @@ def jacobians(scene: Scene, camera: Camera, ids: np.ndarray) -> np.ndarray:
     white = L @ half
     d_cov = np.empty((len(ids), 6, 2, 2))  # L dSigma L^T
     for k in range(3):
-        turned = white @ (L @ dP[:, k] @ axes).swapaxes(1, 2)  # in the camera's axes
+        turned = white @ (L @ dP[:, k] @ axes).swapaxes(1, 2)  # derivative along axis k of the camera
         d_cov[:, k] = turned + turned.swapaxes(1, 2)
         d_cov[:, 3 + k] = 2 * white[:, :, k, None] * white[:, None, :, k]
     J = np.zeros((len(ids), 5, 6))
     J[:, :2, :3] = K2 * L @ centre_jacobian(points, K)
     J[:, 2:] = K2**2 / 2 * np.stack([d_cov[..., 0, 0], 2 * d_cov[..., 0, 1], d_cov[..., 1, 1]], axis=1)
-    J[:, :, :3] = J[:, :, :3] @ W  # to the world's
+    J[:, :, :3] = J[:, :, :3] @ W  # from the camera's axes to the world's
     return J
 
 
 def whitening(cov: np.ndarray) -> np.ndarray:
-    """L (V, 2, 2), upper triangular: L^T L = cov^-1 / k^2."""
+    """L (V, 2, 2), upper triangular, with L^T L = cov^-1 / k^2. cov (V, 2, 2)."""
     xx, xy, yy = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
     L = np.zeros_like(cov)
     L[:, 0, 0] = np.sqrt(yy / (K2 * (xx * yy - xy * xy)))
@@ -94,14 +97,17 @@ def whitening(cov: np.ndarray) -> np.ndarray:
 
 
 def centre_jacobian(points: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """d(pixel)/d(camera point) (V, 2, 3) at points (V, 3)."""
+    """d(pixel)/d(camera point), (V, 2, 3), at points (V, 3) in camera coordinates."""
     x, y, z = points.T
     zero = np.zeros_like(z)
     return np.stack([np.stack([K[0, 0] / z, zero, -K[0, 0] * x / z**2], 1), np.stack([zero, K[1, 1] / z, -K[1, 1] * y / z**2], 1)], 1)
 
 
 def screen_jacobian(points: np.ndarray, K: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """The Jacobian P (V, 2, 3) that carries shapes to the screen, x/z and y/z clamped to the widened view, and dP/d(camera point) (V, 3, 2, 3)."""
+    """The Jacobian P (V, 2, 3) that projects covariances to the screen, and dP/d(camera point) (V, 3, 2, 3). points (V, 3): camera coordinates.
+
+    As in 3DGS, x/z and y/z are clamped to the view widened by the frustum margin.
+    """
     focal, principal, size, z = K.diagonal()[:2], K[:2, 2], np.array([width, height]), points[:, 2:]
     margin = thresholds().frustum_margin * size / (2 * focal)
     slope = points[:, :2] / z

@@ -1,4 +1,4 @@
-"""Every number of a run, with the published defaults (3DGS, MaskGaussian, SVR-GS, LightGaussian recovery)."""
+"""All settings of a run. The defaults are the published ones (3DGS, MaskGaussian, SVR-GS; LightGaussian for the recovery)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of one phase. Position rates are per unit of extent, log-linear from first to last (3DGS)."""
+    """Learning rates of one phase, for Adam. The position rate is log-linear from first to last and is multiplied by the extent (3DGS)."""
 
     position_first: float = 1.6e-4
     position_last: float = 1.6e-6
@@ -17,12 +17,12 @@ class Rates:
     opacity: float = 0.05
     scale: float = 5e-3
     rotation: float = 1e-3
-    mask: float = 0.02  # of one logit: MaskGaussian's 0.01 on a pair of scores
-    decay: float = 1.0  # of all but the position rate, every decay_every steps
+    mask: float = 0.02  # of one existence logit; the same steps as MaskGaussian's 0.01 on a pair of scores
+    decay: float = 1.0  # factor on all rates but that of position, every decay_every steps
     decay_every: int = 400
 
     def at(self, step: int, extent: float) -> dict[str, float]:
-        """Rates of step 1, 2, ... of the phase, by parameter name; 'sh_rest' beside 'sh'."""
+        """Rates of step 1, 2, ... of the phase by parameter name. 'sh' is the rate of SH degree 0, 'sh_rest' that of higher degrees."""
         t = min(step / self.position_steps, 1.0)
         position = self.position_first ** (1 - t) * self.position_last**t * extent
         share = self.decay ** (step // self.decay_every)
@@ -39,51 +39,54 @@ class Rates:
 
 @dataclass(frozen=True)
 class Densify:
-    """3DGS densification: clone, split, prune, opacity reset."""
+    """Densification of 3DGS (section 5.2 of the paper): clone, split, prune, opacity reset. Step numbers are those of the phase."""
 
     start: int = 500
     until: int = 15_000
     every: int = 100
     reset_every: int = 3_000
-    gradient: float = 2e-4  # mean norm of dL/d(projected centre), in units of half the image
-    small: float = 0.01  # clone up to this share of the extent, split above
+    gradient: float = 2e-4  # least mean norm of dL/d(projected centre), in units of half the image
+    small: float = 0.01  # share of the extent: Gaussians up to this size are cloned, larger ones are split
     split_into: int = 2
     split_shrink: float = 1.6
     min_opacity: float = 0.005
-    max_scale: float = 0.1  # of the extent, after the first opacity reset
+    max_scale: float = 0.1  # share of the extent; applied after the first opacity reset
 
     @classmethod
     def within(cls, iterations: int, until: int | None = None) -> Densify:
-        """Of a run of so many iterations: until half of them, as published for 30 000, so that what was added is learned too."""
+        """Densification of a run of so many iterations. It ends after half of them, at most at step 15 000, so that new Gaussians are
+        trained too. Published for 30 000 iterations: 15 000. until: the last step instead."""
         return cls(until=min(cls.until, iterations // 2) if until is None else until)
 
 
-MAX_DROPOUT = 0.3  # share of the Gaussians
+MAX_DROPOUT = 0.3  # largest dropout rate
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of iterations under one set of rules."""
+    """A part of a run, with its own rates and rules."""
 
     name: str
     steps: int
     rates: Rates
     densify: Densify | None = None
-    active: bool = False  # the method takes part: it learns masks or presses opacities, and decides in the end what stays
-    prune_every: int = 1_000  # its pruning events, outside densification; 0: none
-    sh_every: int = 0  # raise the SH degree every so many steps; 0: all bands from the start
-    dropout: float = 0.0  # times 1 / training views: share of the Gaussians that a step leaves out, in the first 4/5 of the steps
-    coarse_until: int = 0  # steps up to this one look at reduced photographs
-    coarse_factor: int = 2  # pixels a side that become one at first, a power of 2; halved in equal stretches
-    label: str = ""  # what happens in it, for people
+    active: bool = False  # the method takes part in the steps, and decides at the end of the phase which Gaussians stay
+    prune_every: int = 1_000  # steps between pruning events, outside densification; 0: no events
+    sh_every: int = 0  # the SH degree rises by 1 every so many steps; 0: all bands from the start
+    dropout: float = 0.0  # divided by the number of training views: the dropout rate of the first 4/5 of the steps
+    coarse_until: int = 0  # steps up to this one use reduced photographs
+    coarse_factor: int = 2  # reduction of the first steps, per side, a power of 2; it is halved after equal numbers of steps
+    label: str = ""  # what happens in the phase, as shown to users
 
     def dropout_rate(self, number: int, views: int) -> float:
-        """The probability with which step `number` (from 1) leaves a Gaussian out. With few training `views` it keeps the scene from fitting
-        those alone."""
+        """Dropout rate of step `number` (from 1): the probability that the step leaves a Gaussian out.
+
+        It is min(0.3, dropout / views). With few training views, dropout keeps the scene from overfitting them.
+        """
         return min(MAX_DROPOUT, self.dropout / views) if 5 * number <= 4 * self.steps else 0.0
 
     def reduction(self, number: int) -> int:
-        """Pixels a side that step `number` (from 1) sees as one."""
+        """Reduction of the photographs in step `number` (from 1): so many pixels per side are averaged into one."""
         if number > self.coarse_until:
             return 1
         return self.coarse_factor >> (number - 1) * (self.coarse_factor.bit_length() - 1) // self.coarse_until
@@ -91,28 +94,28 @@ class Phase:
 
 @dataclass(frozen=True)
 class Settings:
-    """One whole run, but for its method (plan.Plan)."""
+    """All settings of a run except its method, which plan.Plan adds."""
 
     phases: tuple[Phase, ...]
     lambda_f: float = 0.0  # weight of mean F^2
-    lambda_m: float = 0.0  # of the method's term of all masks
-    full: bool = True  # F walks each ray to its end
+    lambda_m: float = 0.0  # weight of the method's term over all masks or opacities
+    full: bool = True  # F counts every hit of a ray; False: only up to where the colours stop
     seed: int = 0
-    mask_init: float = 9.0
-    draws: int = 10
-    views_by_loss: bool = False  # show the views with the lower loss every other epoch only
-    spatial_order: bool = True  # Gaussians that lie together in space lie together in memory: the same work, done faster
-    l1_weight: float = 0.8
-    ssim_weight: float = 0.2
-    min_contribution: float = 0.0  # before all else, drop what never reaches this alpha T in a training view
-    target: int = 0  # Gaussians to keep when the method decides; 0: whatever survives
-    share: float = 0.0  # instead of a target: of the Gaussians there are once densification has ended
-    max_drop: float = 0.0  # instead of a target: dB that may be lost in the end, on a few training views
+    mask_init: float = 9.0  # existence logit at the start
+    draws: int = 10  # samples at a pruning event
+    views_by_loss: bool = False  # views of low loss are shown in every other epoch only
+    spatial_order: bool = True  # rows are kept in Morton order: Gaussians near in space are near in memory, which is faster
+    l1_weight: float = 0.8  # of the mean absolute error
+    ssim_weight: float = 0.2  # of 1 - SSIM
+    min_contribution: float = 0.0  # first cut: Gaussians whose alpha T stays below this in every pixel of every training view are removed
+    target: int = 0  # Gaussians to keep when the method decides; 0: no target
+    share: float = 0.0  # instead of a target: share of the Gaussians that exist when densification has ended
+    max_drop: float = 0.0  # instead of a target: PSNR in dB that may be lost at the end, on a few training views
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def prunes(self) -> bool:
-        """Whether the method takes part in some steps."""
+        """Whether the method takes part in any step."""
         return any(phase.active and phase.steps for phase in self.phases)
 
     @property
@@ -120,7 +123,7 @@ class Settings:
         return sum(phase.steps for phase in self.phases)
 
     def at(self, iteration: int) -> tuple[Phase, int]:
-        """The phase of iteration 0, 1, ... of the run, and its step's number within it (from 1)."""
+        """The phase of iteration 0, 1, ... of the run, and the number of the step in this phase (from 1). Raises IndexError after the last one."""
         number = iteration + 1
         for phase in self.phases:
             if number <= phase.steps:
@@ -130,6 +133,7 @@ class Settings:
 
 
 def recovery_phase(steps: int, position_first: float = 5e-6) -> Phase:
-    """LightGaussian's recovery: the plain 3DGS loss, nothing added, nothing pruned, rates fading."""
+    """The recovery of LightGaussian: the plain 3DGS loss; nothing is added or pruned; all rates but that of position decay by 0.95
+    every 400 steps."""
     rates = Rates(position_first=position_first, position_steps=max(steps, 1), decay=0.95)
     return Phase("recover", steps, rates, label="Recovering the quality")

@@ -1,11 +1,12 @@
-"""Steers the strength of a method that learns masks, so that the method itself arrives at the target.
+"""Strength controller of methods that learn masks: it multiplies lambda_F and lambda_m by a strength, so that learning ends at the target.
 
-Progress q is 0 at the start of the phase and 1 at the goal:
-- target count: q = ln(E0 / E) / ln(E0 / target), E the expected number of Gaussians, E0 the first E;
-- allowed drop: q = the drop in dB so far / the allowed drop.
+It is a proportional controller on log-strength; the error is the wanted slope minus the measured slope of the progress q
+(docs/methods.md, "Strength controller"). q is 0 at the start of the phase and 1 at the goal:
 
-q is to follow a line: from the step where masks begin to change up to 1 at HOLD_FROM of the phase, then constant. The controller is
-a proportional controller on log-strength; the error is the wanted slope of q minus the measured slope.
+- target count: q = ln(n_0 / n) / ln(n_0 / target); n is the expected number of Gaussians, n_0 the first n;
+- allowed drop: q = (drop in dB so far) / (allowed drop).
+
+The wanted q is a line: 0 at the step where masks begin to change, 1 at HOLD_FROM of the phase, constant from there on.
 """
 
 from __future__ import annotations
@@ -16,26 +17,26 @@ from dataclasses import dataclass
 from .run_view import RunView
 from .settings import Phase, Settings
 
-UPDATES = 100  # of the controller, in a phase
-BEGUN = 0.02  # of q: the line starts where q exceeds this ...
+UPDATES = 100  # updates of the strength per phase
+BEGUN = 0.02  # the line starts when q exceeds this ...
 LATEST = 0.3  # ... or at this share of the phase
-HOLD_FROM = 0.85  # share of the phase
-AHEAD = 0.08  # share of the phase: the wanted slope meets the line so far ahead
-GAIN = 0.8  # change of ln(strength) for an error of one slope of the line
-SMOOTHING = 0.5  # weight of the newest measured slope
-LIMIT = math.log(1e4)  # of |ln(strength)|
+HOLD_FROM = 0.85  # share of the phase at which the line reaches 1
+AHEAD = 0.08  # share of the phase after which the wanted slope would reach the line
+GAIN = 0.8  # change of ln(strength) for an error as large as the slope of the line
+SMOOTHING = 0.5  # weight of the newest measured slope in the smoothed one
+LIMIT = math.log(1e4)  # largest |ln(strength)|
 
 
 @dataclass
 class StrengthController:
-    """State: everything here, as a checkpoint stores it."""
+    """The controller. Its fields are its whole state; a checkpoint stores them."""
 
     log_strength: float = 0.0
-    start: float = 0.0  # E0, or the PSNR at the start
-    begun: int = 0  # step at which the line starts
+    start: float = 0.0  # n_0, or the PSNR in dB at the start
+    begun: int = 0  # t_0: step at which the line starts; 0: not yet
     last: float = 0.0  # q at the last update
-    slope: float = 0.0  # of q, per step, smoothed
-    reached: int = 0  # Gaussians that the masks alone would leave, at the last update
+    slope: float = 0.0  # smoothed measured slope of q, per step
+    reached: int = 0  # Gaussians that would stay by the masks alone, at the last update
 
     @property
     def strength(self) -> float:
@@ -43,7 +44,7 @@ class StrengthController:
         return math.exp(self.log_strength)
 
     def before_step(self, run: RunView):
-        """Called before each step of an active phase: notes the start."""
+        """Called before each step of an active phase. At the first one it measures n_0 or the PSNR."""
         if not self.start and (run.target or run.settings.max_drop):
             self.start = run.psnr(None) if run.settings.max_drop else run.expected_count()
 
@@ -69,7 +70,8 @@ class StrengthController:
         self.log_strength = min(max(self.log_strength + GAIN * min(max(error, -1.0), 1.0), -LIMIT), LIMIT)
 
     def progress(self, run: RunView, settled: float) -> float:
-        """q. For a target, the count is a mean of what the masks alone would leave (weight `settled`) and E: smooth first, exact last."""
+        """q. For a target, n is a weighted mean: the number that would stay by the masks alone (weight `settled`, which rises from 0 to 1)
+        and the sum of all p. So q is smooth at first and exact at the end."""
         if run.settings.max_drop:
             return (self.start - run.psnr(run.current_mask())) / run.settings.max_drop
         if run.target >= self.start:
@@ -79,6 +81,6 @@ class StrengthController:
 
 
 def controller_for(settings: Settings, learns_masks: bool) -> StrengthController | None:
-    """None where no target is asked for, or the method learns no masks."""
+    """The controller of a run. None without a target, share or max_drop, and for methods that learn no masks."""
     asked = settings.target or settings.share or settings.max_drop
     return StrengthController() if learns_masks and asked else None

@@ -1,7 +1,7 @@
-"""The torch engine: one optimisation step in torch, term by term; the readable twin of engine.py and its oracle.
+"""The torch engine: one optimisation step in PyTorch, term by term. The native engine (engine.py) is tested against it.
 
-Its parameters share memory with the model's, and the moments are packed as there, so checkpoints, densification and pruning work the same after either
-engine. For a loss of your own, override TorchEngine.loss.
+Its tensors share memory with the model's arrays, and it stores moments in the same layout (moments.py). So checkpoints, densification
+and pruning do not depend on the engine. To try a loss of your own, override TorchEngine.loss.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ except ImportError:
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-WINDOW, SIGMA = 11, 1.5  # of SSIM, pixels
+WINDOW, SIGMA = 11, 1.5  # Gaussian window of SSIM, pixels
 C1, C2 = 1e-4, 9e-4
 SH = {"sh", "sh_rest"}
 
 
 class Rasterize(torch.autograd.Function):
-    """The native rasteriser as a differentiable function of N Gaussians: one image for each name in `outputs`.
+    """The native rasteriser as a differentiable function of N Gaussians. It returns one image per name in `outputs`.
 
-    gaussians: tensors in the order of native.GRADS. masks: (N,) 0 or 1, or None for all 1; means2d: (N, 2), not read,
-    its gradient is dL/d(projected centre) in pixels. Call backward before the rasteriser's next forward.
+    gaussians: tensors in the order of native.GRADS. Among them masks: (N,), 0 or 1, or None for all 1; means2d: (N, 2), which is not
+    read and whose gradient is dL/d(projected centre), per pixel. Call backward before the next forward of the rasteriser.
     """
 
     @staticmethod
@@ -55,19 +55,19 @@ class Rasterize(torch.autograd.Function):
 
 
 def row_ids(rasterizer: Rasterizer) -> Tensor:
-    """Ids of the Gaussians the last view saw, (V,) int64."""
+    """Rows of the Gaussians that the last view sees, (V,) int64."""
     return torch.from_numpy(rasterizer.visible().astype(np.int64))
 
 
 def _scattered(rows: np.ndarray, ids: Tensor, count: int) -> Tensor:
-    """(count, ...) zeros but for the given rows."""
+    """A tensor (count, ...) that holds `rows` at `ids` and 0 elsewhere."""
     dense = torch.zeros((count, *rows.shape[1:]), dtype=torch.from_numpy(rows).dtype)
     dense[ids] = torch.from_numpy(rows)
     return dense
 
 
 def _local_mean(image: Tensor) -> Tensor:
-    """(3, 1, H, W) averaged by the Gaussian window of SSIM; zeros outside the image."""
+    """Mean of (3, 1, H, W) under the Gaussian window of SSIM; pixels outside the image count as 0."""
     offsets = torch.arange(WINDOW, dtype=image.dtype) - WINDOW // 2
     taps = torch.exp(-0.5 * (offsets / SIGMA) ** 2)
     window = torch.outer(taps, taps) / taps.sum() ** 2
@@ -75,7 +75,7 @@ def _local_mean(image: Tensor) -> Tensor:
 
 
 def ssim(x: Tensor, y: Tensor) -> Tensor:
-    """Mean structural similarity of two (H, W, 3) images, a scalar."""
+    """Mean structural similarity (SSIM) of two images (H, W, 3), a scalar."""
     x, y = (image.permute(2, 0, 1)[:, None] for image in (x, y))
     mean_x, mean_y = _local_mean(x), _local_mean(y)
     variances = _local_mean(x * x) - mean_x**2 + _local_mean(y * y) - mean_y**2
@@ -85,20 +85,20 @@ def ssim(x: Tensor, y: Tensor) -> Tensor:
 
 
 def straight_through(step: Step, logits: Tensor) -> Tensor:
-    """This step's masks (N,): the hard draw in value, the soft sample in gradient (MaskGaussian)."""
+    """The masks of the step, (N,), straight-through: the value is the hard sample, the gradient that of the soft one (MaskGaussian)."""
     hard, slope = torch.from_numpy(step.masks).to(logits.dtype), torch.from_numpy(step.slope)
     return hard + slope * (logits - logits.detach())
 
 
 def _masks(step: Step, leaves: dict[str, Tensor]) -> Tensor | None:
-    """This step's masks (N,), learned or given."""
+    """The masks of the step, (N,), with a gradient if they are learned; None: all 1."""
     if step.masks is None:
         return None
     return torch.from_numpy(step.masks).to(leaves["means"].dtype) if step.slope is None else straight_through(step, leaves[MASK])
 
 
 class TorchEngine:
-    """Forward, loss, backward and Adam by torch; then Gaussians this view did not see are put back as they were."""
+    """Forward, loss, backward and Adam by torch. Afterwards the Gaussians that the view does not see get their old values back."""
 
     def __init__(self, level: str | None = None):
         self.rasterizer = Rasterizer(level)
@@ -124,7 +124,8 @@ class TorchEngine:
         return result
 
     def loss(self, step: Step, images: dict[str, Tensor], masks: Tensor | None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """What is minimised, and three of its terms: L1, SSIM, mean F^2 (paper Eq. 10). images: 'rgb' and, with a spatial mask, 'mask'."""
+        """The loss without the penalty, and three of its terms: L1, SSIM and mean F^2 (SVR-GS Eq. 10). images: 'rgb' (H, W, 3) and, with
+        a spatial mask, 'mask' (H, W). masks (N,) or None."""
         target = torch.tensor(step.target)  # a copy: photographs are read-only
         l1, similarity = (images["rgb"] - target).abs().mean(), ssim(images["rgb"], target)
         total = step.l1_weight * l1 + step.ssim_weight * (1 - similarity)
@@ -139,7 +140,7 @@ class TorchEngine:
         outputs = ("rgb", "mask") if step.spatial else ("rgb",)
         sh = torch.cat([leaves["sh"], leaves["sh_rest"]], dim=1)
         parameters = {name: sh if name == "sh" else leaves[name] for name in PARAMETERS}
-        if step.gates and masks is not None:  # g s, in logarithms; a closed gate is the mask 0, whatever the scale
+        if step.gates and masks is not None:  # the scale becomes g s, so log g is added; a closed gate is the mask 0, and its scale does not matter
             parameters["log_scales"] = parameters["log_scales"] + torch.log(torch.where(masks.detach() > 0, masks, 1.0))[:, None]
         images = Rasterize.apply(self.rasterizer, step, outputs, *parameters.values(), masks, means2d)
         return dict(zip(outputs, images, strict=True))
@@ -151,13 +152,13 @@ def _grad(leaf: Tensor) -> Tensor:
 
 
 def _tensors(arrays: dict[str, np.ndarray]) -> dict[str, Tensor]:
-    """The arrays as tensors on the same memory, SH in two: degree 0 as 'sh', the others as 'sh_rest'."""
+    """The arrays as tensors on the same memory. SH are split: degree 0 as 'sh', higher degrees as 'sh_rest'."""
     tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
     return tensors | {"sh": tensors["sh"][:, :1], "sh_rest": tensors["sh"][:, 1:]}
 
 
 def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) -> int:
-    """One Adam step on the rows `ids`, in the model's memory. Returns how many rows were left out because not finite."""
+    """One Adam step on rows `ids`, in the model's memory. Returns the number of rows that were not updated because they were not finite."""
     learned = {name: leaf for name, leaf in leaves.items() if leaf.grad is not None}
     moments = {name: unpacked(array, model.values[name].shape) for name, array in model.moments.items()}
     optimizer = torch.optim.Adam([{"params": [learned[name]], "lr": step.rates[name]} for name in learned.keys() - SH], betas=BETAS, eps=EPS)
@@ -179,7 +180,7 @@ def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) ->
 
 
 def _step_sh(learned: dict[str, Tensor], first: Tensor, second: Tensor, step: Step):
-    """Adam on SH coefficients, which share one second moment a Gaussian (moments.py). first (N, K, 3) and second (N,) become the next ones."""
+    """Adam on SH coefficients, which share one second moment per Gaussian (moments.py). first (N, K, 3) and second (N,) are updated in place."""
     grad = torch.cat([_grad(learned["sh"]), _grad(learned["sh_rest"])], dim=1)
     first.lerp_(grad, 1 - BETAS[0])
     second.lerp_((grad[:, 0] ** 2).mean(dim=1), 1 - BETAS[1])
@@ -190,14 +191,14 @@ def _step_sh(learned: dict[str, Tensor], first: Tensor, second: Tensor, step: St
 
 
 def _rows_left_alone(learned: dict[str, Tensor], step: Step, ids: Tensor) -> tuple[dict[str, Tensor], int]:
-    """By name, the rows (N,) bool that Adam must not change: not seen, or not finite; and the number of the latter.
+    """The rows that Adam must not change, (N,) bool by parameter name; and the number of rows that are not finite.
 
-    What reaches all Gaussians changes those too that are not seen.
+    A row is left alone if its gradient is not finite, or if the view does not see it and the gradient of the parameter is sparse.
     """
     finite = {name: _grad(leaf)[:, None].flatten(1).isfinite().all(dim=1) for name, leaf in learned.items()}
     finite["sh"] = finite["sh_rest"] = finite["sh"] & finite["sh_rest"]
     seen = torch.zeros(len(finite["means"]), dtype=torch.bool)
     seen[ids] = True
-    reached = {name: torch.ones_like(seen) if name in step.reaching_all else seen for name in learned}
+    reached = {name: torch.ones_like(seen) if name in step.dense_gradients else seen for name in learned}
     bad = sum(int((reached[name] & ~finite[name]).sum()) for name in learned if name != "sh_rest")
     return {name: ~(reached[name] & finite[name]) for name in learned}, bad

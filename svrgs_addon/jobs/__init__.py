@@ -1,1 +1,1 @@
-"""Training and pruning as whole jobs, in this process or in one that Blender starts and watches."""
+"""Training and pruning as whole jobs: in this process, in a child process of a batch, or in a background process that Blender follows."""

@@ -1,4 +1,4 @@
-"""What a job writes, reads and tells, apart from its plan."""
+"""The surroundings of a job: its outputs, its engine, its observers. The plan (finetune/plan.py) says what it computes."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ..finetune.run import Run
 
 @dataclass(frozen=True)
 class JobContext:
-    """Where a job writes, how it resumes, how it measures, and whom it tells."""
+    """Where a job writes, whether it resumes, how it measures LPIPS, and its callbacks."""
 
     out: Path
     report: Path | None = None
     resume: bool = False
     engine: str = "native"
     lpips: Callable | None = None  # (image, photograph) -> float
-    lpips_missing: str = ""  # why there is none
-    observe: Callable[[Progress], None] = lambda _: None
-    stop: Callable[[], bool] = lambda: False
-    begin: Callable[[Run], None] = lambda _: None  # called with the run, restored if there is a checkpoint, before its first step
+    lpips_missing: str = ""  # why lpips is None
+    observe: Callable[[Progress], None] = lambda _: None  # called after each step
+    stop: Callable[[], bool] = lambda: False  # asked after each step
+    begin: Callable[[Run], None] = lambda _: None  # called before the first step, after a checkpoint was restored
 
     @property
     def folder(self) -> Path:
-        """Where checkpoints lie while the job is not finished."""
+        """The folder of the checkpoints, until the job is finished."""
         return self.out.with_name(self.out.name + ".job")

@@ -1,7 +1,7 @@
-"""What pruning would do and cost, within a few seconds: a look at some reduced views, and a few steps to measure their speed.
+"""An estimate, within a few seconds, of how many Gaussians pruning would keep and how long it would take.
 
-Child: `python -m svrgs_addon.jobs.estimate`, {"scene": file, "options": options of a job} as JSON on stdin; the result of estimate(),
-or {"error": sentence}, on stdout.
+It renders some reduced views and measures the speed of a few steps. Child process: `python -m svrgs_addon.jobs.estimate`. It reads
+{"scene": file, "options": options of a job} as JSON from stdin and writes the result of estimate(), or {"error": sentence}, to stdout.
 """
 
 from __future__ import annotations
@@ -32,21 +32,24 @@ from ..scene import Scene
 from .options import PruneOptions
 from .run_job import dataset_of, plan_of_pruning
 
-LOOK_SECONDS, STEP_SECONDS = 0.8, 0.6  # at most, apart from reading
-VIEWS = 8  # looked at, evenly spread over all
-DROP_VIEWS = 2  # measured on, to find what a drop in dB allows
-SIDE = 512  # pixels of a reduced view
-SALIENCY_VIEWS = 24
-STEPS = 3  # after one that is not measured
-# Predicted as removed: a mean alpha T over its pixels below KNEE * (lambda_F / 1e-4)^SLOPE. Fitted to runs of method svr on one scene of
-# photographs with lambda_F from 1e-5 to 1e-3: an expectation, no more.
+VIEW_SECONDS, STEP_SECONDS = 0.8, 0.6  # time limits of rendering views and of measuring steps, without reading files
+VIEWS = 8  # views that are rendered, spread evenly over the training views
+DROP_VIEWS = 2  # views on which PSNR is measured, if a drop is allowed
+SIDE = 512  # longer side of a reduced view, pixels
+SALIENCY_VIEWS = 24  # views for the saliency
+STEPS = 3  # steps that are measured, after one that is not
+# For methods that learn masks, a Gaussian is predicted as removed if its mean alpha T over its pixels is below
+# KNEE * (lambda_F / 1e-4)^SLOPE. Fitted to runs of method svr on one scene of photographs, with lambda_F from 1e-5 to 1e-3: a rough estimate.
 KNEE, SLOPE = 0.0128, 0.37
-FIXED_SHARE = 0.4  # of a step's time, which fewer Gaussians do not save
+FIXED_SHARE = 0.4  # share of a step's time that does not depend on the number of Gaussians
 
 
 def estimate(options: PruneOptions) -> dict:
-    """Keys: count; invisible: too faint for any image; unseen: in none of the views looked at; faint: below the first cut; kept: expected
-    to stay, roughly; at_most: whether kept is an upper bound; seconds: expected; views: looked at; steps_per_second. Raises SplatError.
+    """The estimate, a dict with these keys. Raises SplatError.
+
+    count: Gaussians of the scene; invisible: those with an opacity below 1/255; unseen: those that no rendered view sees; faint: those
+    that the first cut removes; kept: roughly how many stay; at_most: whether kept is an upper bound; views: number of rendered views;
+    steps_per_second; seconds: expected time of the run.
     """
     native.set_threads(options.threads)
     dataset = dataset_of(options)
@@ -54,11 +57,11 @@ def estimate(options: PruneOptions) -> dict:
     scene = load_scene(options.scene).scene
     refuse_unseen(scene, dataset.cameras, "the splat")
     plan = plan_of_pruning(options)
-    sums, peaks, hits, looked = _look(scene, dataset)
+    sums, peaks, hits, views = _contributions(scene, dataset)
     kept = _expected(options, plan, scene, dataset, (sums, peaks, hits))
     share = kept / scene.count
     rate = _rate(scene, dataset, options)
-    cost = lambda left: FIXED_SHARE + (1 - FIXED_SHARE) * left  # noqa: E731
+    relative_time = lambda left: FIXED_SHARE + (1 - FIXED_SHARE) * left  # noqa: E731
     active = sum(phase.steps for phase in plan.phases if phase.active)
     return {
         "count": scene.count,
@@ -67,24 +70,24 @@ def estimate(options: PruneOptions) -> dict:
         "faint": int((peaks < plan.min_contribution).sum()),
         "kept": max(1, kept),
         "at_most": bool(options.max_drop),
-        "views": looked,
+        "views": views,
         "steps_per_second": rate,
-        "seconds": (active * cost((1 + share) / 2) + (plan.total - active) * cost(share)) / rate,
+        "seconds": (active * relative_time((1 + share) / 2) + (plan.total - active) * relative_time(share)) / rate,
     }
 
 
 def _expected(options: PruneOptions, plan, scene: Scene, dataset: Dataset, seen: tuple) -> int:
-    """How many Gaussians stay, roughly. seen: sums, maxima and pixels of alpha T, (N,) each."""
+    """Roughly how many Gaussians stay. seen: sums and maxima of alpha T, and numbers of pixels, (N,) each."""
     sums, peaks, hits = seen
     if options.max_drop:
-        return int(_within(scene, dataset, peaks, options.max_drop).sum())
+        return int(_fewest_within(scene, dataset, peaks, options.max_drop).sum())
     if plan.target:
         return plan.target
     kept = peaks >= plan.min_contribution
     if plan.method.learns_masks and options.iterations:
         kept &= sums > np.maximum(hits, 1) * _limit(plan.lambda_f or 1e-4)
     elif plan.lambda_f:
-        kept &= _saliency(scene, dataset) > plan.lambda_f  # the rule of method pressure; of method saliency a first impression
+        kept &= _saliency(scene, dataset) > plan.lambda_f  # exact for the budget of method pressure, rough for method saliency
     return int(kept.sum())
 
 
@@ -92,27 +95,27 @@ def _limit(lambda_f: float) -> float:
     return KNEE * (lambda_f / 1e-4) ** SLOPE
 
 
-def _look(scene, dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Sums, maxima and pixels of alpha T over views spread over the training views, as many as time allows; and their number."""
+def _contributions(scene, dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Sums and maxima of alpha T and numbers of pixels, (N,) each, over as many of VIEWS views as time allows; and the number of views."""
 
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
     train = dataset.train_indices or list(range(len(dataset.cameras)))
     chosen = train[:: max(1, len(train) // VIEWS)][:VIEWS]
     sums, peaks, hits = np.zeros(scene.count), np.zeros(scene.count, np.float32), np.zeros(scene.count, np.int64)
-    looked, end = 0, time.monotonic() + LOOK_SECONDS
+    views, end = 0, time.monotonic() + VIEW_SECONDS
     for index in chosen:
         camera = dataset.cameras[index]
         camera = camera.reduced(max(1, max(camera.width, camera.height) // SIDE))
         seen = scores.contribution(scene, [camera], rasterizer, options)
         sums, peaks, hits = sums + seen[0], np.maximum(peaks, seen[1]), hits + seen[2]
-        looked += 1
+        views += 1
         if time.monotonic() > end:
             break
-    return sums, peaks, hits, looked
+    return sums, peaks, hits, views
 
 
 def _saliency(scene, dataset) -> np.ndarray:
-    """By some views: it is a ratio of two sums over them, so that their number matters little."""
+    """Saliency (N,) from some of the views. It is a ratio of two sums over views, so their number matters little."""
 
     train = dataset.train_indices or list(range(len(dataset.cameras)))
     cameras = [dataset.cameras[index] for index in train[:: max(1, len(train) // SALIENCY_VIEWS)][:SALIENCY_VIEWS]]
@@ -121,12 +124,12 @@ def _saliency(scene, dataset) -> np.ndarray:
     )
 
 
-def _within(scene, dataset, peaks: np.ndarray, drop: float) -> np.ndarray:
-    """(N,) bool: how few of the highest peaks lose at most `drop` dB on a view or two, without any learning: more than a job keeps."""
+def _fewest_within(scene, dataset, peaks: np.ndarray, drop: float) -> np.ndarray:
+    """(N,) bool: the fewest Gaussians of largest alpha T (N,) that lose at most `drop` dB on two views, without learning. A job keeps fewer."""
 
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
     train = dataset.train_indices or list(range(len(dataset.cameras)))
-    views, end = train[:: max(1, len(train) // DROP_VIEWS)][:DROP_VIEWS], time.monotonic() + LOOK_SECONDS
+    views, end = train[:: max(1, len(train) // DROP_VIEWS)][:DROP_VIEWS], time.monotonic() + VIEW_SECONDS
     psnr_of = lambda kept: mean_psnr(scene, dataset, views, rasterizer, options, kept)  # noqa: E731
     floor, few, enough = psnr_of(None) - drop, 0, scene.count
     while enough - few > max(1, scene.count // 100) and time.monotonic() < end:
@@ -136,7 +139,7 @@ def _within(scene, dataset, peaks: np.ndarray, drop: float) -> np.ndarray:
 
 
 def _rate(scene: Scene, dataset: Dataset, options: PruneOptions) -> float:
-    """Steps per second, of the first few. Steps of methods without masks are plain, but for a look now and then."""
+    """Steps per second, measured on a few steps. For methods that learn no masks, steps of plain 3DGS are measured, which are nearly the same."""
     method = method_named(options.method)
     plan = prune_plan(method if method.learns_masks else method_named("3dgs"), max(STEPS + 2, options.iterations), STEPS + 2)
     run = Run(Model.of(scene), dataset, plan, NativeEngine(), scene.antialiased)

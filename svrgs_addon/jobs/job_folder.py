@@ -1,11 +1,22 @@
-"""What lies in a job's folder, and nothing that is not the job's own is ever read, trusted or removed.
+"""The folder of a background job. It is the whole state of the job: a .blend file holds only its path.
 
-job.json       the request: schema, version, name, options
-state.json     where the job is; replaced as a whole, at least every HEARTBEAT seconds while it runs
-scene.ply      the splat as it was when the job began, each Gaussian with its row
-messages.jsonl what the running process said, one JSON object a line;  log.txt its stderr
-metrics.csv    iteration, count, loss, psnr;  previews/ITERATION.png
-pruned.ply, kept.npy, score.npy, result.json   the result; result.json is written last;  probability.npy where masks were learned
+    job.json           the request: schema, version, name, number of Gaussians, options
+    state.json         state of the job, replaced as a whole, at least every HEARTBEAT seconds while the job runs
+    scene.ply          the splat at the start of the job; the column svrgs_row holds the row of each Gaussian
+    messages.jsonl     stdout of the child process: messages, one JSON object per line (job_main.py)
+    log.txt            stderr of the child process
+    metrics.csv        iteration, count, loss, psnr
+    previews/ITERATION.png
+    ranking.npz        when each Gaussian was removed, and its last probability (ranking.py)
+    recovered.ply.job  checkpoints
+    cancel, pause      flag files: the parent creates them, the child obeys (job_main.py)
+
+    pruned.ply, kept.npy, score.npy, result.json     the result; result.json is written last
+    probability.npy                                  if masks were learned
+
+A job whose state is not renewed for STALE seconds counts as interrupted. The folder is read like a file of a stranger: options are
+checked by name, type and range, arrays by shape and dtype, sizes of JSON files by LARGEST_JSON. discard() removes only names that a
+job writes.
 """
 
 from __future__ import annotations
@@ -34,13 +45,13 @@ from .options import PruneOptions
 
 SCHEMA = 2
 ROW = "svrgs_row"  # column of scene.ply
-HEARTBEAT = 2.0  # seconds
-STALE = 15.0  # seconds without a sign of life: whoever wrote the state is gone
-LARGEST_JSON = 1 << 20
+HEARTBEAT = 2.0  # seconds between two writes of state.json
+STALE = 15.0  # seconds: a process that has not renewed its state for so long is gone
+LARGEST_JSON = 1 << 20  # bytes; larger files are not read
 CANCEL, PAUSE = "cancel", "pause"  # flag files
 ENDED = ("paused", "cancelled", "interrupted", "failed", "done")
 METRICS = ("iteration", "count", "loss", "psnr")
-FACTS = {  # of a job's state, and their types
+FACTS = {  # keys of state.json and of messages that are read, and their types
     "state": str, "text": str, "pid": int, "iteration": int, "total": int, "phase": str, "count": int, "loss": float, "psnr": float,
     "seconds_left": float,
 }  # fmt: skip
@@ -51,18 +62,18 @@ _FILES = (
 
 
 class JobFolder:
-    """One job's files below `path`."""
+    """The files of one job, below `path`."""
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
 
     @classmethod
     def create(cls, path: str | Path, scene: Scene, options: dict, name: str = "") -> JobFolder:
-        """A new job that would prune the scene. Raises SceneError where the folder is in use or the options are not."""
+        """Creates the folder of a new job that will prune the scene. Raises SceneError if the folder is not empty or an option is wrong."""
         folder = cls(path)
         _check_options(options)
         if folder.path.exists() and any(folder.path.iterdir()):
-            raise SceneError(f"{folder.path}: is not empty; each job has a folder of its own")
+            raise SceneError(f"{folder.path}: is not empty; each job needs a folder of its own")
         rows = np.arange(scene.count, dtype=np.uint32)
         write_scene(folder / "scene.ply", replace(scene, attributes={**scene.attributes, ROW: rows}))
         folder.write_json("job.json", {"schema": SCHEMA, "version": __version__, "name": name, "count": scene.count, "options": options})
@@ -78,7 +89,7 @@ class JobFolder:
         if request is None or request.get("schema") not in (1, SCHEMA):
             raise FormatError(f"{self / 'job.json'}: is no job of this version")
         if not isinstance(request.get("name"), str) or not _is(int, request.get("count")) or request["count"] < 1:
-            raise FormatError(f"{self / 'job.json'}: does not say which splat it is about")
+            raise FormatError(f"{self / 'job.json'}: the name of the splat or its number of Gaussians is missing")
         try:
             _check_options(request.get("options"))
         except SceneError as error:
@@ -86,12 +97,12 @@ class JobFolder:
         return request
 
     def options(self) -> PruneOptions:
-        """The options of the job, complete. Raises FormatError."""
+        """All options of the job, with the paths of its input and output. Raises FormatError."""
         given = check_mapping(PruneOptions, self.request()["options"])
         return PruneOptions(**given, scene=self / "scene.ply", out=self / "recovered.ply", resume=True, quiet=True)
 
     def update_schema(self) -> str:
-        """Brings a job of schema 1 up to date; says so in a sentence where its method is called otherwise now. Raises FormatError."""
+        """Updates a job of schema 1 to the present one. Returns a sentence if the method has another name now, else ''. Raises FormatError."""
         request = self.request()
         if request["schema"] == SCHEMA:
             return ""
@@ -101,7 +112,7 @@ class JobFolder:
         return f"Method '{former}' is called '{present}' now" if present != former else ""
 
     def state(self) -> dict:
-        """state.json. Of a job that says it runs but shows no sign of life, "state" is "interrupted"; of no job, "missing"."""
+        """The keys of state.json. "state" is "interrupted" if the job has not ended but was not renewed for STALE seconds; "missing" without a job."""
         state = self._json("state.json")
         state = facts_of(state or {})
         if "state" not in state:
@@ -111,28 +122,28 @@ class JobFolder:
         return state
 
     def alive(self) -> bool:
-        """Whether a process has written the state lately."""
+        """Whether state.json was renewed in the last STALE seconds."""
         with contextlib.suppress(OSError):
             return abs(time.time() - (self / "state.json").stat().st_mtime) < STALE
         return False
 
     def result(self) -> dict:
-        """The JSON result of a job that is done. Raises FormatError."""
+        """The JSON result of a finished job. Raises FormatError if there is none."""
         result = self._json("result.json")
         if result is None or not all(isinstance(result.get(side), dict) for side in ("before", "after")):
             raise FormatError(f"{self.path}: holds no result")
         return result
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of a job that is done, per source Gaussian: kept (N,) bool, score (N,) float32. Raises FormatError."""
+        """Of a finished job, for each source Gaussian: kept (N,) bool and score (N,) float32 (ranking.py). Raises FormatError."""
         return self._array("kept", bool), self._array("score", np.float32)
 
     def probability(self) -> np.ndarray | None:
-        """Of a job that is done, (N,) float32: each source Gaussian's probability of existence; None where no masks were learned. Raises FormatError."""
+        """Of a finished job, the probability of each source Gaussian, (N,) float32; None if no masks were learned. Raises FormatError."""
         return self._array("probability", np.float32) if (self / "probability.npy").exists() else None
 
     def metrics(self) -> dict[str, np.ndarray]:
-        """Columns of metrics.csv, float64; NaN where there is no value; of whole lines only."""
+        """The columns of metrics.csv by name, float64, NaN for missing values. Incomplete lines are skipped."""
         with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), open(self / "metrics.csv") as file:
             lines = list(csv.reader(io.StringIO(file.read(LARGEST_JSON))))[1:]
             rows = [row for row in map(_numbers, lines) if len(row) == len(METRICS) and math.isfinite(row[0])]
@@ -140,11 +151,11 @@ class JobFolder:
         return {name: np.empty(0) for name in METRICS}
 
     def newest_preview(self) -> Path | None:
-        """The picture drawn last; None: there is none yet."""
+        """The newest preview; None if there is none yet."""
         return max((self / "previews").glob("[0-9]*.png"), default=None)
 
     def log_tail(self, lines: int = 5) -> list[str]:
-        """The last lines of log.txt that say something."""
+        """The last lines of log.txt that are not blank."""
         with contextlib.suppress(OSError), open(self / "log.txt", "rb") as file:
             file.seek(max(0, file.seek(0, io.SEEK_END) - 4096))
             return [line for line in file.read().decode(errors="replace").splitlines() if line.strip()][-lines:]
@@ -154,16 +165,17 @@ class JobFolder:
         with atomic_write(self / name) as file:
             file.write(json.dumps(value).encode())
 
-    def ask(self, flag: str):
-        """Raises the flag CANCEL or PAUSE."""
+    def raise_flag(self, flag: str):
+        """Creates the flag file CANCEL or PAUSE."""
         (self / flag).touch()
 
     def lower_flags(self):
+        """Removes both flag files."""
         for flag in (CANCEL, PAUSE):
             (self / flag).unlink(missing_ok=True)
 
     def discard(self):
-        """Removes what the job wrote, and the folder where nothing else is in it. Raises FormatError where there is no job."""
+        """Removes the files that the job wrote, and the folder if it is empty then. Raises FormatError if it holds no job."""
         if not (self / "job.json").is_file():
             raise FormatError(f"{self.path}: holds no job")
         for checkpoint in self._checkpoints():
@@ -179,7 +191,7 @@ class JobFolder:
         return (path for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7) if path.is_dir() and not path.is_symlink())
 
     def _array(self, name: str, dtype: type) -> np.ndarray:
-        """(N,) numbers, one a source Gaussian. Raises FormatError."""
+        """The array (N,) in NAME.npy, one value per source Gaussian. Raises FormatError if it is missing or has another shape or dtype."""
         file, count = self / f"{name}.npy", self.request()["count"]
         try:
             array = np.load(file, allow_pickle=False)
@@ -190,7 +202,7 @@ class JobFolder:
         return array
 
     def _json(self, name: str) -> dict | None:
-        """The object in a file; None where there is none."""
+        """The JSON object in a file; None if the file is missing, too large or no JSON object."""
         try:
             if (self / name).stat().st_size > LARGEST_JSON:
                 return None
@@ -201,14 +213,14 @@ class JobFolder:
 
 
 def facts_of(message: dict) -> dict:
-    """What a message or a state says that is a fact of the right type."""
+    """The entries of a message or of state.json that are in FACTS and have the right type."""
     return {name: value for name, value in message.items() if name in FACTS and _is(FACTS[name], value)}
 
 
 def _check_options(options: object):
-    """Raises SceneError where these are no options of a job."""
+    """Raises SceneError if these are not valid options of a job."""
     if not check_mapping(PruneOptions, options).get("colmap"):
-        raise SceneError("the job does not say where its photographs are")
+        raise SceneError("the job has no COLMAP dataset")
 
 
 def _is(kind: type, value) -> bool:

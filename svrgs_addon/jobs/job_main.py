@@ -1,8 +1,16 @@
-"""The process of one job: `python -m svrgs_addon.jobs.job_main FOLDER`.
+"""The child process of one background job: `python -m svrgs_addon.jobs.job_main FOLDER`. The parent's side is job_process.py.
 
-Messages on stdout, one JSON object a line: STATUS {state, text}, PROGRESS {iteration, total, phase, count, loss, psnr,
-seconds_left}, PREVIEW {path}, DONE {result}, ERROR {text}. Flag files in the folder end it: `cancel` at once, `pause` after a
-checkpoint. So does the end of stdin, which is that of whoever started it; the job is then interrupted and can go on.
+stdout: messages, one JSON object per line: STATUS {state, text}, PROGRESS {iteration, total, phase, count, loss, psnr,
+seconds_left}, PREVIEW {path}, DONE {result}, ERROR {text}.
+
+The main thread prunes. A second thread looks for the flag files every 0.05 s and renews state.json every 2 s. Three things end the job:
+
+- The flag file `cancel`: the second thread ends the process at once, whatever the main thread does. The last checkpoint stays.
+- The flag file `pause`: the job saves a checkpoint and ends as "paused".
+- The end of stdin: the parent, for example Blender, is gone. The job saves a checkpoint and ends as "interrupted". It can be continued.
+
+Before the first step there is nothing to save, so all three end the process at once. While the result is measured, none of them has an
+effect.
 """
 
 from __future__ import annotations
@@ -19,16 +27,17 @@ from ..errors import Cancelled
 from ..exit_status import guarded
 from .job_folder import CANCEL, HEARTBEAT, PAUSE, JobFolder
 
-LOOK_EVERY = 0.05  # seconds between two looks for flags
-TELL_EVERY = 0.25  # seconds between two reports of progress
+POLL_EVERY = 0.05  # seconds between two checks for flag files
+TELL_EVERY = 0.25  # seconds between two PROGRESS messages
 
 
 class JobMain:
-    """The job's state, told to the folder and to stdout; the main thread prunes, another one looks for flags and for orphanhood."""
+    """Runs the job and writes its state to the folder and its messages to stdout. The main thread prunes; two others wait for flag files
+    and for the end of stdin."""
 
     def __init__(self, folder: JobFolder):
         self.folder = folder
-        self.ending = ""  # state the job shall end in before it is done
+        self.ending = ""  # state in which the job is to end before it is done; empty: go on
         self._state = {"state": "running", "pid": os.getpid()}
         self._stage = "preparing"  # then "looping", "finishing"
         self._lock = threading.Lock()
@@ -38,8 +47,8 @@ class JobMain:
     def run(self) -> int:
         """The whole job; returns the exit status."""
         self.tell("STATUS", state="running", text="Reading the scene and its photographs")
-        threading.Thread(target=self._wait_for_orphanhood, daemon=True).start()
-        threading.Thread(target=self._watch, daemon=True).start()
+        threading.Thread(target=self._wait_for_end_of_stdin, daemon=True).start()
+        threading.Thread(target=self._poll_flags, daemon=True).start()
         problems: list[str] = []
         status = guarded(self._prune, problems.append)
         if status:
@@ -47,7 +56,7 @@ class JobMain:
         return status
 
     def tell(self, kind: str, **facts):
-        """One message; `state` and what else the panel shows of a job that another Blender started go into state.json too."""
+        """Sends one message. All messages but PROGRESS are also written to state.json, which another Blender can read."""
         with self._lock:
             self._state |= facts
             if kind != "PROGRESS":
@@ -78,9 +87,9 @@ class JobMain:
             self._told = now
             self.tell("PROGRESS", **facts, text="Measuring the result" if stage == "finishing" else label)
 
-    def _watch(self):
+    def _poll_flags(self):
         while True:
-            time.sleep(LOOK_EVERY)
+            time.sleep(POLL_EVERY)
             with self._lock:
                 if time.monotonic() > self._written + HEARTBEAT:
                     self._write_state()
@@ -98,12 +107,12 @@ class JobMain:
                 self.ending = asked
 
     def _end_now(self, state: str):
-        """Nothing is lost: all files are replaced as a whole, and the last checkpoint stays."""
+        """Ends the process at once. No file is damaged, because every file is replaced as a whole; the last checkpoint stays."""
         self.tell("STATUS", state=state, text="")
         os._exit(0)
 
-    def _wait_for_orphanhood(self):
-        while os.read(sys.stdin.fileno(), 1):  # not sys.stdin, which this thread would hold: Python then aborts when it ends
+    def _wait_for_end_of_stdin(self):
+        while os.read(sys.stdin.fileno(), 1):  # not sys.stdin.read(): it would hold a lock, and Python would abort when it ends
             pass
         self._parent_gone.set()
 
@@ -115,7 +124,7 @@ class JobMain:
 def _say(kind: str, facts: dict):
     try:
         print(json.dumps({"type": kind, **facts}), flush=True)
-    except OSError:  # nobody listens any more
+    except OSError:  # the reader of stdout is gone
         pass
 
 

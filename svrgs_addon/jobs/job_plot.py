@@ -1,4 +1,4 @@
-"""A job's metrics as a small picture that grows with it: Gaussians above, PSNR below."""
+"""The metrics of a job as a small picture for Blender's panel: number of Gaussians above, PSNR below, over iterations."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import numpy as np
 SIDE = 256  # pixels
 GROUND, GRID = (0.11, 0.11, 0.11, 1.0), (0.2, 0.2, 0.2, 1.0)
 COLORS = {"count": (0.35, 0.65, 1.0, 1.0), "psnr": (1.0, 0.65, 0.25, 1.0)}
-MARGIN = 0.08  # of a chart's height, free above and below its line
-THICK = 2  # pixels
+MARGIN = 0.08  # share of a chart's height that is free above and below its line
+THICK = 2  # thickness of a line, pixels
 
 
 def draw(metrics: dict[str, np.ndarray], total: int) -> np.ndarray:
-    """(SIDE, SIDE, 4) float32, bottom row first as Blender has it. metrics: columns of metrics.csv; total: the whole run's iterations."""
+    """The picture, (SIDE, SIDE, 4) float32 RGBA, bottom row first as in Blender. metrics: columns of metrics.csv; total: iterations of the run."""
     picture = np.empty((SIDE, SIDE, 4), np.float32)
     picture[:] = GROUND
     half = SIDE // 2
@@ -24,7 +24,7 @@ def draw(metrics: dict[str, np.ndarray], total: int) -> np.ndarray:
 
 
 def _line(part: np.ndarray, x: np.ndarray, y: np.ndarray, color: tuple):
-    """Draws y over x in 0..1 into the part, scaled to the range of y."""
+    """Draws y over x (0..1) into a part (H, W, 4) of the picture. The line fills the height, whatever the range of y."""
     if not len(x):
         return
     height, width = part.shape[:2]

@@ -1,7 +1,9 @@
-"""Starts a job's process, follows it without ever waiting for it, and ends it.
+"""The parent's side of a background job: it starts the child process (job_main.py), reads its messages, and ends it. It never waits.
 
-The process writes its messages to a file in the job's folder, which is read from where the last look ended: no pipe can fill
-up or block, and nothing is lost when the reader is late.
+The child's stdout is a file in the job folder, messages.jsonl, with one JSON object per line. The parent reads it from the position
+where it stopped the last time. So no pipe can fill up or block, and no message is lost if the parent reads late.
+
+The child's stdin is a pipe that the parent never writes to. Its end tells the child that the parent is gone.
 """
 
 from __future__ import annotations
@@ -17,24 +19,24 @@ from ..blender import subprocess_python
 from ..errors import FormatError, SceneError
 from .job_folder import CANCEL, ENDED, PAUSE, JobFolder, facts_of
 
-START_SECONDS = 60.0  # within which a process must say something
-LOOK_EVERY = 2.0  # seconds between two looks at the state of a job that another Blender started
-CANCEL_LADDER = ((10.0, "terminate"), (15.0, "kill"))  # seconds after cancel()
+START_SECONDS = 60.0  # a process that has sent no message after so many seconds is killed
+REFRESH_EVERY = 2.0  # seconds between two reads of the state of a job that another Blender started
+CANCEL_STEPS = ((10.0, "terminate"), (15.0, "kill"))  # seconds after cancel(), what is done to a process that still runs
 MODULE = "svrgs_addon.jobs.job_main"
 
 
 class Job:
-    """One job as its starter sees it. `facts`: state, text, and what the last PROGRESS said."""
+    """A job and, if this object started it, its process. facts: state, text, and the values of the last PROGRESS message."""
 
     def __init__(self, folder: JobFolder):
         self.folder = folder
         self.facts: dict = folder.state()
         self.result: dict | None = None
-        self.renamed = ""  # a sentence where start() found a method that is called otherwise now
+        self.renamed = ""  # set by start(): a sentence if the method of the job has another name now
         self._process: subprocess.Popen | None = None
-        self._read = 0  # bytes of messages.jsonl
-        self._cancelled: float | None = None  # when
-        self._looked = time.monotonic()
+        self._read = 0  # bytes of messages.jsonl that were read
+        self._cancelled: float | None = None  # time of cancel(), of time.monotonic()
+        self._refreshed = time.monotonic()
 
     @property
     def state(self) -> str:
@@ -42,23 +44,23 @@ class Job:
 
     @property
     def running(self) -> bool:
-        """Whether this object's process has not ended."""
+        """Whether this object has a process that has not ended."""
         return self._process is not None
 
     @property
     def seconds_silent(self) -> float:
-        """Since the last sign of life."""
+        """Seconds since the state was last written."""
         with contextlib.suppress(OSError):
             return time.time() - (self.folder / "state.json").stat().st_mtime
         return 0.0
 
-    def look(self):
-        """Brings a state up to date that another process writes."""
-        if self._process is None and self.state not in ENDED and time.monotonic() > self._looked + LOOK_EVERY:
-            self._looked, self.facts = time.monotonic(), self.folder.state()
+    def refresh(self):
+        """Reads the state of a job that another Blender started, at most every REFRESH_EVERY seconds."""
+        if self._process is None and self.state not in ENDED and time.monotonic() > self._refreshed + REFRESH_EVERY:
+            self._refreshed, self.facts = time.monotonic(), self.folder.state()
 
     def start(self):
-        """Starts the job, or goes on from its last checkpoint. Raises FormatError where its folder holds none."""
+        """Starts the job, or continues it from its last checkpoint. Raises FormatError if the folder holds no job."""
         self.renamed = self.folder.update_schema()
         self.folder.lower_flags()
         (self.folder / "messages.jsonl").write_bytes(b"")
@@ -75,36 +77,36 @@ class Job:
         self._started = time.monotonic()
 
     def poll(self) -> list[dict]:
-        """What was said since the last look; to be called a few times a second. Never waits. Raises FormatError where the folder is gone."""
+        """The messages since the last call. To be called a few times per second; it never waits. Raises FormatError if the folder is gone."""
         if self._process is None:
             return []
-        status = self._process.poll()  # before reading: what an ended process said is all there
+        status = self._process.poll()  # before reading, so that all messages of an ended process are read
         messages = self._messages()
         for message in messages:
-            self._hear(message)
+            self._receive(message)
         if status is not None:
             self._ended(status)
         elif self.facts["state"] == "starting" and time.monotonic() > self._started + START_SECONDS:
             self._process.kill()
             self.facts |= {"state": "failed", "text": f"the process did not start within {START_SECONDS:.0f} s"}
         elif self._cancelled is not None:
-            self._climb(time.monotonic() - self._cancelled)
+            self._end_by_force(time.monotonic() - self._cancelled)
         return messages
 
     def pause(self):
-        """The process will save a checkpoint and end."""
-        self.folder.ask(PAUSE)
+        """Asks the process to save a checkpoint and to end."""
+        self.folder.raise_flag(PAUSE)
         self.facts["text"] = "Pausing"
 
     def cancel(self):
-        """The process will end at once; the last checkpoint stays. Where it does not answer, poll() ends it by force."""
-        with contextlib.suppress(OSError):  # the disk is full, or the folder gone: by force then
-            self.folder.ask(CANCEL)
+        """Asks the process to end at once; its last checkpoint stays. If it still runs after 10 s, poll() ends it by force."""
+        with contextlib.suppress(OSError):  # if the disk is full or the folder is gone, poll() ends it by force
+            self.folder.raise_flag(CANCEL)
         self._cancelled = time.monotonic()
         self.facts["text"] = "Cancelling"
 
-    def give_up(self, why: str):
-        """For what can no longer be followed: the process is ended by force, the job failed."""
+    def abort(self, why: str):
+        """Ends the process by force and marks the job as failed. For a job whose messages can no longer be read."""
         if self._process is not None:
             self._close_stdin()
             self._process.kill()
@@ -113,17 +115,17 @@ class Job:
             self._process = None
         self.facts = {"state": "failed", "text": why}
 
-    def leave(self):
-        """For who is about to end itself: the process notices, saves a checkpoint and ends by itself."""
+    def detach(self):
+        """To be called before the parent ends: the child saves a checkpoint and ends."""
         self._close_stdin()
 
     def _close_stdin(self):
-        """Tells the process that its parent is gone."""
+        """Tells the child that its parent is gone."""
         if self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()
 
     def _messages(self) -> list[dict]:
-        """Whole lines since the last look; what is no message is left out. Raises FormatError where the file is gone."""
+        """The messages in whole lines since the last call; lines that are no message are skipped. Raises FormatError if the file is gone."""
         try:
             with open(self.folder / "messages.jsonl", "rb") as file:
                 file.seek(self._read)
@@ -134,7 +136,7 @@ class Job:
         self._read += len(data)
         return [message for line in data.splitlines() if (message := _message(line)) is not None]
 
-    def _hear(self, message: dict):
+    def _receive(self, message: dict):
         self.facts |= facts_of(message)
         if message["type"] == "DONE":
             self.result = message.get("result")
@@ -148,14 +150,15 @@ class Job:
         elif self._cancelled is not None:
             self.facts |= {"state": "cancelled", "text": ""}
         elif status == -9:
-            self.facts |= {"state": "interrupted", "text": "the process was killed from outside; if memory ran out, fewer or smaller photographs help"}
+            self.facts |= {"state": "interrupted", "text": "the process was killed from outside; if memory ran out, use fewer or smaller photographs"}
         else:
             self.facts |= {"state": "failed", "text": f"the job's process ended early: {log[0] if log else f'exit status {status}'}"}
-        with contextlib.suppress(SceneError):  # a full disk; without a sign of life the job counts as interrupted
+        with contextlib.suppress(SceneError):  # if the disk is full: a state that is not renewed counts as interrupted
             self.folder.write_json("state.json", self.facts)
 
-    def _climb(self, seconds: float):
-        for after, action in CANCEL_LADDER:
+    def _end_by_force(self, seconds: float):
+        """seconds: since cancel()."""
+        for after, action in CANCEL_STEPS:
             if seconds > after:
                 getattr(self._process, action)()
 

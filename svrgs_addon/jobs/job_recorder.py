@@ -1,4 +1,4 @@
-"""What a job writes down while it runs, and the result it leaves: metrics, previews, which Gaussians went when."""
+"""What a background job writes into its folder: metrics, previews and the ranking while it runs, and the result at the end."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from ..scene import Scene
 from .job_folder import METRICS, ROW, JobFolder
 from .ranking import Ranking, importance
 
-PREVIEW_SIDE = 512  # pixels, at most
-METRIC_ROWS = 200  # of a whole run
+PREVIEW_SIDE = 512  # longest side of a preview, pixels
+METRIC_ROWS = 200  # rows of metrics.csv for a whole run, roughly
 
 
 class Listener(Protocol):
-    """Who is told of the job: job_main.JobMain."""
+    """The receiver of messages: job_main.JobMain."""
 
     def tell(self, kind: str, **facts): ...
 
@@ -32,7 +32,7 @@ class Listener(Protocol):
 
 
 class JobRecorder:
-    """Follows one run: begin() before its first step, observe() after each, finish() with the job's result."""
+    """Records one run. Call begin() before its first step, observe() after each step, finish() with the job's result."""
 
     def __init__(self, folder: JobFolder, listener: Listener):
         self.folder, self.listener = folder, listener
@@ -66,7 +66,7 @@ class JobRecorder:
         )  # fmt: skip
 
     def finish(self, result: dict) -> dict:
-        """Writes the result's files; returns the JSON result, with the figures of files without the column of rows."""
+        """Writes the files of the result. Returns the JSON result; its file sizes are those without the column of source rows."""
         recovered = read_scene(self.folder / "recovered.ply")
         rows = recovered.attributes[ROW]
         kept = np.zeros(self.count, bool)
@@ -105,12 +105,13 @@ class JobRecorder:
 
 
 def without_rows(scene: Scene) -> Scene:
+    """The scene without the column of source rows (job_folder.ROW)."""
     attributes = {name: column for name, column in scene.attributes.items() if name != ROW}
     return replace(scene, attributes=attributes, property_order=tuple(name for name in scene.property_order if name != ROW))
 
 
 def row_bytes(count: int) -> int:
-    """What the column of rows takes in a file."""
+    """Bytes that the column of source rows takes in a PLY file of `count` Gaussians."""
     return 4 * count + len(f"property uint {ROW}\n")
 
 

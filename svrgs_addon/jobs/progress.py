@@ -1,4 +1,4 @@
-"""What a person sees while a run goes on: a bar on a terminal, a line now and then elsewhere. Always stderr."""
+"""Progress of a run on stderr: a bar in a terminal, otherwise one line every 10 seconds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TERMINAL_PAUSE, LOG_PAUSE = 0.2, 10.0  # seconds between updates
 
 
 class Reporter:
-    """Called after each step."""
+    """An observer that prints progress. It is called after each step. quiet: it prints nothing."""
 
     def __init__(self, quiet: bool = False):
         self.quiet = quiet
@@ -33,10 +33,12 @@ class Reporter:
 
 
 def bar(share: float) -> str:
+    """A progress bar. share: 0..1."""
     filled = int(share * BAR_WIDTH)
     return "[" + "#" * filled + "." * (BAR_WIDTH - filled) + "]"
 
 
 def describe(p: Progress) -> str:
+    """One line: phase, step, speed, number of Gaussians, loss and time left."""
     minutes, seconds = divmod(int(p.seconds_left), 60)
     return f"{p.phase} {p.iteration}/{p.total}  {p.iterations_per_second:.1f} it/s  {p.count:,} Gaussians  loss {p.loss:.4f}  {minutes}:{seconds:02d} left"

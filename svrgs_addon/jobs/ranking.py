@@ -1,4 +1,11 @@
-"""The order in which a job let go of its source's Gaussians: what it kept comes first, what it dropped last next."""
+"""The ranking of all source Gaussians by a job: those that it kept come first, then the removed ones, those removed last before the others.
+
+The job folder gets two arrays from it, (N,) float32 in 0..1:
+
+- score.npy: kept Gaussians are above 0.5, ordered by probability; removed ones are below, ordered by when they were removed. In Blender
+  it becomes the attribute svrgs:score. The slider of the panel compares it with a threshold and writes the attribute `removed`.
+- probability.npy, if masks were learned: the last probability p of each Gaussian. In Blender it becomes svrgs:probability.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +22,16 @@ from ..finetune.model import MASK
 from ..finetune.run import Run
 from ..scene import Scene
 
-ALIVE = np.iinfo(np.int32).max
-VIEWS = 32  # looked at for the order of what no mask ever judged
+ALIVE = np.iinfo(np.int32).max  # value of Ranking.dropped for Gaussians that are still in the model
+VIEWS = 32  # views for the order of Gaussians for which no mask was learned
 
 
 class Ranking:
-    """Watches a run; rows are those of the source. Stored whenever Gaussians go, so that a resumed run knows of all before it.
+    """Records when a run removes each Gaussian. Rows are those of the source.
 
-    dropped (N,) int32: the iteration after which a Gaussian was gone, 0: before the first; ALIVE. probability (N,) float32: of
-    its existence, when last known; NaN where no mask was learned for it.
+    It is written to `file` whenever Gaussians are removed, so that a resumed run has the whole record. dropped (N,) int32: the iteration
+    after which a Gaussian was removed, 0: before the first one; ALIVE: not removed. probability (N,) float32: the last known
+    probability p; NaN if no mask was learned for it.
     """
 
     def __init__(self, count: int, file: Path):
@@ -32,18 +40,18 @@ class Ranking:
         self.probability = np.full(count, np.nan, np.float32)
 
     def begin(self, run: Run, rows: np.ndarray):
-        """rows: the source's row of each Gaussian that the run began with."""
+        """Called before the first step. rows: the source row of each Gaussian with which the run started. Raises FormatError for a bad file."""
         self._rows = rows.astype(np.int64)
-        if run.iteration and self.file.exists():  # else none has gone yet
+        if run.iteration and self.file.exists():  # otherwise no Gaussian was removed yet
             self._load()
         self.dropped[self._rows[run.model.origin]] = ALIVE
         self._remember(run)
 
     def observe(self, run: Run):
-        """To be called after each step."""
-        judged = self._logits is not None and not run.model.learns_masks
-        if judged or run.model.count != len(self._origin):
-            self._write_down(run)
+        """Called after each step."""
+        masks_ended = self._logits is not None and not run.model.learns_masks
+        if masks_ended or run.model.count != len(self._origin):
+            self._record(run)
             write_arrays(self.file, {"dropped": self.dropped, "probability": self.probability})
         self._remember(run)
 
@@ -52,12 +60,13 @@ class Ranking:
             with np.load(self.file, allow_pickle=False) as stored:
                 dropped, probability = stored["dropped"], stored["probability"]
         except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-            raise FormatError(f"{self.file}: cannot be read ({error}); discard the job and start anew") from None
+            raise FormatError(f"{self.file}: cannot be read ({error}); discard the job and start again") from None
         if dropped.shape != self.dropped.shape or probability.shape != self.dropped.shape:
-            raise FormatError(f"{self.file}: is of another splat; discard the job and start anew")
+            raise FormatError(f"{self.file}: belongs to another splat; discard the job and start again")
         self.dropped, self.probability = dropped.astype(np.int32), probability.astype(np.float32)
 
-    def _write_down(self, run: Run):
+    def _record(self, run: Run):
+        """Updates `dropped` and `probability` after Gaussians were removed or mask learning ended."""
         before = self._rows[self._origin]
         if self._logits is not None:
             self.probability[before] = sigmoid(self._logits)
@@ -66,33 +75,34 @@ class Ranking:
 
     def _remember(self, run: Run):
         self._origin = run.model.origin
-        self._logits = run.model.values[MASK].astype(np.float32) if run.model.learns_masks else None  # a copy: keep() moves rows in place
+        self._logits = run.model.values[MASK].astype(np.float32) if run.model.learns_masks else None  # a copy, because keep() works in place
 
     def scores(self, kept: np.ndarray, importance: np.ndarray) -> np.ndarray:
-        """(N,) float32 in 0..1, all different: above 0.5 what was kept, by probability; below what was dropped, by when, then by probability.
+        """The score of each Gaussian, (N,) float32 in 0..1, all different. Kept ones are above 0.5, by probability. Removed ones are below,
+        by the time of removal, then by probability.
 
-        kept (N,) bool; importance (N,) decides between those of one probability, and where none was learned.
+        kept (N,) bool. importance (N,): the order of Gaussians with equal probability, or without one.
         """
-        self._judge_last()
+        self._record_final()
         order = np.lexsort((importance, np.nan_to_num(self.probability, nan=-1.0), np.where(kept, ALIVE, self.dropped)))
-        score, gone = np.empty(len(kept), np.float32), len(kept) - int(kept.sum())
-        score[order[:gone]] = 0.5 * np.arange(gone) / max(1, gone)
-        score[order[gone:]] = 0.5 + 0.5 * np.arange(1, len(kept) - gone + 1) / max(1, len(kept) - gone)
+        score, removed = np.empty(len(kept), np.float32), len(kept) - int(kept.sum())
+        score[order[:removed]] = 0.5 * np.arange(removed) / max(1, removed)
+        score[order[removed:]] = 0.5 + 0.5 * np.arange(1, len(kept) - removed + 1) / max(1, len(kept) - removed)
         return score
 
     def probabilities(self) -> np.ndarray | None:
-        """(N,) float32 in 0..1, of existence when last known; 0 for what went before masks were learned. None where none were."""
-        self._judge_last()
+        """The last known probability p of each Gaussian, (N,) float32; 0 for those removed before masks were learned. None without masks."""
+        self._record_final()
         return np.nan_to_num(self.probability, nan=0.0) if np.isfinite(self.probability).any() else None
 
-    def _judge_last(self):
-        """Of a run that ended with its masks."""
+    def _record_final(self):
+        """Records the probabilities of a run that ends while it learns masks."""
         if self._logits is not None:
             self.probability[self._rows[self._origin]] = sigmoid(self._logits)
 
 
 def importance(scene: Scene, dataset, rasterizer, options) -> np.ndarray:
-    """(N,) float32 in 0..1: rank of each Gaussian by its sum of alpha T over some training views."""
+    """The rank of each Gaussian by its sum of alpha T over some training views, (N,) float32 from 0 (lowest) to 1."""
     views = dataset.train_indices[:: max(1, len(dataset.train_indices) // VIEWS)]
     sums, _, _ = scores.contribution(scene, [dataset.cameras[i] for i in views], rasterizer, options)
     ranks = np.empty(scene.count, np.float32)

@@ -1,4 +1,4 @@
-"""From options to a finished job. Here options become a plan (method, phases, budget); nothing after this module reads them again."""
+"""From options to a finished job. This module turns options into a plan (method, phases, target); later code reads only the plan."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .stop_request import StopRequest
 
 
 def train_scene(options: TrainOptions) -> dict:
-    """`svrgs train`; returns the JSON result. Raises SplatError, Cancelled."""
+    """Does `svrgs train`. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint."""
     assert options.out is not None
     native.set_threads(options.threads)
     plan, job = plan_of_training(options), _context(options, options.out)
@@ -35,13 +35,13 @@ def train_scene(options: TrainOptions) -> dict:
 
 
 def prune_scene(options: PruneOptions, adapt: Callable[[JobContext], JobContext] = lambda job: job) -> dict:
-    """`svrgs prune` of options.scene; returns the JSON result. Raises SplatError, Cancelled.
+    """Does `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint.
 
-    adapt: from the context of the command line to the one the job runs with.
+    adapt: changes the context of the command line; the background job adds its own observer and stop.
     """
     native.set_threads(options.threads)
     if options.colmap is None:
-        raise SceneError(f"{options.scene}: pruning needs the photographs it was trained on; give --colmap DIR")
+        raise SceneError(f"{options.scene}: pruning needs the photographs that the scene was trained on; give --colmap DIR")
     assert options.scene is not None and options.out is not None
     plan, job = plan_of_pruning(options), _context(options, options.out, options.report)
     train_and_prune.check_outputs(job)
@@ -51,7 +51,7 @@ def prune_scene(options: PruneOptions, adapt: Callable[[JobContext], JobContext]
 
 
 def plan_of_training(options: TrainOptions) -> Plan:
-    """Raises SceneError where the options do not fit together."""
+    """The plan of `svrgs train`. Raises SceneError if the options contradict each other."""
     method = method_of(options)
     recovery = options.recovery if options.recovery is not None else RECOVERY * method.prunes
     densify = Densify.within(options.iterations, options.densify_until)
@@ -60,7 +60,8 @@ def plan_of_training(options: TrainOptions) -> Plan:
 
 
 def plan_of_pruning(options: PruneOptions) -> Plan:
-    """Raises SceneError where the options do not fit together, FormatError where a share of a file is asked for that cannot be read."""
+    """The plan of `svrgs prune`. Raises SceneError if the options contradict each other; FormatError if a share of the scene is the target
+    and the file cannot be read."""
     method = method_of(options)
     first_cut = options.min_contribution if options.min_contribution is not None else MIN_CONTRIBUTION * method.first_cut
     more: dict[str, Any] = {"target": _target(options, method), "max_drop": options.max_drop, "min_contribution": first_cut}
@@ -68,7 +69,7 @@ def plan_of_pruning(options: PruneOptions) -> Plan:
 
 
 def method_of(options: TuningOptions) -> Method:
-    """The method of options.method and options.paper. Raises SceneError where it does not exist."""
+    """The method of options.method and options.paper. Raises SceneError if it does not exist."""
     method = method_named(options.method)
     if options.paper and options.method != "svr":
         raise SceneError(f"--paper chooses the paper's settings of method 'svr', not of '{options.method}': add --method svr")
@@ -76,7 +77,7 @@ def method_of(options: TuningOptions) -> Method:
 
 
 def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:
-    """Raises SceneError, FormatError."""
+    """The dataset of the options. Raises SceneError, FormatError."""
     assert options.colmap is not None
     return load_dataset(
         options.colmap, options.images or None, holdout=options.holdout, background=options.background, need_points=need_points,
@@ -85,7 +86,7 @@ def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:
 
 
 def _settings(options: TuningOptions) -> dict[str, Any]:
-    """The settings that training and pruning share."""
+    """The settings that training and pruning have in common."""
     return {
         "lambda_f": options.lambda_f, "lambda_m": options.lambda_m, "seed": options.seed, "full": not options.visible_mask,
         "background": options.background, "views_by_loss": options.views_by_loss, "schedule": options.schedule,
@@ -93,7 +94,7 @@ def _settings(options: TuningOptions) -> dict[str, Any]:
 
 
 def _target(options: PruneOptions, method: Method) -> int:
-    """Gaussians to keep; 0: the method decides."""
+    """The number of Gaussians to keep; 0: the method decides."""
     if options.target_count is not None:
         return options.target_count
     share = options.target or (0.0 if options.max_drop else method.share)

@@ -1,4 +1,4 @@
-"""A clean stop on Ctrl-C or SIGTERM."""
+"""A clean stop on Ctrl-C (SIGINT) or SIGTERM."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 
 class StopRequest:
-    """Within the block, Ctrl-C and SIGTERM ask for a clean stop; a second Ctrl-C interrupts at once.
+    """A context manager. Within its block, Ctrl-C and SIGTERM request a clean stop; a second Ctrl-C interrupts at once.
 
-    tell is called when the first request arrives, within the signal's handler.
+    Calling the object returns whether a stop was requested. tell: called at the first request, within the signal handler.
     """
 
     def __init__(self, tell: Callable[[], None] | None = None):
@@ -39,4 +39,4 @@ class StopRequest:
 
 def _announce():
     with contextlib.suppress(OSError):
-        os.write(2, b"\nstopping after this step; press Ctrl-C again to stop at once\n")  # not print, which may be what was interrupted
+        os.write(2, b"\nstopping after this step; press Ctrl-C again to stop at once\n")  # not print(), which the signal may have interrupted

@@ -1,4 +1,4 @@
-"""Whole jobs: train from sparse points, prune a trained scene. Each checks everything it needs before it starts to work."""
+"""Whole jobs: training from sparse points, and pruning of a trained scene. A job checks its inputs and outputs before it starts to work."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from ..report.prune_report import report_pictures, write_prune_report
 from ..scene import Scene
 from .context import JobContext
 
-CURVE_VIEWS = 4  # test views behind the PSNR curve
-CHECKPOINT_SECONDS = 120.0
-CANNOT_REACH = "method '{}' without iterations in which it prunes cannot reach a target"
+CURVE_VIEWS = 4  # test views on which the PSNR of the curves is measured
+CHECKPOINT_SECONDS = 120.0  # between two checkpoints
+CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
 
 
 def train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int = 3) -> dict:
-    """3DGS (with masks, where the method learns them) from the dataset's sparse points; returns the JSON result."""
+    """Trains from the dataset's sparse points and writes job.out. Returns the JSON result. Raises SplatError, Cancelled."""
     check_outputs(job)
     check_request(dataset, plan)
     if (plan.target or plan.share) and not plan.prunes:
@@ -47,10 +47,11 @@ def train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int = 3) -> 
 
 
 def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> dict:
-    """Prunes and recovers a trained scene; writes it, and the report if asked; returns the JSON result."""
+    """Prunes a trained scene and recovers its quality. Writes job.out and, if job.report is set, the report. Returns the JSON result.
+    Raises SplatError, Cancelled."""
     check_outputs(job)
     if job.out.resolve() == scene_path.resolve():
-        raise SceneError(f"{job.out}: is the input itself; choose another output, the original is never overwritten")
+        raise SceneError(f"{job.out}: is the input itself, which is never overwritten; choose another output")
     check_request(dataset, plan)
     clock = Clock()
     with clock.phase("read"):
@@ -63,7 +64,7 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
     with clock.phase("first cut"):
         model = Model.of(first_cut(source, dataset, plan), copy=False)
         cut = source.count - model.count
-    del source  # its memory is the optimiser's from here on
+    del source  # frees memory for the optimiser
     run, scene = fine_tune(model, dataset, plan, job, clock)
     with clock.phase("evaluate after"):
         after = measured(scene, dataset, job)
@@ -75,11 +76,11 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
 
 
 class Clock:
-    """Seconds by phase, in the order they were spent."""
+    """Seconds of each phase, in order."""
 
     def __init__(self):
         self.started = time.perf_counter()
-        self.earlier = 0.0  # spent before the job was resumed
+        self.earlier = 0.0  # seconds before the job was resumed
         self.phases: dict[str, float] = {}
 
     @contextlib.contextmanager
@@ -94,7 +95,7 @@ class Clock:
 
 
 def check_outputs(job: JobContext):
-    """Finds out before the work whether its results can be written. Raises SceneError."""
+    """Checks, before any work, that all results can be written. Raises SceneError."""
     format_to_write(job.out)
     check_writable(job.out)
     check_writable(job.folder / "manifest.json")
@@ -103,12 +104,12 @@ def check_outputs(job: JobContext):
 
 
 def check_request(dataset: Dataset, plan: Plan):
-    """Finds out before the work whether dataset and settings allow it. Raises SceneError."""
+    """Checks, before any work, that the dataset has training views and that the method can do what the plan asks. Raises SceneError."""
     if not dataset.train_indices:
-        raise SceneError("the dataset has no training views left beside those held out: use --holdout 0")
+        raise SceneError("all views of the dataset are held out for testing, none is left for training: use --holdout 0")
     method, asked = plan.method, plan.target or plan.share
     if plan.max_drop and not (method.supports_max_drop and plan.prunes):
-        raise SceneError(f"method '{method.name}' cannot take --max-drop: that needs a method that learns what to prune, and iterations in which it does")
+        raise SceneError(f"method '{method.name}' cannot take --max-drop: it needs a method that learns what to prune, and iterations in which it learns")
     if method.ranks and not asked:
         raise SceneError(f"method '{method.name}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
     if asked and not method.ranks and not plan.prunes:
@@ -116,15 +117,18 @@ def check_request(dataset: Dataset, plan: Plan):
 
 
 def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
-    """Raises SceneError where memory would not hold the fine-tuning of so many Gaussians."""
+    """Raises SceneError if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH coefficients per channel."""
     memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget))
 
 
 def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
-    """Drops what no view misses: opacity < 1/255, which is exact, and alpha T below plan.min_contribution in every
-    training view, as far as a target count allows. Methods that rank drop all but the target count.
+    """The scene after the first removal and the first cut (docs/methods.md, "What all methods share"). Raises SceneError if almost nothing stays.
 
-    Both are selected at once, when nothing else is held: copies would be the job's peak of memory.
+    First removal: Gaussians with an opacity below 1/255; no picture changes. First cut: those whose alpha T is below
+    plan.min_contribution in every pixel of every training view, but never below a target count. Methods that rank keep only the target
+    count here.
+
+    Both masks are applied in one selection, before other arrays exist: two copies would raise the peak memory of the job.
     """
     method, faint = plan.method, invisible(scene)
     views = [dataset.cameras[i] for i in dataset.train_indices]
@@ -150,15 +154,17 @@ def make_engine(name: str):
 
 
 def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock: Clock) -> tuple[Run, Scene]:
-    """Runs all phases with checkpoints, writes job.out, and forgets the checkpoints; each phase's seconds go to the clock. The model
-    ends as the scene that is returned."""
+    """Runs all phases with checkpoints, writes job.out and deletes the checkpoints. The seconds of each phase are added to the clock.
+
+    Returns the run and the scene, which takes over the arrays of the model. Raises SplatError; Cancelled after a checkpoint.
+    """
     run = Run(model, dataset, plan, make_engine(job.engine), model.metadata["antialiased"])
     identity = run_identity(model, dataset, plan, job.engine)
     if job.resume:
         checkpoint.restore(run, job.folder, identity)
         clock.earlier = sum(run.seconds.values())
     else:
-        checkpoint.forget(job.folder)
+        checkpoint.delete_all(job.folder)
     job.begin(run)
     saved = time.monotonic()
 
@@ -172,16 +178,16 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
     loop.run_to_end(run, observe, job.stop, lambda: checkpoint.save(run, job.folder, identity), lambda: curve_psnr(run))
     clock.phases |= run.seconds
     run.drop = run.recovery_pruning.drop(run) if run.recovery_pruning else None
-    run.engine = make_engine(job.engine)  # one without the buffers of the steps, before others need memory
+    run.engine = make_engine(job.engine)  # a new engine frees the buffers of the old one
     scene = model.into_scene()
     with clock.phase("write"):
         write_scene(job.out, scene)
-    checkpoint.forget(job.folder)
+    checkpoint.delete_all(job.folder)
     return run, scene
 
 
 def run_identity(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
-    """Digest of everything a resumed run must share with the one it continues."""
+    """Digest of everything that must be the same in a resumed run: plan, engine, scene, cameras, sizes of the photographs' files."""
     digest = hashlib.sha256(repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode())
     for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
         digest.update(np.ascontiguousarray(array).data)
@@ -193,7 +199,7 @@ def run_identity(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str
 
 
 def curve_psnr(run: Run) -> float | None:
-    """PSNR over a few test views of what would be left if pruning ended now."""
+    """PSNR in dB on a few test views, of the Gaussians that would stay if pruning ended now. None without test views."""
     dataset, model = run.dataset, run.model
     views = dataset.test_indices[:: max(1, len(dataset.test_indices) // CURVE_VIEWS)][:CURVE_VIEWS]
     if not views:
@@ -204,13 +210,13 @@ def curve_psnr(run: Run) -> float | None:
 
 
 def measured(scene: Scene, dataset: Dataset, job: JobContext, path: Path | None = None) -> dict:
-    """The keys of `svrgs eval` for a scene that lies in `path` (default: the output)."""
+    """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes (default: the output)."""
     views = dataset.test_indices or dataset.train_indices
     return {**evaluate(scene, dataset, views, Rasterizer(), job.lpips), "bytes": (path or job.out).stat().st_size}
 
 
 def run_facts(run: Run, job: JobContext, clock: Clock) -> dict:
-    """What the JSON result says of a run beside the scene's quality."""
+    """The keys of the JSON result that describe the run, not the quality of the scene."""
     plan, tuned = run.settings, sum(run.seconds.values())
     return {
         "out": str(job.out),

@@ -1,7 +1,7 @@
-"""One pruning job in a process of its own: a crash or an exhausted memory ends that job, not the batch.
+"""One pruning job of a batch in a child process. A crash or a lack of memory then ends this job and not the batch.
 
-Parent: run_in_child(). Child: `python -m svrgs_addon.jobs.worker`, the options as one JSON object on stdin; the result, or
-{"error": sentence}, as one on stdout; progress and warnings on stderr.
+Parent: run_in_child(). Child: `python -m svrgs_addon.jobs.worker`. It reads the options as one JSON object from stdin and writes the
+result, or {"error": sentence}, as one JSON object to stdout; progress and warnings go to stderr.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ PATHS = ("scene", "colmap", "out", "report", "lpips_weights")
 
 
 def run_in_child(options: PruneOptions) -> tuple[int, dict]:
-    """Runs one job; returns (exit status, result).
+    """Runs one job. Returns (exit status, result).
 
-    The status is STOPPED where a stop was asked for, even if the job was so near its end that its result is whole.
+    The status is STOPPED if a stop was requested, even if the job still finished and its result is complete.
     """
     request = json.dumps({name: str(value) if isinstance(value, Path) else value for name, value in asdict(options).items()})
     command = [sys.executable, "-m", "svrgs_addon.jobs.worker"]
@@ -44,7 +44,7 @@ def run_in_child(options: PruneOptions) -> tuple[int, dict]:
 
 
 def _stop(child: subprocess.Popen):
-    """Asks for a clean stop. A terminal's Ctrl-C reaches the child too, which does no harm; on Windows it is the only way."""
+    """Requests a clean stop of the child. Ctrl-C in a terminal reaches the child too, which does no harm; on Windows it is the only way."""
     if os.name == "posix":
         child.terminate()
 

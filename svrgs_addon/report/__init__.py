@@ -1,1 +1,1 @@
-"""The HTML report: page, charts, pictures, and what a job or a comparison puts into it."""
+"""The HTML report: the page, its charts and pictures, and the commands that fill it (`svrgs prune --report`, `svrgs compare`)."""

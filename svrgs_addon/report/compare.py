@@ -1,4 +1,4 @@
-"""`svrgs compare`: two scenes from the same cameras, as pictures and as an HTML page."""
+"""`svrgs compare`: two scenes from the same cameras, as PNG files and as an HTML page."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .prune_report import report_pictures, report_views
 
 
 def compare(a: Path, b: Path, dataset: Dataset, out: Path, lpips_weights: Path | None = None) -> dict:
-    """Writes, for a few test views, A | B | difference | mask of A | mask of B as one PNG each, and index.html.
+    """Writes index.html and, for each of a few test views, one PNG: A | B | difference | spatial mask of A | spatial mask of B.
 
-    Returns {'a', 'b': keys of eval, 'report': page, 'pictures': files}.
+    Returns the JSON result: 'a' and 'b' with the keys of `svrgs eval`, 'report' (the page), 'pictures' (the files). Raises SplatError.
     """
     check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)

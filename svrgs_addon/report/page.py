@@ -1,7 +1,7 @@
-"""One HTML page that says what pruning cost and where: a table, curves, and pictures of a few views.
+"""The HTML page of a report: a table of quality and size, curves, and pictures of a few views.
 
-The page needs nothing but itself: pictures are data URIs, curves inline SVG, and its policy forbids loading anything.
-`svrgs prune --report` and `svrgs compare` fill the same Report; what a command does not have, it leaves out.
+The page is one file: pictures are data URIs, curves are inline SVG, and its content security policy forbids to load anything.
+`svrgs prune --report` and `svrgs compare` fill the same Report; each leaves out what it does not have.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from .line_chart import Series, line_chart
 from .pictures import DIFFERENCE_GAIN, data_uri, difference_image, mask_to_rgb, to_uint8
 from .style import CSS, SCRIPT
 
-MASK_PERCENTILE = 99.5  # one bright pixel must not darken every mask
+MASK_PERCENTILE = 99.5  # of F, gets the brightest colour: with the maximum, one bright pixel would darken all masks
 
-Quality = dict[str, float | int | None]  # keys psnr ssim lpips flip count bytes ms_per_frame; None or absent: not measured
+Quality = dict[str, float | int | None]  # keys psnr ssim lpips flip count bytes ms_per_frame; None or missing: not measured
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of the run, for the table of seconds and the marks in the curves."""
+    """A part of the run, for the table of seconds and the marks in the curves."""
 
     name: str
     seconds: float
-    start: int | None = None  # its first iteration; None: not part of the optimisation
+    start: int | None = None  # first iteration; None: not part of the optimisation
 
 
 @dataclass(frozen=True)
 class View:
-    """One test view; images (H, W, 3) floats in [0, 1], masks F (H, W) floats ≥ 0."""
+    """One test view. Images are (H, W, 3) floats in 0..1; spatial masks F are (H, W) floats ≥ 0; PSNR is in dB."""
 
     name: str
     before: np.ndarray
@@ -51,17 +51,17 @@ class View:
 
 @dataclass(frozen=True)
 class Report:
-    """Everything the page shows. `before` and `after` have the keys of `svrgs eval --json`."""
+    """The contents of a page. before, after: figures with the keys of `svrgs eval --json`."""
 
     scene: str
     before: Quality
     after: Quality
-    names: tuple[str, str] = ("original", "pruned")  # what before and after are called
+    names: tuple[str, str] = ("original", "pruned")  # names of before and after on the page
     method: str | None = None
     lambda_f: float | None = None
     lpips_missing: str = ""  # why lpips is None
     phases: tuple[Phase, ...] = ()
-    seconds: float | None = None  # in all
+    seconds: float | None = None  # total
     iterations_per_second: float | None = None
     peak_memory_bytes: int | None = None
     seed: int | None = None
@@ -71,7 +71,8 @@ class Report:
 
 
 def write_report(folder: str | Path, report: Report) -> Path:
-    """Write folder/index.html, whole or not at all, making the folder; SceneError if it cannot be. Returns its path."""
+    """Writes folder/index.html and returns its path. The folder is made if needed; the file is replaced as a whole. Raises SceneError if it
+    cannot be written."""
     path = Path(folder) / "index.html"
     with atomic_write(path) as file:
         file.write(page(report).encode())
@@ -79,7 +80,7 @@ def write_report(folder: str | Path, report: Report) -> Path:
 
 
 def page(report: Report) -> str:
-    """The whole HTML page."""
+    """The HTML page as text."""
     figures = f'<div class="columns">\n{_quality(report)}\n{_run(report)}\n</div>'
     sections = (_head(report), figures, _curves(report), _views(report))
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
@@ -94,7 +95,7 @@ def page(report: Report) -> str:
     )
 
 
-# --- numbers as people read them ---
+# --- numbers as text ---
 
 
 def _integer(value: float) -> str:
@@ -126,11 +127,13 @@ def _decimals(digits: int, unit: str = "") -> Callable[[float], str]:
 
 @dataclass(frozen=True)
 class _Row:
+    """One line of the table of quality and size."""
+
     key: str
     label: str
     text: Callable[[float], str]
-    better: int  # sign of a change for the better
-    change: Callable[[float], str] | None = None  # text of after - before; None: per cent
+    better: int  # +1 if higher is better, -1 if lower is better
+    change: Callable[[float], str] | None = None  # from after - before to text; None: shown in per cent
 
 
 ROWS = (
@@ -191,7 +194,7 @@ def _per_cent(before: float, after: float) -> str:
 
 
 def _run(report: Report) -> str:
-    """What is known of seconds per phase, speed, memory, seed and versions; '' where nothing is."""
+    """The section on the run: seconds per phase, speed, memory, seed, versions. '' if none is known."""
     facts = list(_facts(report))
     if not facts:
         return ""
@@ -232,14 +235,14 @@ def _views(report: Report) -> str:
     top = _mask_range(report.views)
     views = "\n".join(_view(view, report.names, top) for view in report.views)
     before, after = (escape(name) for name in report.names)
-    explained = f'<p class="soft">Move the pointer across “{after}” to uncover “{before}” beneath. Differences are amplified × {DIFFERENCE_GAIN}.'
+    explained = f'<p class="soft">Move the pointer across “{after}” to show “{before}” behind it. Differences are multiplied by {DIFFERENCE_GAIN}.'
     if top is not None:
-        explained += " The spatial mask F is bright where the ray of a pixel passes many Gaussians."
+        explained += " The spatial mask F is bright where the ray of a pixel hits many Gaussians."
     return f"<h2>Views</h2>\n{explained}</p>\n{views}"
 
 
 def _mask_range(views: tuple[View, ...]) -> float | None:
-    """One top value for all masks on the page, so that their colours compare; None without masks."""
+    """The value of F with the brightest colour. All masks on the page share it, so that their colours can be compared. None without masks."""
     masks = [mask.ravel() for view in views for mask in (view.mask_before, view.mask_after) if mask is not None]
     return float(np.percentile(np.concatenate(masks), MASK_PERCENTILE)) if masks else None
 

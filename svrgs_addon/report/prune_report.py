@@ -1,4 +1,4 @@
-"""What the report says of a pruning job: its figures, curves, and pictures of a few views."""
+"""The report of a pruning job: its figures, its curves, and pictures of a few views."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from ..scene import Scene
 from .line_chart import Series
 from .page import Phase, Report, View, write_report
 
-REPORT_VIEWS = 3
+REPORT_VIEWS = 3  # number of views with pictures
 
 
 def write_prune_report(folder: Path, name: str, before: list, after: Scene, dataset: Dataset, run: Run, result: dict, lpips_missing: str):
-    """Writes folder/index.html of a pruning job. before: report_pictures() of the source scene; result: the JSON result. Raises SceneError."""
+    """Writes folder/index.html. before: report_pictures() of the source scene; after: the pruned scene; result: the JSON result of the job;
+    lpips_missing: why LPIPS was not measured. Raises SceneError if it cannot be written."""
     page = Report(
         scene=name,
         before=result["before"],
@@ -61,20 +62,20 @@ def _series(run: Run) -> tuple[Series, ...]:
 
 
 def report_indices(dataset: Dataset, count: int = REPORT_VIEWS) -> list[int]:
-    """A few test views, spread over the dataset."""
+    """Indices of a few test views, spread over the dataset; of training views if there are no test views."""
     views = dataset.test_indices or dataset.train_indices
     return views[:: max(1, len(views) // count)][:count]
 
 
 def report_pictures(scene: Scene, dataset: Dataset) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Colours (H, W, 3) as shown and spatial mask (H, W) of each view of the report."""
+    """Colours (H, W, 3), clamped to 0..1 and rounded to 8 bits, and spatial mask (H, W) of each view of the report."""
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background, "svr")
     renders = [rasterizer.forward(scene, dataset.cameras[i], options, outputs=("rgb", "mask")) for i in report_indices(dataset)]
     return [(rounded_to_8_bits(images["rgb"]), images["mask"]) for images in renders]
 
 
 def report_views(before: list, after: list, dataset: Dataset) -> Iterator[View]:
-    """The report's views, from report_pictures() of both scenes."""
+    """The views of the report, from report_pictures() of both scenes."""
     for i, (rgb_before, mask_before), (rgb_after, mask_after) in zip(report_indices(dataset), before, after, strict=True):
         photo = to_float(dataset.image(i))
         yield View(dataset.cameras[i].name, rgb_before, rgb_after, photo, mask_before, mask_after, psnr(rgb_before, photo), psnr(rgb_after, photo))

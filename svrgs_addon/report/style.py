@@ -1,4 +1,4 @@
-"""Looks and behaviour of the report page: one style sheet, and a script for the wipe between original and pruned."""
+"""The style sheet of the report page, and its script, which wipes between original and pruned picture."""
 
 CSS = """
 :root { color-scheme: light dark; --page: #f6f5f2; --card: #fff; --text: #1d1f23; --soft: #62666e; --line: #dcdad4;
@@ -50,7 +50,7 @@ footer { margin-top: 2.5rem; font-size: .88rem; color: var(--soft); }
 @media print { body { background: #fff; } .card { break-inside: avoid; } }
 """
 
-# The picture in a .stack lies over the one it is compared with; the pointer's place is where the cut between them runs.
+# In a .stack, the pruned picture covers the original, its background image. The script clips it at the position of the pointer.
 SCRIPT = """
 for (const view of document.querySelectorAll(".view")) {
   const below = view.querySelector(".original img"), stack = view.querySelector(".stack");

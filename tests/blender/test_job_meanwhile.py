@@ -53,7 +53,7 @@ def test_undo_does_not_bring_a_discarded_job_back(splat, watch):
     bpy.ops.svrgs.job_discard()
     bpy.ops.ed.undo_push(message="discarded")
     undo()
-    assert watch.current(bpy.context) == (None, None) and bpy.ops.svrgs.job_start.poll()
+    assert watch.current(bpy.context) is None and bpy.ops.svrgs.job_start.poll()
 
 
 def test_a_started_job_is_a_step_of_undo(splat, watch):
@@ -232,7 +232,7 @@ def test_a_copy_of_a_splat_has_no_part_in_its_job(splat, watch):
     bpy.ops.svrgs.job_start()
     (job,) = watch.jobs.values()
     copy = duplicate(splat)
-    assert watch.FOLDER not in copy and watch.current(bpy.context) == (None, None) and bpy.ops.svrgs.job_start.poll()
+    assert watch.FOLDER not in copy and watch.current(bpy.context) is None and bpy.ops.svrgs.job_start.poll()
     bpy.context.view_layer.objects.active = splat
     assert watch.current(bpy.context) == (splat, job)
     bpy.ops.svrgs.job_cancel()

@@ -1,4 +1,4 @@
-"""Every method by name. Each file in this folder with a METHODS tuple adds its methods; base.py says what a method may do."""
+"""The registry of methods by name. Each file in this folder with a tuple METHODS adds its methods; base.py defines what a method may do."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ...errors import SceneError
 from .base import Method
 
 DEFAULT, PAPER_METHOD = "pressure", "svr"
-FORMER_NAMES = {"svr": "pressure", "svr-mask": "svr", "svr-worth": "saliency"}  # in job folders and .blend files of the first schema
+FORMER_NAMES = {"svr": "pressure", "svr-mask": "svr", "svr-worth": "saliency"}  # names in job folders and .blend files of schema 1
 
 
 def _discovered() -> dict[str, Method]:
-    """The default and the paper's first, then those that learn, those that rank, those that do not prune; by name."""
+    """All methods by name. Order: the default, the method of the paper, methods that learn, methods that rank, methods that do not prune."""
     modules = (importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__))
     found = [method for module in modules for method in getattr(module, "METHODS", ())]
     first = {DEFAULT: 0, PAPER_METHOD: 1}
@@ -26,7 +26,7 @@ METHODS = _discovered()
 
 
 def method_named(name: str) -> Method:
-    """A method for one run. Raises SceneError for a name that is not among METHODS."""
+    """A copy of the method for one run. Raises SceneError for an unknown name."""
     if name not in METHODS:
         hint = f"'{name}' is called '{FORMER_NAMES[name]}' now" if name in FORMER_NAMES else f"choose one of {', '.join(METHODS)}"
         raise SceneError(f"method '{name}' is unknown: {hint}")
@@ -34,7 +34,7 @@ def method_named(name: str) -> Method:
 
 
 def paper_method() -> Method:
-    """The paper's printed settings to the letter, for one run: `--method svr --paper`."""
+    """SVR-GS with the printed settings of the paper, for one run: `--method svr --paper`."""
     from .svr import PAPER
 
     return copy(PAPER)

@@ -1,4 +1,4 @@
-"""What a method may do that plain 3DGS does not. The run calls these hooks and knows no method by name."""
+"""The base class of all methods. Its hooks are where a method may differ from plain 3DGS; the run calls them and knows no method by name."""
 
 from __future__ import annotations
 
@@ -15,72 +15,72 @@ from ..settings import Densify, Phase, Rates, Settings, recovery_phase
 
 __all__ = ["Keep", "Method", "RunView"]
 
-LEARN = "Learning which Gaussians are needed"
+LEARN = "Learning which Gaussians are needed"  # label of the pruning phase
 
 
 @dataclass
 class Method:
-    """Plain 3DGS: every step minimises the image loss alone, and nothing is pruned but what 3DGS itself prunes.
+    """Plain 3DGS: every step minimises the image loss alone, and only the pruning of 3DGS itself takes place.
 
-    Each run has its own object. What it learns about the run, and must survive a checkpoint, is in state().
+    Each run has its own object. state() returns what a checkpoint must hold of it. CONTRIBUTING.md says how to add a method.
     """
 
-    name: str  # of --method
-    help: str = field(repr=False)  # one sentence: what it does
-    number: int = field(repr=False)  # of Blender's menu, stored in .blend files: never changed, never used again
+    name: str  # value of --method
+    help: str = field(repr=False)  # what the method does, in one sentence without a full stop: shown in --help and in Blender's menu
+    number: int = field(repr=False)  # number in Blender's menu, stored in .blend files: never change it, never use it again
     label: str = field(default="", repr=False)  # in Blender's menu; empty: the name
-    lambda_f_help: str = field(default="", repr=False)  # what lambda_F means here
-    lambda_f: float = 0.0  # default weight of mean F^2; 0: the method has no spatial mask
+    lambda_f_help: str = field(default="", repr=False)  # the meaning of lambda_F for this method
+    lambda_f: float = 0.0  # default of lambda_F; 0: the method does not use it
     lambda_m: float = 0.0  # default weight of the method's term over all masks or opacities
-    mask_kind: str = "none"  # spatial mask and its gradient while masks are learned: a name of native.mask_kinds()
+    mask_kind: str = "none"  # spatial mask and its gradient in active phases: a name of native.mask_kinds()
     mask_init: float = 9.0  # existence logit at the start
-    share: float = 0.0  # share of the Gaussians to keep where no target is asked for
+    share: float = 0.0  # share of the Gaussians to keep without a target
     prunes: bool = True
     learns_masks: bool = False
     ranks: bool = False  # decides by score() alone
-    supports_max_drop: bool = False  # can stop at a drop of settings.max_drop dB
-    max_drop_method: str = ""  # the method that prunes instead where a drop is asked for; empty: itself
-    first_cut: bool = False  # pruning starts with the Gaussians that contribute next to nothing to any view
-    image_weights: tuple[float, float] = (0.8, 0.2)  # of L1 and of 1 - SSIM
+    supports_max_drop: bool = False  # --max-drop is allowed
+    max_drop_method: str = ""  # name of the method that prunes instead with --max-drop; empty: this one
+    first_cut: bool = False  # `svrgs prune` starts by removing Gaussians whose alpha T is small in every view
+    image_weights: tuple[float, float] = (0.8, 0.2)  # weights of the mean absolute error and of 1 - SSIM
 
     # --- the schedule
 
     def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
-        """`svrgs train`: 3DGS from the sparse points, the method active all the time, then recovery."""
+        """The phases of `svrgs train`: 3DGS from sparse points, with the method active in every step; then recovery."""
         train = Phase(
             "train", iterations, Rates(), densify, active=self.prunes, sh_every=1_000, coarse_until=coarse_until, label="Training from the photographs"
         )
         return [train, *_recovery(recovery, Rates().at(iterations, 1.0)["means"])]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        """`svrgs prune`: recovery alone, for a method that decides at once."""
+        """The phases of `svrgs prune`. Here only recovery, for methods that decide before it."""
         return _recovery(recovery)
 
     def weights(self, trained: bool) -> tuple[float, float]:
-        """Default lambda_F and lambda_m. trained: the run starts from a trained scene."""
+        """Defaults of lambda_F and lambda_m. trained: whether the run starts from a trained scene."""
         return self.lambda_f, self.lambda_m
 
     def uses_lambda_f(self, settings: Settings) -> bool:
-        """Whether settings.lambda_f has an effect on such a run."""
+        """Whether settings.lambda_f has an effect in a run with these settings."""
         return self.lambda_f > 0
 
     # --- a step of an active phase
 
     def budget(self, run: RunView) -> int:
-        """The Gaussians to keep where none is asked for; called before the first step. 0: the method needs none."""
+        """The number of Gaussians to keep if the run has no target. Called before the steps of an active phase. 0: the method needs none."""
         return 0
 
     def prepare(self, run: RunView, phase: Phase, number: int):
-        """Before step `number` (from 1): changes what the method needs, in the model and in itself."""
+        """Called before step `number` (from 1) of the phase. It may change the model and the method's own state."""
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
-        """The fields of engine.Step that differ from a plain step. Changes nothing."""
+        """The fields of engine.Step, by name, that differ from a step of plain 3DGS. It changes nothing."""
         return {}
 
     # --- pruning
 
     def survivors(self, run: RunView) -> Keep:
-        """The Gaussians that stay after a pruning event. Densification is one, too."""
+        """The Gaussians that stay after a pruning event. Each densification is a pruning event too."""
         return None
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
@@ -89,7 +89,7 @@ class Method:
         return self.survivors(run) if due else None
 
     def final_mask(self, run: RunView) -> Keep:
-        """The Gaussians that stay when an active phase ends."""
+        """The Gaussians that stay at the end of an active phase."""
         return None
 
     def current_mask(self, model: Model) -> Keep:
@@ -97,25 +97,25 @@ class Method:
         return None
 
     def expected_count(self, model: Model) -> float:
-        """The number of Gaussians that the learned masks expect to stay; of methods that learn masks."""
+        """The expected number of Gaussians under the learned masks. Only methods that learn masks have it."""
         raise NotImplementedError
 
     def score(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-        """(N,): importance of every Gaussian, the higher the more important; of methods that rank."""
+        """The score of each Gaussian, (N,); the highest stay. Only methods that rank have it."""
         raise NotImplementedError
 
     # --- checkpoints
 
     def state(self) -> dict:
-        """What a resumed run must know, as JSON."""
+        """The state that a checkpoint must hold, as values that JSON can hold."""
         return {}
 
     def restore(self, state: dict):
-        """Takes over what state() returned."""
+        """Restores what state() returned."""
 
 
 def learning_phase(steps: int, rates: Rates, prune_every: int) -> list[Phase]:
-    """The active phase of `svrgs prune`; none for 0 steps."""
+    """The pruning phase of `svrgs prune`, in which the method is active. An empty list for 0 steps."""
     return [Phase("prune", steps, rates, active=True, prune_every=prune_every, label=LEARN)] if steps else []
 
 

@@ -1,11 +1,11 @@
-"""Compact3DGS's mask alone (arXiv 2311.13681 section 3.1): a deterministic gate on opacity and scale, and lambda mean sigmoid(m).
+"""The mask of Compact3DGS (arXiv 2311.13681 section 3.1): a deterministic gate on opacity and scale, and the term lambda_m mean sigmoid(m).
 
-The gate is g = 1[sigmoid(m) > 0.01] in value and sigmoid(m) in gradient. It multiplies the opacity o and the scales s, so
+The value of the gate is g = 1[sigmoid(m) > 0.01], its gradient that of sigmoid(m). It multiplies the opacity o and the scales s:
 
-    dL/dg = (dL/do) o + sum_k (dL/ds_k) s_k = dL/dM + sum_k dL/dlog_scale_k       where g = 1
+    dL/dg = (dL/do) o + sum_k (dL/ds_k) s_k = dL/dM + sum_k dL/dlog_scale_k       if g = 1
 
-(alpha is proportional to o, so the first term is the rasterizer's dL/dM), and dL/dg = 0 where g = 0: a closed Gaussian is not drawn
-and learns no more from the image.
+The first term is the dL/dM of the rasterizer, because alpha is proportional to o. If g = 0, dL/dg = 0: the Gaussian is not drawn and
+gets no gradient from the image any more.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from ..settings import Phase, Rates
 from .base import Keep, RunView
 from .masked import Masked
 
-THRESHOLD = np.log(0.01 / 0.99)  # of the logit: sigmoid(m) > 0.01
-MASK_RATE = 0.01
-NEARNESS = 0.2  # in logits: gates so near the threshold count in part
+THRESHOLD = np.log(0.01 / 0.99)  # logit above which a gate is open: sigmoid(m) > 0.01
+MASK_RATE = 0.01  # learning rate of m
+NEARNESS = 0.2  # width, in logits, of the sigmoid that counts gates near the threshold in part
 
 
 @dataclass
 class Compact3DGS(Masked):
-    """Nothing is sampled: events and the end remove the Gaussians with a closed gate."""
+    """The method. Nothing is sampled. Pruning events and the end of the phase remove the Gaussians with a closed gate."""
 
     lambda_m: float = 5e-4
     mask_init: float = 1.0
@@ -49,8 +49,8 @@ class Compact3DGS(Masked):
         return model.values[MASK] > THRESHOLD
 
     def expected_count(self, model: Model) -> float:
-        """Open gates; gates near the threshold count in part, so that the controller sees them come."""
+        """The number of open gates. Gates near the threshold count in part, so that the strength controller can react before they close."""
         return float(sigmoid((model.values[MASK] - THRESHOLD) / NEARNESS, np).sum(dtype=np.float64))
 
 
-METHODS = (Compact3DGS("compact3dgs", "Compact3DGS: a learned gate on opacity and scale, without its hash grid and quantisation", 11),)
+METHODS = (Compact3DGS("compact3dgs", "Compact3DGS, its mask only: learns a gate on opacity and scale and removes the Gaussians whose gate closes", 11),)

@@ -1,4 +1,4 @@
-"""Ranks by contribution: sum of alpha T over all pixels of all views."""
+"""Ranks by contribution: the sum of alpha T over all pixels of all views."""
 
 from .. import scores
 from .ranked import Ranked
@@ -9,4 +9,4 @@ class Contribution(Ranked):
         return scores.contribution(scene, cameras, rasterizer, options)[0]
 
 
-METHODS = (Contribution("contribution", "ranks the Gaussians once, by the sum of αT over all views", 15),)
+METHODS = (Contribution("contribution", "removes, in one cut, the Gaussians of lowest contribution: the sum of αT over all views", 15),)

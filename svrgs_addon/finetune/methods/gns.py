@@ -1,5 +1,5 @@
-"""GNS (arXiv 2511.16980): its natural selection by a pressure on all opacities (opacity_pressure.py). Growth is that of 3DGS."""
+"""GNS (arXiv 2511.16980): its natural selection, a pressure on all opacities (opacity_pressure.py). Densification is that of 3DGS."""
 
-from .opacity_pressure import Pressed
+from .opacity_pressure import PressureMethod
 
-METHODS = (Pressed("gns", "GNS: presses all opacities down alike until few enough Gaussians withstand", 12, share=0.25),)
+METHODS = (PressureMethod("gns", "GNS: lowers all opacities with the same pressure and removes the Gaussians that fade", 12, share=0.25),)

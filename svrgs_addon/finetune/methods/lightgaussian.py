@@ -1,9 +1,9 @@
-"""LightGaussian (arXiv 2311.17245): 66 % of a trained scene is removed at once, by global significance; its recovery follows.
+"""LightGaussian (arXiv 2311.17245): one cut by global significance GS removes 66 % of the Gaussians; its recovery follows.
 
-    GS_j = gamma_j sum over views and pixels that j hits of opacity_j T,    gamma_j = min(1, V_j / V_90)^0.1
+    GS_j = gamma_j * (sum over views and the pixels that j hits of opacity_j T),    gamma_j = min(1, V_j / V_90)^0.1
 
-V_j is the product of the scales. This is the form of the paper: T counts, and volumes are divided by their 90th percentile and
-clamped at 1. The published code first left T out, takes the 10th percentile, and does not clamp.
+V_j is the product of the three scales, V_90 its 90th percentile. This is the form of the paper, with T and with the clamp at 1. The
+first published code left T out, used the 10th percentile and did not clamp.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ..scores import significance
 from .ranked import Ranked
 
 VOLUME_POWER = 0.1
-VOLUME_RANK = 0.9  # percentile of the volume that counts as 1
+VOLUME_RANK = 0.9  # rank of the volume that volumes are divided by, as a share
 
 
 class LightGaussian(Ranked):
@@ -23,7 +23,7 @@ class LightGaussian(Ranked):
 
 
 def volume_factor(log_scales: np.ndarray) -> np.ndarray:
-    """gamma (N,) from log-scales (N, 3); in logarithms, so that no volume underflows."""
+    """gamma (N,) float64 from log-scales (N, 3). Computed with logarithms, so that no volume underflows."""
     if not len(log_scales):
         return np.zeros(0)
     volumes = log_scales.astype(np.float64).sum(axis=1)
@@ -31,4 +31,4 @@ def volume_factor(log_scales: np.ndarray) -> np.ndarray:
     return np.exp(VOLUME_POWER * np.minimum(volumes - largest, 0.0))
 
 
-METHODS = (LightGaussian("lightgaussian", "LightGaussian: ranks the Gaussians once, by global significance", 13, share=0.34),)
+METHODS = (LightGaussian("lightgaussian", "LightGaussian: removes, in one cut, the Gaussians of lowest global significance", 13, share=0.34),)

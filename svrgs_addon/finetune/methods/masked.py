@@ -1,4 +1,4 @@
-"""What methods share that learn one existence logit a Gaussian and sample it in each step (MaskGaussian section 3, SVR-GS section II-A)."""
+"""Base class of methods that learn masks: one existence logit per Gaussian, sampled in each step (MaskGaussian section 3, SVR-GS section II-A)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from .base import Keep, Method, RunView, learning_phase
 
 @dataclass
 class Masked(Method):
-    """Masks sampled from the logits, straight-through gradients, events of 10 draws, and p > 0.5 (or the target) at the end."""
+    """Masks are sampled from the logits and have straight-through gradients. A pruning event samples 10 times and removes the Gaussians
+    that appear in no sample. At the end of the phase Gaussians with p > 0.5 stay, or as many as the target."""
 
     learns_masks: bool = True
     supports_max_drop: bool = True
@@ -38,7 +39,8 @@ class Masked(Method):
         return masks.ever_drawn(run.model, run.settings.seed, run.iteration, run.settings.draws)
 
     def final_mask(self, run: RunView) -> Keep:
-        """p > 0.5; or exactly the target or the allowed drop, the most probable Gaussians first."""
+        """Without a target, the Gaussians with p > 0.5 stay. With a target, exactly so many of the most probable ones; with an allowed
+        drop, the fewest most probable ones that hold it."""
         if run.settings.max_drop:
             return fewest_within(run, run.model.values[MASK], run.psnr_before - run.settings.max_drop)
         return masks.most_probable(run.model, run.target) if run.target else self.current_mask(run.model)
@@ -47,5 +49,5 @@ class Masked(Method):
         return masks.most_probable(model)
 
     def expected_count(self, model: Model) -> float:
-        """The sum of all p."""
+        """The sum of all probabilities p."""
         return float(sigmoid(model.values[MASK], np).sum(dtype=np.float64))

@@ -1,4 +1,4 @@
-"""Ranks by the largest alpha T in any pixel of any view (RadSplat)."""
+"""Ranks by the largest alpha T in any pixel of any view (RadSplat, arXiv 2403.13806)."""
 
 from .. import scores
 from .ranked import Ranked
@@ -9,4 +9,4 @@ class MaxContribution(Ranked):
         return scores.contribution(scene, cameras, rasterizer, options)[1]
 
 
-METHODS = (MaxContribution("max-contribution", "RadSplat: ranks the Gaussians once, by the largest αT in any pixel", 16),)
+METHODS = (MaxContribution("max-contribution", "RadSplat: removes, in one cut, the Gaussians whose largest αT in any pixel is lowest", 16),)

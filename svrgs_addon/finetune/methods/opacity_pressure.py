@@ -1,10 +1,12 @@
-"""The pressure of GNS (arXiv 2511.16980) on all opacity logits, until few enough Gaussians withstand it; gns and pressure share it.
+"""The pressure of GNS (arXiv 2511.16980) on all opacity logits, until the budget is met. The methods gns and pressure share it.
 
-    r (mean((l + 20) / max(0.05, 1 - o)))^2  in the first eighth of the phase, then  3 r (mean(l) + 20)^2
+    penalty = r (mean((l + 20) / max(0.05, 1 - o)))^2     in the first eighth of the phase
+    penalty = 3 r (mean(l) + 20)^2                        after it
 
-r is adapted so that the opacity at the rank of the budget falls linearly to 0. Published: 8000 steps, the term in every 50th, r adapted
-every 100, pruning of o < 0.001 after step 1000, the goal at 0 after step 7000. All scale with the length of the phase, but the term
-never comes more often than every `least_between` steps: the photographs must decide what withstands it.
+l are the opacity logits, o the opacities. r is adapted so that the opacity at the rank of the budget falls linearly to 0. Published: 8000
+steps, the penalty in every 50th step, r adapted every 100 steps, Gaussians with o < 0.001 pruned after step 1000, the goal 0 after step
+7000. All these numbers scale with the length of the phase, except that two penalties are at least `least_between` steps apart: in
+between, the photographs must have time to raise the opacity of the Gaussians that they need.
 """
 
 from __future__ import annotations
@@ -21,29 +23,30 @@ from ..scores import top
 from ..settings import Densify, Phase, Rates
 from .base import Keep, Method, RunView
 
-STEPS, PRESS_EVERY, EASE = 8_000, 50, 1_000  # published; EASE: end of the first form, and of the high opacity rate after the trim
-SHARE_OF_TRAINING = 8 / 23  # published: pressure from 15 000 to 23 000
-OPACITY_RATE = 4 * 0.025
-FINAL_OPACITY_RATE = 0.025
-FIRST_GOAL, TOLERANCE, LOWER, RAISE = 0.8, 0.1, 0.8, 1.2
-MIN_OPACITY = 0.001
-NEAR = 1.05  # of the budget: so few are trimmed to it at once
+STEPS, PRESS_EVERY, EASE = 8_000, 50, 1_000  # published; EASE: steps with the first form of the penalty, and with OPACITY_RATE after the trim
+SHARE_OF_TRAINING = 8 / 23  # published: pressure from step 15 000 to 23 000 of 23 000
+OPACITY_RATE = 4 * 0.025  # learning rate of opacity logits until EASE steps after the trim
+FINAL_OPACITY_RATE = 0.025  # the same, after that
+FIRST_GOAL = 0.8  # the first goal, as a share of the opacity at the rank of the budget
+TOLERANCE, LOWER, RAISE = 0.1, 0.8, 1.2  # r is multiplied by LOWER or RAISE if this opacity differs by more than TOLERANCE from the goal
+MIN_OPACITY = 0.001  # Gaussians with less are removed
+NEAR = 1.05  # times the budget: when fewer Gaussians are left, they are trimmed to the budget at once
 
 
 @dataclass
-class Pressed(Method):
-    """State: r's factor, the first goal, and the step of the trim, 0 before it."""
+class PressureMethod(Method):
+    """A method with opacity pressure. A step with the penalty is called a pressed step."""
 
     lambda_m: float = 2e-4  # r at the start
-    goal_zero: float = 7_000 / STEPS  # share of the phase after which the opacity at the budget's rank should be 0
-    least_between: int = 8  # steps
-    supports_max_drop: bool = True  # by saliency; recovery_pruning.py spends what the recovery wins back
-    factor: float = 1.0
-    first_goal: float = 0.0
-    trimmed: int = 0
+    goal_zero: float = 7_000 / STEPS  # share of the phase after which the goal is 0
+    least_between: int = 8  # least number of steps between two pressed steps
+    supports_max_drop: bool = True  # the budget is found by saliency; recovery_pruning.py removes more in the recovery
+    factor: float = 1.0  # state: factor on r
+    first_goal: float = 0.0  # state: the goal at the first pressed step
+    trimmed: int = 0  # state: step at which the Gaussians were trimmed to the budget; 0: not yet
 
     def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
-        """3DGS, then pressure in the last 8/23 of the iterations."""
+        """Plain 3DGS, then pressure in the last 8/23 of the iterations, then recovery."""
         press = round(iterations * SHARE_OF_TRAINING)
         train, *recover = super().train_phases(iterations, recovery, densify, coarse_until)
         train = replace(train, steps=iterations - press, active=False)
@@ -53,12 +56,12 @@ class Pressed(Method):
         return [*pressure_phase(iterations, 5e-6, Rates().position_last), *super().prune_phases(iterations, recovery, prune_every)]
 
     def budget(self, run: RunView) -> int:
-        """The fewest Gaussians, by saliency, within the allowed drop."""
+        """With an allowed drop: the number of Gaussians, those of highest saliency, that are needed to hold it before any learning."""
         value = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
         return int(fewest_within(run, value, run.psnr_before - run.settings.max_drop).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
-        """Adapts r at every other pressed step: it falls where the opacity at the budget's rank is below the goal, and rises above it."""
+        """Adapts r at every other pressed step. r falls if the opacity at the rank of the budget is below the goal, and rises if it is above."""
         if not self._presses(phase, number):
             return
         reached = opacity_at(run.model.opacity_logits, run.target)
@@ -76,10 +79,10 @@ class Pressed(Method):
             return {}
         early = number <= phase.steps * EASE / STEPS
         r = run.settings.lambda_m * self.factor
-        return {"penalty": OpacityPressure(r if early else 3 * r, early, self.shares(run))}
+        return {"penalty": OpacityPressure(r if early else 3 * r, early, self.gaussian_weights(run))}
 
-    def shares(self, run: RunView) -> np.ndarray | None:
-        """(N,), 1 on average: the share of each Gaussian in the pressure; None: all alike."""
+    def gaussian_weights(self, run: RunView) -> np.ndarray | None:
+        """The weight of each Gaussian in the pressure, (N,), 1 on average; None: all 1."""
         return None
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
@@ -93,7 +96,7 @@ class Pressed(Method):
         return (run.model.opacity_logits >= logit(MIN_OPACITY)) | top(run.model.opacity_logits, run.target)
 
     def press_every(self, phase: Phase) -> int:
-        """Steps from one pressed step to the next."""
+        """The number of steps from one pressed step to the next."""
         return max(self.least_between, round(phase.steps * PRESS_EVERY / STEPS))
 
     def _presses(self, phase: Phase, number: int) -> bool:
@@ -107,19 +110,19 @@ class Pressed(Method):
 
 
 def pressure_phase(steps: int, first: float, last: float) -> list[Phase]:
-    """The phase under pressure, with the position rate falling from `first` to `last`; none for 0 steps."""
+    """The phase with pressure. The position rate falls from `first` to `last`. An empty list for 0 steps."""
     rates = Rates(position_first=first, position_last=last, position_steps=steps, opacity=OPACITY_RATE)
-    return [Phase("press", steps, rates, active=True, prune_every=0, label="Pressing opacities down")] if steps else []
+    return [Phase("press", steps, rates, active=True, prune_every=0, label="Lowering opacities")] if steps else []
 
 
 def opacity_at(logits: np.ndarray, rank: int) -> float:
-    """The opacity that `rank` Gaussians reach, of logits (N,)."""
+    """The opacity that `rank` Gaussians reach: the rank-th largest. logits (N,)."""
     place = max(len(logits) - rank, 0)
     return float(sigmoid(np.partition(logits, place)[place].astype(np.float64), np))
 
 
 def drawn_by_opacity(model: Model, count: int, key: list[int]) -> np.ndarray:
-    """(N,) bool: `count` Gaussians drawn without replacement, with probabilities proportional to opacity (Gumbel noise on log opacity)."""
+    """(N,) bool: `count` Gaussians drawn without replacement, with probabilities proportional to opacity (by Gumbel noise on log opacity)."""
     log_opacity = -np.logaddexp(0, -model.opacity_logits.astype(np.float64))
     return top(log_opacity + np.random.default_rng(key).gumbel(size=model.count), count)
 

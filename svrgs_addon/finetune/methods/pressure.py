@@ -1,9 +1,9 @@
-"""The default: opacity pressure weighted by removal error, with a budget from lambda_F or the target (docs/methods.md).
+"""The default method: opacity pressure weighted by removal error (docs/methods.md, "`pressure`, the default").
 
-Budget: the number of Gaussians with a saliency above lambda_F, or the target. Selection: GNS's pressure on all opacity logits, over the
-whole phase. The pressure on a Gaussian is proportional to (removal error at the budget / its removal error)^1/2, within [0.01, 100].
-With few training views all are pressed alike: their removal errors say little about other views. Recovery uses dropout: the fewer the
-training views, the more.
+Budget: the target, or the number of Gaussians with a saliency above lambda_F. Pressure: that of GNS on all opacity logits, over the
+whole phase. The pressure on a Gaussian is proportional to (removal error at the budget / its removal error)^1/2, clipped to
+[0.01, 100]. With fewer than FEW training views the pressure is the same for all Gaussians, because removal errors on few photographs
+say little about other views. The recovery uses dropout, with a rate proportional to 1 / training views.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from .. import masks
 from ..saliency import removal_errors, saliency
 from ..settings import Densify, Phase, Settings
 from .base import RunView
-from .opacity_pressure import Pressed
+from .opacity_pressure import PressureMethod
 
-UPDATE_EVERY = 16  # pressed steps between two updates of the shares
-POWER, LARGEST = 0.5, 100.0
-FEW = 32  # training views: with fewer, all are pressed alike
-DROPOUT = 6.0  # times 1 / training views: settings.Phase.dropout
-SHARES = "pressure_shares"  # of the model's values: it moves with the rows and is stored with them, but is not learned
+UPDATE_EVERY = 16  # pressed steps between two measurements of the removal errors
+POWER, LARGEST = 0.5, 100.0  # exponent of the weights; they are clipped to [1 / LARGEST, LARGEST]
+FEW = 32  # training views: with fewer, all weights are 1
+DROPOUT = 6.0  # dropout rate times training views (settings.Phase.dropout)
+WEIGHTS = "pressure_weights"  # name among the model's values, so that rows move with it and checkpoints hold it; it is not learned
 
 
 @dataclass
-class Pressure(Pressed):
+class Pressure(PressureMethod):
     lambda_f: float = 1e-4
-    lambda_f_help: str = field(default="how much a Gaussian must be worth to stay: its removal error over its part in the spatial mask", repr=False)
+    lambda_f_help: str = field(default="the saliency above which a Gaussian stays (removal error over mask penalty)", repr=False)
     goal_zero: float = 1.0
     least_between: int = 4
     max_drop_method: str = "saliency"  # a budget must be known when the pressure starts
@@ -49,25 +49,25 @@ class Pressure(Pressed):
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         super().prepare(run, phase, number)
-        due = self._presses(phase, number) and (SHARES not in run.model.values or (number - 1) % (UPDATE_EVERY * self.press_every(phase)) == 0)
+        due = self._presses(phase, number) and (WEIGHTS not in run.model.values or (number - 1) % (UPDATE_EVERY * self.press_every(phase)) == 0)
         if due and len(run.training_cameras) >= FEW:
             errors = removal_errors(run.model, run.training_cameras, run.rasterizer, run.score_options)
-            run.model.add(SHARES, pressure_shares(errors, run.target).astype(run.model.dtype))
+            run.model.add(WEIGHTS, pressure_weights(errors, run.target).astype(run.model.dtype))
 
-    def shares(self, run: RunView) -> np.ndarray | None:
-        return run.model.values.get(SHARES)
+    def gaussian_weights(self, run: RunView) -> np.ndarray | None:
+        return run.model.values.get(WEIGHTS)
 
 
-def pressure_shares(errors: np.ndarray, budget: int) -> np.ndarray:
-    """(N,) float64, 1 on average: the share of each Gaussian in the pressure, from its removal error (N,)."""
+def pressure_weights(errors: np.ndarray, budget: int) -> np.ndarray:
+    """The weight of each Gaussian in the pressure, (N,) float64, 1 on average, from the removal errors (N,)."""
     errors = np.maximum(errors, 1e-30)
     place = max(len(errors) - budget, 0)
-    shares = np.clip((np.partition(errors, place)[place] / errors) ** POWER, 1 / LARGEST, LARGEST)
-    return shares / shares.mean()
+    weights = np.clip((np.partition(errors, place)[place] / errors) ** POWER, 1 / LARGEST, LARGEST)
+    return weights / weights.mean()
 
 
 def _with_dropout(phases: list[Phase]) -> list[Phase]:
     return [replace(phase, dropout=DROPOUT) if phase.name == "recover" else phase for phase in phases]
 
 
-METHODS = (Pressure("pressure", "presses down the opacities of the Gaussians whose removal costs least, until the budget is reached", 0, "Recommended"),)
+METHODS = (Pressure("pressure", "lowers opacities, most where the removal error is small, and removes the Gaussians that fade", 0, "Recommended"),)

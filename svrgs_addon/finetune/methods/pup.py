@@ -1,4 +1,4 @@
-"""PUP 3D-GS (arXiv 2406.10219): ranks by sensitivity to position and size (../sensitivity.py). One cut; published with two."""
+"""PUP 3D-GS (arXiv 2406.10219): ranks by sensitivity to position and size (../sensitivity.py). One cut; published with two cuts."""
 
 from ..sensitivity import log_determinants
 from .ranked import Ranked
@@ -9,4 +9,4 @@ class PUP(Ranked):
         return log_determinants(scene, cameras, rasterizer, options)
 
 
-METHODS = (PUP("pup", "PUP 3D-GS: ranks the Gaussians once, by the sensitivity of the images to their position and size", 17),)
+METHODS = (PUP("pup", "PUP 3D-GS: removes, in one cut, the Gaussians whose position and size change the views least", 17),)

@@ -1,4 +1,4 @@
-"""What methods share that learn nothing: Gaussians are ranked once by a score, the highest stay up to the target, and recovery follows."""
+"""Base class of methods that rank: one cut keeps the Gaussians of highest score, as many as the target, and recovery follows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .base import Keep, Method, RunView
 
 @dataclass
 class Ranked(Method):
-    """A subclass defines score()."""
+    """A method that ranks. A subclass defines score()."""
 
     ranks: bool = True
 

@@ -1,8 +1,8 @@
-"""Pruning by saliency in events: Gaussians with a saliency below lambda_F are removed (../saliency.py), and the others adapt.
+"""Pruning by saliency (../saliency.py): a few events remove the Gaussians with a saliency below lambda_F; the others adapt in between.
 
-Between two events, steps are plain 3DGS: no sampled masks, no F. From event to event the threshold rises geometrically from RAMP lambda_F
-to lambda_F, because of two Gaussians that show the same thing only one may go. With a target the number that stays falls geometrically
-instead; with an allowed drop, the fewest Gaussians stay that hold the event's share of it.
+Steps between two events are plain 3DGS: no sampled masks, no F. The threshold rises geometrically, from RAMP lambda_F to lambda_F at the
+last event. It rises slowly because only one of two Gaussians that can replace each other may be removed. With a target, the number of
+Gaussians falls geometrically instead. With an allowed drop, each event keeps the fewest Gaussians that hold its share of the drop.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from ..scores import top
 from ..settings import Phase, Rates, Settings
 from .base import Keep, Method, RunView, learning_phase
 
-EVENTS = 8  # in `svrgs prune`
-RAMP = 0.01
+EVENTS = 8  # number of events in `svrgs prune`
+RAMP = 0.01  # first threshold over lambda_F
 
 
 @dataclass
 class Saliency(Method):
-    """State: the number of Gaussians before the first event."""
+    """The method."""
 
-    lambda_f: float = 1e-3  # more than for pressure: the saliency of a Gaussian grows when its neighbours are gone
+    lambda_f: float = 1e-3  # larger than for pressure: the saliency of a Gaussian grows when its neighbours are removed
     lambda_f_help: str = field(default="the saliency below which a Gaussian is removed", repr=False)
     supports_max_drop: bool = True
-    count: int = 0
+    count: int = 0  # state: number of Gaussians before the first event
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         rates = Rates(position_first=5e-6, position_steps=iterations)
@@ -43,7 +43,7 @@ class Saliency(Method):
         return self.event(run, (number - begun) / (phase.steps - begun))
 
     def event(self, run: RunView, done: float) -> Keep:
-        """The Gaussians that stay when the share `done` of the phase, 0..1, has passed."""
+        """The Gaussians that stay at an event. done: share of the phase that has passed, 0..1."""
         value = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
         if run.settings.max_drop:
             return fewest_within(run, value, run.psnr_before - done * run.settings.max_drop)
@@ -58,4 +58,4 @@ class Saliency(Method):
         self.count = state["count"]
 
 
-METHODS = (Saliency("saliency", "removes the Gaussians of low saliency in 8 events; plain training in between", 6),)
+METHODS = (Saliency("saliency", "removes the Gaussians of low saliency in 8 pruning events, with plain training in between", 6),)

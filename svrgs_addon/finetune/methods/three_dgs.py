@@ -1,5 +1,5 @@
-"""3DGS (Kerbl et al. 2023): nothing is pruned."""
+"""Plain 3DGS (Kerbl et al. 2023, arXiv 2308.04079). It prunes only what 3DGS itself prunes."""
 
 from .base import Method
 
-METHODS = (Method("3dgs", "plain 3DGS: nothing is pruned", 18, prunes=False),)
+METHODS = (Method("3dgs", "plain 3DGS: prunes nothing beyond its own rules", 18, prunes=False),)
