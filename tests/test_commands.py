@@ -24,6 +24,7 @@ from svrgs_addon.files.images import read_image
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import load_scene
 from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.outputs import PICTURES
 
 
 def truth_file(tiny, folder: Path) -> Path:
@@ -58,12 +59,12 @@ def test_render_npy_is_the_rasterizer_s_output(tiny, svrgs, tmp_path_factory, tm
     bright = replace(tiny.truth, sh=3 * tiny.truth.sh)  # above 1 in places, which nothing may clamp
     splat = tmp_path_factory.mktemp("bright") / "bright.ply"
     write_ply(splat, bright)
-    words = ("--outputs", "rgb,mask,depth,alpha", "--format", "npy", "--views", "03,7", "--background", "2e-1,0,1")
+    words = ("--outputs", ",".join(PICTURES), "--format", "npy", "--views", "03,7", "--background", "2e-1,0,1")
     result = svrgs("render", splat, "--colmap", tiny.folder, *words, "--out", tmp_path, "--json").json
-    names = [f"{view}.{output}.npy" for view in ("03", "07") for output in ("rgb", "mask", "depth", "alpha")]
+    names = [f"{view}.{output}.npy" for view in ("03", "07") for output in PICTURES]
     assert result["files"] == [str(tmp_path / name) for name in names] and sorted(files(tmp_path)) == sorted(names)
     options = RenderOptions(background=(0.2, 0, 1), mask_kind="svr")
-    images = Rasterizer().forward(bright, tiny.cameras[7], options, outputs=("rgb", "mask", "depth", "alpha"))
+    images = Rasterizer().forward(bright, tiny.cameras[7], options, outputs=PICTURES)
     for name, image in images.items():
         saved = np.load(tmp_path / f"07.{name}.npy")
         assert saved.dtype == np.float32 and saved.shape == image.shape
@@ -81,8 +82,8 @@ def test_render_needs_no_photographs(tiny, svrgs, tmp_path):
 def test_render_png_and_exr(tiny, svrgs, tmp_path):
     truth = truth_file(tiny, tmp_path)
     for extension in ("png", "exr"):
-        words = ("--outputs", "rgb,mask,depth,alpha", "--views", "05.png", "--format", extension)
-        assert len(svrgs("render", truth, "--colmap", tiny.folder, *words, "--out", tmp_path, "--json").json["files"]) == 4
+        words = ("--outputs", ",".join(PICTURES), "--views", "05.png", "--format", extension)
+        assert len(svrgs("render", truth, "--colmap", tiny.folder, *words, "--out", tmp_path, "--json").json["files"]) == len(PICTURES)
     photo = read_image(tiny.folder / "images/05.png")
     assert np.abs(read_image(tmp_path / "05.rgb.png") - photo).max() <= 1 / 255 + 1e-6
     assert np.abs(read_image(tmp_path / "05.rgb.exr") - photo).max() <= 0.51 / 255
