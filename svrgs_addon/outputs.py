@@ -10,8 +10,8 @@ class Output:
     """One image of a view, (H, W) or (H, W, channels).
 
     render_pass: (name, channel letters, type) of the render pass in Blender; None: the image is no render pass of its own.
-    shown: how an 8-bit picture shows the values. 'plain': 0 to 1 unchanged. 'mask_map': with the colour map of masks.
-    'farthest': grey, from black at 0 to white at the largest value.
+    shown: how an 8-bit picture of `svrgs render` shows the values. 'plain': 0 to 1 unchanged. 'mask_map': with the colour map of
+    masks. 'farthest': grey, from black at 0 to white at the largest value. Empty: `svrgs render` does not write it.
     """
 
     name: str
@@ -19,19 +19,20 @@ class Output:
     integer: bool = False  # int32 instead of the rasterizer's dtype
     differentiable: bool = False  # backward() accepts the gradient of the loss with respect to it
     render_pass: tuple[str, str, str] | None = None
-    shown: str = "plain"
+    shown: str = ""
 
 
 # In the order of the struct svrgs_images in native/include/svrgs.h, which defines each image.
 OUTPUTS: dict[str, Output] = {
     output.name: output
     for output in (
-        Output("rgb", channels=3, differentiable=True),
+        Output("rgb", channels=3, differentiable=True, shown="plain"),
         Output("depth", differentiable=True, render_pass=("Depth", "Z", "VALUE"), shown="farthest"),
-        Output("alpha", differentiable=True, render_pass=("Alpha", "A", "VALUE")),
+        Output("alpha", differentiable=True, render_pass=("Alpha", "A", "VALUE"), shown="plain"),
         Output("mask", differentiable=True, render_pass=("SpatialMask", "X", "VALUE"), shown="mask_map"),
         Output("hits", integer=True, render_pass=("Count", "X", "VALUE")),
         Output("kept", integer=True),
         Output("transmittance"),
     )
 }
+PICTURES = tuple(output.name for output in OUTPUTS.values() if output.shown)  # values of `svrgs render --outputs`

@@ -15,7 +15,7 @@ from svrgs_addon.native import Rasterizer, RenderOptions
 LEVELS = native.supported_levels()
 FLOAT_LEVELS = [level for level in LEVELS if level != "float64"]
 ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
-FLOAT_IMAGES = ("rgb", "depth", "alpha", "mask", "transmittance")
+FLOAT_IMAGES = tuple(native.IMAGES)
 IMAGES = (*FLOAT_IMAGES, *native.COUNTS)
 LOSS_IMAGES = ("rgb", "depth", "alpha", "mask")  # those a gradient may come from
 BACKGROUND = (0.2, 0.5, 0.9)

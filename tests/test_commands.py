@@ -22,8 +22,9 @@ from command_checks import MEASURES, TEST_VIEWS, files
 from svrgs_addon.cli import commands
 from svrgs_addon.files.images import read_image
 from svrgs_addon.files.ply import read_ply, write_ply
-from svrgs_addon.files.registry import load_scene
+from svrgs_addon.files.registry import FORMATS, load_scene
 from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.outputs import PICTURES
 
 
 def truth_file(tiny, folder: Path) -> Path:
@@ -51,6 +52,17 @@ def test_info_counts_what_is_not_finite(tiny, svrgs, tmp_path):
     assert (facts["count"], facts["nonfinite"]) == (tiny_dataset.SEEN, 1) and np.isfinite(facts["bounds"]).all()
 
 
+@pytest.mark.parametrize("found", [found for found in FORMATS if found.write], ids=lambda found: found.name)
+def test_every_format_is_read_and_written(tiny, svrgs, tmp_path, found):
+    """From the columns of a 3DGS file, of which a format may have to leave some out."""
+    first, second = tmp_path / f"a{found.suffixes[0]}", tmp_path / f"b{found.suffixes[0]}"
+    cut = ("--colmap", tiny.folder, "--method", "opacity", "--recovery", 0, "--quiet", "--json", "--target-count")
+    for count, path, out in ((60, tiny.splat, first), (50, first, second)):
+        assert svrgs("prune", path, *cut, count, "--out", out).json["count"] == count
+        facts = svrgs("info", out, "--json").json
+        assert (facts["count"], facts["format"], facts["bytes"]) == (count, found.name, out.stat().st_size)
+
+
 # --- render
 
 
@@ -58,12 +70,12 @@ def test_render_npy_is_the_rasterizer_s_output(tiny, svrgs, tmp_path_factory, tm
     bright = replace(tiny.truth, sh=3 * tiny.truth.sh)  # above 1 in places, which nothing may clamp
     splat = tmp_path_factory.mktemp("bright") / "bright.ply"
     write_ply(splat, bright)
-    words = ("--outputs", "rgb,mask,depth,alpha", "--format", "npy", "--views", "03,7", "--background", "2e-1,0,1")
+    words = ("--outputs", ",".join(PICTURES), "--format", "npy", "--views", "03,7", "--background", "2e-1,0,1")
     result = svrgs("render", splat, "--colmap", tiny.folder, *words, "--out", tmp_path, "--json").json
-    names = [f"{view}.{output}.npy" for view in ("03", "07") for output in ("rgb", "mask", "depth", "alpha")]
+    names = [f"{view}.{output}.npy" for view in ("03", "07") for output in PICTURES]
     assert result["files"] == [str(tmp_path / name) for name in names] and sorted(files(tmp_path)) == sorted(names)
     options = RenderOptions(background=(0.2, 0, 1), mask_kind="svr")
-    images = Rasterizer().forward(bright, tiny.cameras[7], options, outputs=("rgb", "mask", "depth", "alpha"))
+    images = Rasterizer().forward(bright, tiny.cameras[7], options, outputs=PICTURES)
     for name, image in images.items():
         saved = np.load(tmp_path / f"07.{name}.npy")
         assert saved.dtype == np.float32 and saved.shape == image.shape
@@ -81,8 +93,8 @@ def test_render_needs_no_photographs(tiny, svrgs, tmp_path):
 def test_render_png_and_exr(tiny, svrgs, tmp_path):
     truth = truth_file(tiny, tmp_path)
     for extension in ("png", "exr"):
-        words = ("--outputs", "rgb,mask,depth,alpha", "--views", "05.png", "--format", extension)
-        assert len(svrgs("render", truth, "--colmap", tiny.folder, *words, "--out", tmp_path, "--json").json["files"]) == 4
+        words = ("--outputs", ",".join(PICTURES), "--views", "05.png", "--format", extension)
+        assert len(svrgs("render", truth, "--colmap", tiny.folder, *words, "--out", tmp_path, "--json").json["files"]) == len(PICTURES)
     photo = read_image(tiny.folder / "images/05.png")
     assert np.abs(read_image(tmp_path / "05.rgb.png") - photo).max() <= 1 / 255 + 1e-6
     assert np.abs(read_image(tmp_path / "05.rgb.exr") - photo).max() <= 0.51 / 255

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 import scenes
-from native_helpers import ARRAYS, BACKGROUND, FLOAT_IMAGES, FLOAT_LEVELS, LEVELS, backward, image_weights, relative_l2, render
+from native_helpers import ARRAYS, BACKGROUND, FLOAT_IMAGES, FLOAT_LEVELS, IMAGES, LEVELS, backward, image_weights, relative_l2, render
 from reference import rasterize as ref
+from svrgs_addon.native import COUNTS
 
 KINDS = ("svr", "self", "a", "b")
 SIZES = {  # around tile edges, and many tiles in a row
@@ -38,7 +39,7 @@ def reference_images(params, masks, camera, *, mask_kind, full, antialiased, **r
         params, masks, camera, BACKGROUND, antialiased=antialiased, mode="full" if full else "visible",
         mask_kind=kind, mask_gradient=gradient, **rest,
     )  # fmt: skip
-    return {name: getattr(result, REFERENCE_NAMES.get(name, name)) for name in (*FLOAT_IMAGES, "hits", "kept")}
+    return {name: getattr(result, REFERENCE_NAMES.get(name, name)) for name in IMAGES}
 
 
 @functools.cache
@@ -83,7 +84,7 @@ def test_float64_equals_the_reference(name):
     (images, grads), (expected, expected_grads) = native_result("float64", name), reference(name)
     for image in FLOAT_IMAGES:
         np.testing.assert_allclose(images[image], expected[image], rtol=1e-9, atol=1e-12, err_msg=image)
-    for count in ("hits", "kept"):
+    for count in COUNTS:
         np.testing.assert_array_equal(images[count], expected[count])
     for array, gradient in expected_grads.items():
         scale = np.abs(gradient).max()
@@ -126,7 +127,7 @@ def test_float_levels_agree_with_the_reference(name, level):
     (images, grads), (expected, expected_grads) = native_result(level, name), reference(name)
     for image, error in image_errors(images, expected).items():
         assert error <= IMAGE_BOUND[image], (image, error)
-    for count in ("hits", "kept"):
+    for count in COUNTS:
         np.testing.assert_array_equal(images[count], expected[count])
     for array, gradient in expected_grads.items():
         assert relative_l2(grads[array], gradient) <= GRADIENT_BOUND[array], array
@@ -184,7 +185,7 @@ def test_nothing_behind_a_depth_limit_is_taken(name, level):
     expected = {k: image.numpy() for k, image in reference_images(params, masks, camera, depth_limit=torch.tensor(limit), **options).items()}
     for image, error in image_errors(images, expected).items():
         assert error <= (1e-9 if level == "float64" else IMAGE_BOUND[image]), (image, error)
-    for count in ("hits", "kept"):
+    for count in COUNTS:
         np.testing.assert_array_equal(images[count], expected[count])
 
 

@@ -16,12 +16,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import scenes
+from fuzz import NAMES
 from fuzz.mutate import mutated
 from fuzz.seeds import camera_entries, ply_seeds
 from fuzz.targets import Checkpoint, cameras_json, ply
 from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
-from svrgs_addon.files.registry import describe, load_scene
+from svrgs_addon.files.registry import FORMATS, describe, load_scene
 from svrgs_addon.scene import SH_COEFFICIENTS, Scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -213,7 +214,7 @@ def test_a_checkpoint_changed_anywhere_is_none(tmp_path):
 # --- in processes of their own: a reader in C++ could take the tests down with it
 
 
-@pytest.mark.parametrize("target", ["ply", "cameras-json", "colmap-binary", "colmap-text", "checkpoint"])
+@pytest.mark.parametrize("target", sorted({*NAMES, *(splat_format.name for splat_format in FORMATS)}))
 def test_a_short_run_of_changed_files(target, tmp_path):
     if target.startswith("colmap"):
         pytest.importorskip("pycolmap")

@@ -16,6 +16,7 @@ from typing import Any
 from .. import __version__
 from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions
 from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_of
+from ..outputs import PICTURES
 
 NAME_WIDTH = 22  # characters of the first column of the list of methods
 CHOICES = {"engine": ENGINES}
@@ -125,7 +126,7 @@ def _render(commands):
         "--cameras", type=Path, metavar="JSON", help='cameras.json of a 3DGS run; in a view with "orthographic": true, fx and fy are pixels per unit of length'
     )
     command.add_argument("--views", default="all", help="all, train, test, or names and numbers of views with commas between (default: all)")
-    command.add_argument("--outputs", default="rgb", help="one or more of rgb,mask,depth,alpha (default: rgb)")
+    command.add_argument("--outputs", default="rgb", help=f"one or more of {','.join(PICTURES)} (default: rgb)")
     command.add_argument("--format", choices=("png", "exr", "npy"), default="png", help="file format; exr and npy hold exact values (default: png)")
     command.add_argument("--background", type=_reader(COLOUR), default=(0.0, 0.0, 0.0), metavar="R,G,B", help="background colour, 0..1 each (default: black)")
     command.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the images to")

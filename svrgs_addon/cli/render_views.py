@@ -15,11 +15,9 @@ from ..files.images import write_image
 from ..files.registry import load_scene
 from ..metrics.evaluate import render_options
 from ..native import Rasterizer
-from ..outputs import OUTPUTS
+from ..outputs import OUTPUTS, PICTURES
 from ..photographs.dataset import HOLDOUT, load_cameras_json, load_dataset
 from ..report.pictures import mask_to_rgb, to_uint8
-
-NAMES = ("rgb", "mask", "depth", "alpha")
 
 
 def render_views(options: argparse.Namespace) -> list[Path]:
@@ -42,9 +40,9 @@ def render_views(options: argparse.Namespace) -> list[Path]:
 
 def _outputs(text: str) -> tuple[str, ...]:
     names = tuple(part.strip() for part in text.split(","))
-    unknown = [name for name in names if name not in NAMES]
+    unknown = [name for name in names if name not in PICTURES]
     if unknown:
-        raise SceneError(f"output '{unknown[0]}' is unknown; choose from {', '.join(NAMES)}")
+        raise SceneError(f"output '{unknown[0]}' is unknown; choose from {', '.join(PICTURES)}")
     return names
 
 

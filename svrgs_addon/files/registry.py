@@ -1,6 +1,6 @@
 """The registry of splat formats, and reading and writing of splat files in any of them.
 
-Menus, drag and drop, batches and `svrgs info` use this registry. A new format is one module with a SplatFormat, and one line in
+Menus, drag and drop, batches and `svrgs info` use this registry. A new format is one module with a SplatFormat, and its place in
 FORMATS.
 """
 

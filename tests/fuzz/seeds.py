@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzz.targets import Checkpoint, Colmap, cameras_json, ply
+from fuzz.targets import SPLATS, Checkpoint, Colmap, cameras_json
 from svrgs_addon.bench.scenes import room
-from svrgs_addon.files.ply import write_ply
+from svrgs_addon.files.registry import FORMATS
 
 
 def target(name: str, folder: Path):
     """(target, its seeds) by a name from fuzz.NAMES; folder: for what a target needs beside its bytes."""
-    if name == "ply":
-        return ply, ply_seeds(folder)
+    if name in SPLATS:
+        return SPLATS[name], ply_seeds(folder) if name == "ply" else splat_seeds(name, folder)
     if name == "cameras-json":
         return cameras_json, [json.dumps(camera_entries()).encode()]
     if name == "checkpoint":
@@ -26,12 +26,18 @@ def target(name: str, folder: Path):
     return found, found.seeds()
 
 
+def splat_seeds(name: str, folder: Path) -> list[bytes]:
+    """SH degrees 0 and 1, as the format writes them."""
+    write, found = next(splat_format.write for splat_format in FORMATS if splat_format.name == name), []
+    for degree in (0, 1):
+        write(folder / "seed", room(5, degree))
+        found.append((folder / "seed").read_bytes())
+    return found
+
+
 def ply_seeds(folder: Path) -> list[bytes]:
     """SH degrees 0 and 1; a file of doubles, an ASCII one, one with more elements."""
-    found = []
-    for degree in (0, 1):
-        write_ply(folder / "seed.ply", room(5, degree))
-        found.append((folder / "seed.ply").read_bytes())
+    found = splat_seeds("ply", folder)
     header, body = found[0].split(b"end_header\n")
     values = np.frombuffer(body, "<f4").reshape(5, -1)
     found.append(header.replace(b"float", b"double") + b"end_header\n" + values.astype("<f8").tobytes())

@@ -6,6 +6,7 @@ A target is a function of bytes that returns True where they were accepted and r
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import shutil
 import tempfile
@@ -19,8 +20,9 @@ import numpy as np
 
 from svrgs_addon.camera import Camera
 from svrgs_addon.errors import SplatError
-from svrgs_addon.files.ply import read_ply, read_ply_parts
+from svrgs_addon.files.registry import FORMATS
 from svrgs_addon.files.repair import clamp_extremes, drop_nonfinite
+from svrgs_addon.files.splat_format import SplatFormat
 from svrgs_addon.finetune import checkpoint
 from svrgs_addon.native import Rasterizer
 from svrgs_addon.photographs.cameras_json import load_cameras_json
@@ -32,16 +34,20 @@ MEGABYTES, TIMES_INPUT = 64, 4
 DRAWN = 1000  # Gaussians: smaller scenes are also drawn
 
 
-def ply(data: bytes) -> bool:
+def splat(splat_format: SplatFormat, data: bytes) -> bool:
     """The whole file and its parts agree, and what is left after repair is finite."""
-    with _file(data, ".ply") as path:
-        accepted, scene = _held(lambda: read_ply(path), len(data))
-        parted, parts = _held(lambda: [part.select(slice(None)) for part in read_ply_parts(path)], len(data))
+    with _file(data, splat_format.suffixes[0]) as path:
+        accepted, scene = _held(lambda: splat_format.read(path), len(data))
+        parted, parts = _held(lambda: [part.select(slice(None)) for part in splat_format.read_parts(path)], len(data))
         assert accepted == parted
         if accepted:
             assert sum(part.count for part in parts) == scene.count
             _check_scene(clamp_extremes(drop_nonfinite(scene)[0])[0], scene.count < DRAWN)
         return accepted
+
+
+SPLATS = {found.name: functools.partial(splat, found) for found in FORMATS}
+ply = SPLATS["ply"]
 
 
 def _check_scene(scene: Scene, small: bool):
