@@ -97,7 +97,6 @@ def _limit(lambda_f: float) -> float:
 
 def _contributions(scene, dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Sums and maxima of alpha T and numbers of pixels, (N,) each, over as many of VIEWS views as time allows; and the number of views."""
-
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
     train = dataset.train_indices or list(range(len(dataset.cameras)))
     chosen = train[:: max(1, len(train) // VIEWS)][:VIEWS]
@@ -116,7 +115,6 @@ def _contributions(scene, dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
 
 def _saliency(scene, dataset) -> np.ndarray:
     """Saliency (N,) from some of the views. It is a ratio of two sums over views, so their number matters little."""
-
     train = dataset.train_indices or list(range(len(dataset.cameras)))
     cameras = [dataset.cameras[index] for index in train[:: max(1, len(train) // SALIENCY_VIEWS)][:SALIENCY_VIEWS]]
     return saliency(
@@ -126,7 +124,6 @@ def _saliency(scene, dataset) -> np.ndarray:
 
 def _fewest_within(scene, dataset, peaks: np.ndarray, drop: float) -> np.ndarray:
     """(N,) bool: the fewest Gaussians of largest alpha T (N,) that lose at most `drop` dB on two views, without learning. A job keeps fewer."""
-
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
     train = dataset.train_indices or list(range(len(dataset.cameras)))
     views, end = train[:: max(1, len(train) // DROP_VIEWS)][:DROP_VIEWS], time.monotonic() + VIEW_SECONDS
