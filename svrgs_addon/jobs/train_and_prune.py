@@ -187,15 +187,23 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
 
 
 def run_identity(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
-    """Digest of everything that must be the same in a resumed run: plan, engine, scene, cameras, sizes of the photographs' files."""
+    """Digest of everything that must be the same in a resumed run: plan, engine, scene, cameras, photographs. Raises SceneError."""
     digest = hashlib.sha256(repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode())
     for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
         digest.update(np.ascontiguousarray(array).data)
     for camera in dataset.cameras:
         digest.update(repr((camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())).encode())
     for photo in dataset.photos:
-        digest.update(repr(photo.path.stat().st_size).encode())
+        digest.update(_file_digest(photo.path))
     return digest.hexdigest()
+
+
+def _file_digest(path: Path) -> bytes:
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 def curve_psnr(run: Run) -> float | None:
