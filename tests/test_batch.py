@@ -222,6 +222,14 @@ def test_no_scene_of_a_batch_is_the_output_of_another(tmp_path):
         expand([tmp_path / "a.ply", tmp_path / "link.ply"], None, None)
 
 
+def test_a_default_output_that_is_a_link_is_refused(tmp_path):
+    touch(tmp_path / "data/scene.ply")
+    (tmp_path / "data/scene_pruned.ply").symlink_to(tmp_path / "elsewhere.ply")
+    with pytest.raises(SceneError, match="scene_pruned.ply: is a link to .*elsewhere.ply; name the output with --out"):
+        expand([tmp_path / "data/scene.ply"], None, None)
+    assert expand([tmp_path / "data/scene.ply"], None, tmp_path / "data/scene_pruned.ply")[0].out == tmp_path / "data/scene_pruned.ply"
+
+
 def test_several_splats_in_a_folder_fail_alone(tmp_path):
     touch(tmp_path / "a/x.ply", tmp_path / "a/y.ply", tmp_path / "b/scene.ply")
     several, one = expand([tmp_path], None, None)

@@ -28,7 +28,7 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
     colmap: a dataset for all scenes instead. out: a folder, or a file for a single scene; None: the folder of each scene. report: the
     folder of the reports, which are named after the scenes.
     Raises SceneError if a path does not exist, if a folder has no scene, if two scenes would have the same output or report, if the
-    output of one is another one, and if `out` is a file for several scenes.
+    output of one is another one, if an output that was not asked for is a link, and if `out` is a file for several scenes.
     """
     found = [pair for path in paths for pair in _scenes(path, out)]
     names = [name for name, _ in found]
@@ -49,7 +49,7 @@ def _refuse_inputs_as_outputs(items: list[Item]) -> None:
     for item in items:
         other = scenes.get(item.out.resolve(), item)
         if other is not item:
-            raise SceneError(f"{other.scene}: is both a scene to prune and the output of {item.scene}; leave one of them out, or choose another folder with --out")
+            raise SceneError(f"{other.scene}: is both a scene to prune and the output of {item.scene}; leave one out, or choose another folder with --out")
 
 
 def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
@@ -98,4 +98,9 @@ def _dataset(scene: Path) -> Path | None:
 
 def _output(name: str, scene: Path, folder: Path | None) -> Path:
     suffix = registry.suffixes(written=True)[0]
-    return scene.with_name(f"{scene.stem}{PRUNED}{suffix}") if folder is None else folder / f"{name}{suffix}"
+    if folder is not None:
+        return folder / f"{name}{suffix}"
+    out = scene.with_name(f"{scene.stem}{PRUNED}{suffix}")
+    if out.is_symlink():  # a downloaded dataset must not lead outputs to another place
+        raise SceneError(f"{out}: is a link to {out.readlink()}; name the output with --out")
+    return out
