@@ -11,7 +11,7 @@ from mathutils import Matrix
 
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import check_readable, labels, read_scene, suffixes
-from ..svrgs_addon.files.repair import drop_nonfinite
+from ..svrgs_addon.files.repair import bake_filter, drop_nonfinite
 from . import bridge
 from .select import select
 
@@ -32,12 +32,14 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
         paths, texts, objects = self.paths(), [], []
         for path in paths:
             try:
-                scene, dropped = drop_nonfinite(read_scene(path))
+                scene, filtered = bake_filter(read_scene(path))
+                scene, dropped = drop_nonfinite(scene)
             except SplatError as error:
                 self.report({"ERROR" if len(paths) == 1 else "WARNING"}, str(error))
                 continue
             objects.append(self.add(context, path.stem, scene))
-            texts.append(f"{path.name}: {scene.count:,} Gaussians" + f" ({dropped:,} with values that are not finite were left out)" * bool(dropped))
+            text = f"{path.name}: {scene.count:,} Gaussians" + f" ({dropped:,} with values that are not finite were left out)" * bool(dropped)
+            texts.append(text + " (3D filter of Mip-Splatting baked in)" * filtered)
         if not objects:
             return {"CANCELLED"}
         select(context, objects)

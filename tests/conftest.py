@@ -76,3 +76,14 @@ def svrgs(capfd):
         return Outcome(status, *capfd.readouterr())
 
     return run
+
+
+@pytest.fixture
+def jobs():
+    """Collects jobs whose processes must not outlive the test."""
+    started: list = []
+    yield started
+    for job in started:
+        if job.running:
+            job._process.kill()
+            job._process.wait()

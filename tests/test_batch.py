@@ -210,6 +210,26 @@ def test_an_output_file_is_for_one_scene(tmp_path):
         expand([tmp_path / "a", tmp_path / "b"], None, tmp_path / "small.ply")
 
 
+def test_no_scene_of_a_batch_is_the_output_of_another(tmp_path):
+    """As "*.ply" gives it the second time: with --overwrite the second scene would be lost before it is read."""
+    touch(tmp_path / "a.ply", tmp_path / "a_pruned.ply", tmp_path / "run/point_cloud/iteration_7/point_cloud.ply", tmp_path / "x/point_cloud.ply")
+    with pytest.raises(SceneError, match=r"a_pruned.ply: is both a scene to prune and the output of .*a.ply"):
+        expand([tmp_path / "a.ply", tmp_path / "a_pruned.ply"], None, None)
+    with pytest.raises(SceneError, match=r"iteration_7/point_cloud.ply: is both a scene to prune and the output of .*x/point_cloud.ply"):
+        expand([tmp_path / "run", tmp_path / "x/point_cloud.ply"], None, tmp_path / "run/point_cloud/iteration_7")
+    (tmp_path / "link.ply").symlink_to(tmp_path / "a_pruned.ply")
+    with pytest.raises(SceneError, match="is both a scene to prune"):
+        expand([tmp_path / "a.ply", tmp_path / "link.ply"], None, None)
+
+
+def test_a_default_output_that_is_a_link_is_refused(tmp_path):
+    touch(tmp_path / "data/scene.ply")
+    (tmp_path / "data/scene_pruned.ply").symlink_to(tmp_path / "elsewhere.ply")
+    with pytest.raises(SceneError, match="scene_pruned.ply: is a link to .*elsewhere.ply; name the output with --out"):
+        expand([tmp_path / "data/scene.ply"], None, None)
+    assert expand([tmp_path / "data/scene.ply"], None, tmp_path / "data/scene_pruned.ply")[0].out == tmp_path / "data/scene_pruned.ply"
+
+
 def test_several_splats_in_a_folder_fail_alone(tmp_path):
     touch(tmp_path / "a/x.ply", tmp_path / "a/y.ply", tmp_path / "b/scene.ply")
     several, one = expand([tmp_path], None, None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import shutil
+import struct
 import threading
 
 import numpy as np
@@ -19,6 +20,22 @@ from svrgs_addon.photographs import dataset as dataset_module
 from svrgs_addon.photographs.dataset import load_dataset
 
 # --- what is read
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_points_may_name_keypoints_that_no_image_has(tmp_path, text):
+    """As in models of converters. Their tracks are not needed."""
+    make_dataset(tmp_path, text=text)
+    path = tmp_path / "sparse/0" / ("points3D.txt" if text else "points3D.bin")
+    if text:
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join(line if line.startswith("#") else f"{line} 1 99 77 0" for line in lines))
+    else:
+        data = path.read_bytes()
+        records = [data[8 + 51 * i : 8 + 51 * i + 43] for i in range(len(POINTS))]
+        path.write_bytes(data[:8] + b"".join(record + struct.pack("<QIIII", 2, 1, 99, 77, 0) for record in records))
+    data = load_dataset(tmp_path)
+    assert np.allclose(data.points, POINTS) and data.point_colors.tolist() == [[10, 20, 30]] * 3 and len(data.cameras) == 9
 
 
 @pytest.mark.parametrize("text", [False, True])

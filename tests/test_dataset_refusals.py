@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+import numpy as np
 import pytest
 
 pytest.importorskip("pycolmap")
@@ -98,3 +99,35 @@ def test_broken_text_models(tmp_path, name, old, new):
     with pytest.raises(FormatError) as caught:
         load_dataset(tmp_path, cameras_only=True)
     assert "\n" not in str(caught.value)
+
+
+def stretch_a_rotation(folder, text: bool, factor: float):
+    """Multiplies the quaternion of the first image in the file."""
+    path = folder / ("images.txt" if text else "images.bin")
+    if not text:
+        data = path.read_bytes()
+        quaternion = np.frombuffer(data, "<f8", 4, offset=12) * factor
+        path.write_bytes(data[:12] + quaternion.tobytes() + data[44:])
+        return
+    lines = path.read_text().splitlines()
+    row = next(i for i, line in enumerate(lines) if line and not line.startswith("#"))
+    words = lines[row].split()
+    words[1:5] = (repr(float(word) * factor) for word in words[1:5])
+    lines[row] = " ".join(words)
+    path.write_text("\n".join(lines))
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("factor", [2.0, 0.0, float("nan")])
+def test_rotations_that_are_no_unit_quaternions_are_refused(tmp_path, text, factor):
+    make_dataset(tmp_path, text=text)
+    stretch_a_rotation(tmp_path / "sparse/0", text, factor)
+    with pytest.raises(FormatError, match=r"sparse/0: the rotation of '\d\d.png' is a quaternion of length"):
+        load_dataset(tmp_path, cameras_only=True)
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_rotations_are_read_that_are_rounded(tmp_path, text):
+    make_dataset(tmp_path, text=text)
+    stretch_a_rotation(tmp_path / "sparse/0", text, 1 + 1e-6)
+    assert len(load_dataset(tmp_path, cameras_only=True).cameras) == 9

@@ -11,6 +11,7 @@ from svrgs_addon.files.images import image_size, linear_to_srgb, read_image, rea
 oiio = pytest.importorskip("OpenImageIO")
 
 RGB = np.random.default_rng(0).integers(0, 256, (6, 9, 3), dtype=np.uint8)
+BIG = np.random.default_rng(0).integers(0, 40, (300, 400, 3), dtype=np.uint8)
 
 
 def store(path, pixels, **attributes):
@@ -149,6 +150,24 @@ def test_broken_files_give_one_sentence(tmp_path):
         assert "\n" not in str(caught.value)
     with pytest.raises(FormatError, match=r"none\.png"):
         image_size(tmp_path / "none.png")
+
+
+@pytest.mark.parametrize("compression", ["none", "lzw", "packbits", "zip"])
+@pytest.mark.parametrize("share", [0.6, 0.95])
+def test_a_truncated_tiff_is_refused(tmp_path, compression, share):
+    """OpenImageIO returns its first rows, and says only afterwards that the others are missing."""
+    data = store(tmp_path / "whole.tif", BIG, compression=compression).read_bytes()
+    (tmp_path / "cut.tif").write_bytes(data[: int(share * len(data))])
+    with pytest.raises(FormatError, match="cut.tif: cannot be read as an image"):
+        read_pixels(tmp_path / "cut.tif")
+
+
+def test_a_tiff_with_changed_bytes_is_refused(tmp_path):
+    data = bytearray(store(tmp_path / "a.tif", BIG, compression="lzw").read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 50] = bytes(byte ^ 0x5A for byte in data[len(data) // 2 : len(data) // 2 + 50])
+    (tmp_path / "a.tif").write_bytes(data)
+    with pytest.raises(FormatError, match="a.tif: cannot be read as an image"):
+        read_pixels(tmp_path / "a.tif")
 
 
 def test_pixels_that_are_not_numbers_are_refused(tmp_path):

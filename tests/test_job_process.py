@@ -17,47 +17,13 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
+from job_checks import LONG, MEDIUM, ROOT, SHORT, at_work, create, follow
 from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.jobs import job_folder as folders
 from svrgs_addon.jobs import job_plot
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
-from svrgs_addon.jobs.options import RECOVERY
-
-ROOT = Path(__file__).resolve().parents[1]
-SHORT = {"iterations": 40, "recovery": 20, "lambda_f": 1e-2, "target": 0.5}
-MEDIUM = {"iterations": 2400, "recovery": 600, "lambda_f": 1e-2, "target": 0.4}  # long enough to be met at work
-LONG = {"iterations": 20_000, "recovery": 0, "lambda_f": 1e-5, "min_contribution": 0.0}
-
-
-def create(path: Path, tiny, **options) -> JobFolder:
-    return JobFolder.create(path, read_ply(tiny.splat), {"colmap": str(tiny.folder), **options}, "tiny")
-
-
-def follow(job: Job, until=lambda job: not job.running, seconds: float = 60) -> list[dict]:
-    """Polls until the condition holds; every message on the way."""
-    heard, end = [], time.monotonic() + seconds
-    while not until(job):
-        heard += job.poll()
-        assert time.monotonic() < end, (job.facts, job.folder.log_tail())
-        time.sleep(0.02)
-    return heard
-
-
-def at_work(job: Job) -> bool:
-    return job.facts.get("iteration", 0) > 5 or not job.running
-
-
-@pytest.fixture
-def jobs():
-    """Collects jobs whose processes must not outlive the test."""
-    started: list[Job] = []
-    yield started
-    for job in started:
-        if job.running:
-            job._process.kill()
-            job._process.wait()
 
 
 @pytest.fixture(scope="module")
@@ -240,87 +206,6 @@ def test_garbage_among_the_messages_is_passed_over(tiny, tmp_path, jobs):
         file.write(b'\xff\xfe not json\n[1, 2]\n{"type": 3}\n{"no": "type"}\n')
     follow(job)
     assert job.state == "done"
-
-
-GOOD = {"schema": 1, "name": "a", "count": 3, "options": {"colmap": "somewhere"}}
-HOSTILE = [
-    b"", b"{", b"[]", b"null", b"[" * 100_000, json.dumps(GOOD | {"schema": 99}).encode(), json.dumps(GOOD | {"count": -1}).encode(),
-    json.dumps(GOOD | {"count": True}).encode(), json.dumps(GOOD | {"name": 3}).encode(), json.dumps(GOOD | {"options": []}).encode(),
-    *(json.dumps(GOOD | {"options": {"colmap": "x", **bad}}).encode() for bad in (
-        {"out": "/etc/passwd"}, {"report": "/tmp/x"}, {"lpips_weights": "x"}, {"iterations": "3"}, {"iterations": 1.5}, {"seed": True},
-        {"lambda_f": "nan"}, {"images": "a\nb"}, {"visible_mask": 1}, {"colmap": ""},
-    )),
-    json.dumps(GOOD | {"padding": "x" * folders.LARGEST_JSON}).encode(),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("content", HOSTILE, ids=range(len(HOSTILE)))
-def test_a_hostile_request_is_refused(content, tmp_path):
-    (tmp_path / "job.json").write_bytes(content)
-    with pytest.raises(FormatError, match="job.json"):
-        JobFolder(tmp_path).request()
-    with pytest.raises(FormatError, match="job.json"):
-        Job(JobFolder(tmp_path)).start()
-
-
-def test_words_of_a_request_stay_values(tmp_path):
-    (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": {"colmap": "--out=x", "images": "--overwrite", "visible_mask": True}}))
-    options = JobFolder(tmp_path).options()
-    assert (str(options.colmap), options.images, options.visible_mask) == ("--out=x", "--overwrite", True)
-    assert options.out == tmp_path / "recovered.ply"
-
-
-@pytest.mark.parametrize(("former", "present"), [("svr", "pressure"), ("svr-mask", "svr"), ("svr-worth", "saliency"), ("gns", "gns"), (None, "pressure")])
-def test_a_job_of_the_first_schema_keeps_its_method_and_says_once_what_it_is_called_now(tmp_path, former, present):
-    options = {"colmap": "x"} if former is None else {"colmap": "x", "method": former}
-    (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": options}))
-    said = JobFolder(tmp_path).update_schema()
-    assert said == ("" if former == present else f"Method '{former or 'svr'}' is called '{present}' now")
-    assert JobFolder(tmp_path).options().method == present
-    assert JobFolder(tmp_path).update_schema() == "" and JobFolder(tmp_path).options().method == present
-
-
-@pytest.mark.parametrize(
-    ("bad", "said"), [({"iterations": -1}, "whole number of 0 or more"), ({"target": 1.5}, "share above 0"), ({"lambda_f": -1e-4}, "weight of 0")]
-)
-def test_options_out_of_range_are_refused_when_the_job_is_made(tiny, tmp_path, bad, said):
-    with pytest.raises(SceneError, match=said):
-        create(tmp_path / "job", tiny, **bad)
-    assert not (tmp_path / "job").exists()
-
-
-def test_a_zero_is_not_left_to_the_default(tmp_path):
-    asked = {"colmap": "x", "iterations": 0, "recovery": 0, "holdout": 0, "min_contribution": 0.0, "visible_mask": False, "images": ""}
-    (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": asked}))
-    options = JobFolder(tmp_path).options()
-    assert RECOVERY and options.iterations == options.recovery == options.holdout == options.min_contribution == 0
-    assert options.visible_mask is False and options.images == ""
-
-
-def test_hostile_arrays_are_refused(tiny, tmp_path):
-    folder = create(tmp_path / "job", tiny)
-    for kept in (b"", b"\x93NUMPY", None):
-        if kept is None:
-            np.save(folder / "kept.npy", np.array([object()], dtype=object), allow_pickle=True)
-        else:
-            (folder / "kept.npy").write_bytes(kept)
-        with pytest.raises(FormatError, match="kept.npy"):
-            folder.arrays()
-    np.save(folder / "kept.npy", np.ones(3, bool))
-    with pytest.raises(FormatError, match="expected bool"):
-        folder.arrays()
-
-
-def test_hostile_states_and_metrics_show_nothing_that_is_not_a_fact(tiny, tmp_path):
-    folder = create(tmp_path / "job", tiny)
-    folder.write_json("state.json", {"state": "running", "count": "many", "psnr": "x", "total": True, "iteration": 3, "evil": 1, "text": ["a"]})
-    assert folder.state() == {"state": "running", "iteration": 3}
-    (folder / "metrics.csv").write_bytes(b"iteration,count,loss,psnr\n1,2,3,\nnan,1,1,1\n1,2\nx,y,z,w\n1e300,inf,-1,5\n2,9,3,")
-    metrics = folder.metrics()
-    assert metrics["iteration"].tolist() == [1, 1e300, 2]
-    assert job_plot.draw(metrics, 10).shape == (job_plot.SIDE, job_plot.SIDE, 4)
-    (folder / "metrics.csv").write_bytes(b"\xff\x00" * 100)
-    assert not len(folder.metrics()["iteration"])
 
 
 def test_the_plot_grows_with_the_run():

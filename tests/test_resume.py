@@ -186,8 +186,10 @@ def test_resume_with_other_settings_is_refused(tiny, data, whole, tmp_path, monk
     refuse_resume(tiny, load_dataset(tiny.folder, holdout=6), out)
     refuse_resume(tiny, data, out, engine="torch")
     other = tmp_path / "photograph"
-    other.write_bytes(data.photos[0].path.read_bytes() + b"more")
-    refuse_resume(tiny, replace(data, photos=[replace(data.photos[0], path=other), *data.photos[1:]]), out)
+    photograph = data.photos[0].path.read_bytes()
+    for changed in (photograph + b"more", photograph[:-1] + bytes([photograph[-1] ^ 1])):  # the second has the same size
+        other.write_bytes(changed)
+        refuse_resume(tiny, replace(data, photos=[replace(data.photos[0], path=other), *data.photos[1:]]), out)
     other.unlink()
     scene = read_ply(tiny.splat)
     scene.sh[0, 0, 0] += 0.1

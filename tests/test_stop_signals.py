@@ -71,7 +71,7 @@ def test_kill_and_resume(tiny, whole_command, tmp_path):
     assert out.read_bytes() == whole_command and [path.name for path in tmp_path.iterdir()] == ["o.ply"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_stop_signals_finish_the_step(tiny, tmp_path, number):
     out = tmp_path / "o.ply"
     process = start("-m", "svrgs_addon", *words_for(tiny, out, ENDLESS, 60))
@@ -84,6 +84,14 @@ def test_stop_signals_finish_the_step(tiny, tmp_path, number):
     (checkpoint,) = checkpoints(out)
     manifest = json.loads((tmp_path / "o.ply.job" / checkpoint / "manifest.json").read_text())
     assert manifest["iteration"] == int(checkpoint) < ENDLESS
+
+
+def test_a_job_under_nohup_outlives_its_terminal(tiny, tmp_path):
+    process = start("-c", RUN.format(change="import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)"), *words_for(tiny, tmp_path / "o.ply", 2000, 0))
+    assert "press 1/" in process.stderr.readline()
+    process.send_signal(signal.SIGHUP)
+    process.communicate(timeout=120)
+    assert process.returncode == 0 and (tmp_path / "o.ply").exists()
 
 
 def test_ctrl_c_then_resume_is_bit_identical(tiny, whole_command, tmp_path):

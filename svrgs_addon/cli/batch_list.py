@@ -27,8 +27,8 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
     A folder with a splat is one scene, and the folder is its dataset. In a folder without a splat, each folder is tried as a scene.
     colmap: a dataset for all scenes instead. out: a folder, or a file for a single scene; None: the folder of each scene. report: the
     folder of the reports, which are named after the scenes.
-    Raises SceneError if a path does not exist, if a folder has no scene, if two scenes would have the same output or report, and if `out`
-    is a file for several scenes.
+    Raises SceneError if a path does not exist, if a folder has no scene, if two scenes would have the same output or report, if the
+    output of one is another one, if an output that was not asked for is a link, and if `out` is a file for several scenes.
     """
     found = [pair for path in paths for pair in _scenes(path, out)]
     names = [name for name, _ in found]
@@ -38,7 +38,18 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
     to_file = out is not None and not out.is_dir() and (out.name.lower().endswith(registry.suffixes(written=True)) or (alone and out.suffix != ""))
     if to_file and len(found) > 1:
         raise SceneError(f"{out}: is the name of a file, but there are {len(found)} scenes; give a folder instead")
-    return [Item(name, scene, colmap or _dataset(scene), out if out and to_file else _output(name, scene, out)) for name, scene in found]
+    items = [Item(name, scene, colmap or _dataset(scene), out if out and to_file else _output(name, scene, out)) for name, scene in found]
+    _refuse_inputs_as_outputs(items)
+    return items
+
+
+def _refuse_inputs_as_outputs(items: list[Item]) -> None:
+    """Raises SceneError if the output of one scene is another scene of the list. (prune() refuses the scene itself.)"""
+    scenes = {item.scene.resolve(): item for item in items}
+    for item in items:
+        other = scenes.get(item.out.resolve(), item)
+        if other is not item:
+            raise SceneError(f"{other.scene}: is both a scene to prune and the output of {item.scene}; leave one out, or choose another folder with --out")
 
 
 def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
@@ -87,4 +98,9 @@ def _dataset(scene: Path) -> Path | None:
 
 def _output(name: str, scene: Path, folder: Path | None) -> Path:
     suffix = registry.suffixes(written=True)[0]
-    return scene.with_name(f"{scene.stem}{PRUNED}{suffix}") if folder is None else folder / f"{name}{suffix}"
+    if folder is not None:
+        return folder / f"{name}{suffix}"
+    out = scene.with_name(f"{scene.stem}{PRUNED}{suffix}")
+    if out.is_symlink():  # a downloaded dataset must not lead outputs to another place
+        raise SceneError(f"{out}: is a link to {out.readlink()}; name the output with --out")
+    return out

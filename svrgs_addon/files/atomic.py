@@ -7,6 +7,8 @@ lock was left by a writer that was killed.
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import itertools
 import os
 import secrets
 import shutil
@@ -54,15 +56,65 @@ def start_writeback(file: BinaryIO, size: int) -> None:
 def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
     """As atomic_write, for libraries that write by file name: yields the path of an empty temporary file with the same suffix."""
     target = Path(os.path.realpath(path))  # if path is a symbolic link, its target is replaced
-    try:
+    with _errors_of(path):
         target.parent.mkdir(parents=True, exist_ok=True)
         with _hidden_file_next_to(target) as temporary:
             yield temporary
             _sync(temporary, os.O_RDWR)
             _replace(temporary, target)
+    _sync_folder(target.parent)
+
+
+@contextlib.contextmanager
+def _errors_of(path: str | os.PathLike) -> Iterator[None]:
+    """Turns an OSError of its block into a SceneError that names `path`."""
+    try:
+        yield
     except OSError as error:
         raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
-    _sync_folder(target.parent)
+
+
+@contextlib.contextmanager
+def reserved(path: str | os.PathLike) -> Iterator[None]:
+    """Context manager: while its block runs, no other one of the same path can begin, in this process or another.
+
+    It locks a hidden file next to `path`. Missing folders are created, and removed again if they are still empty. Does nothing on
+    systems without locks. Raises SceneError if the path is reserved.
+    """
+    target = Path(os.path.realpath(path))
+    lock = target.with_name(f"{HIDDEN_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}.lock")
+    new_folders = list(itertools.takewhile(lambda folder: not folder.exists(), target.parents))
+    try:
+        with _errors_of(path):
+            target.parent.mkdir(parents=True, exist_ok=True)
+        with _locked(lock, path) if HAS_LOCKS else contextlib.nullcontext():
+            yield
+    finally:
+        for folder in new_folders:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+@contextlib.contextmanager
+def _locked(lock: Path, path: str | os.PathLike) -> Iterator[None]:
+    """Holds the lock on a file, which is removed at the end. Raises SceneError, which names `path`, if another process or thread holds it."""
+    while True:
+        with _errors_of(path):
+            file = open(lock, "ab")  # noqa: SIM115 (closed below)
+        with file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise SceneError(f"{path}: another job is writing this file; wait until it has ended, or choose another output") from None
+            except OSError:  # a file system without locks
+                pass
+            if not os.fstat(file.fileno()).st_nlink:  # its holder removed it between open and flock
+                continue
+            try:
+                yield
+            finally:
+                lock.unlink(missing_ok=True)
+            return
 
 
 def check_writable(path: str | os.PathLike, needed_bytes: int = 0) -> None:

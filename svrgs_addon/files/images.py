@@ -131,8 +131,8 @@ def _read_channels(source: ImageInput, spec: ImageSpec, path: str | os.PathLike)
     kind = oiio.UINT8 if spec.format == oiio.TypeDesc("uint8") else oiio.FLOAT
     pixels = source.read_image(0, 0, 0, min(spec.nchannels, 4), kind)
     error = source.geterror()
-    # OpenImageIO returns a truncated JPEG with grey rows and only this warning. Other warnings are harmless.
-    if pixels is None or "Premature end" in error:
+    # OpenImageIO returns what it could read of a damaged file, and says only here that something is wrong.
+    if pixels is None or error:
         raise FormatError(f"{path}: cannot be read as an image ({_first_line(error)})")
     if pixels.dtype != np.uint8 and np.isnan(pixels).any():
         raise FormatError(f"{path}: has pixels that are not numbers (NaN); export the image again")

@@ -17,7 +17,7 @@ from ..errors import FormatError, SceneError
 from ..native_library import thresholds
 from ..scene import Scene
 from . import ply
-from .repair import clamp_extremes, drop_nonfinite, unusable
+from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
 FORMATS: tuple[SplatFormat, ...] = (ply.FORMAT,)  # the first one is written where no format is named
@@ -89,12 +89,16 @@ def check_readable(path: str | Path):
 
 
 def load_scene(path: str | Path) -> Loaded:
-    """Reads a scene and repairs it: drops Gaussians that are not finite and clamps extreme values (repair.py). Both are logged.
+    """Reads a scene and repairs it: bakes the filter of Mip-Splatting, drops Gaussians that are not finite and clamps extreme values
+    (repair.py). All of it is logged.
 
     Raises FormatError, or SceneError also if no Gaussian is left.
     """
-    scene, dropped = drop_nonfinite(read_scene(path))
+    scene, filtered = bake_filter(read_scene(path))
+    scene, dropped = drop_nonfinite(scene)
     scene, clamped = clamp_extremes(scene)
+    if filtered:
+        logging.warning("%s: the 3D filter of Mip-Splatting was baked into scales and opacities", path)
     if dropped or clamped:
         logging.warning("%s: %d Gaussians with values that are not finite were dropped, %d with extreme values were clamped", path, dropped, clamped)
     if not scene.count:

@@ -2,7 +2,8 @@
 
 Some infinite values have a meaning: an opacity logit of +inf is an opacity of exactly 1 (an 8-bit 255 that was converted to a
 logit), -inf is an opacity of 0, and a log-scale of -inf is a perfectly flat Gaussian. clamp_extremes makes these values finite
-without changing the picture. drop_nonfinite removes Gaussians whose values have no meaning.
+without changing the picture. drop_nonfinite removes Gaussians whose values have no meaning. bake_filter makes a file of Mip-Splatting
+an ordinary one.
 """
 
 from __future__ import annotations
@@ -15,7 +16,28 @@ from ..scene import Scene
 
 LOGIT_OF_ONE = 10.0  # opacity 0.99995: rendered like 1, because alpha is clamped at 0.99, but its gradient is not zero
 MAX_ABS_LOG_SCALE = 30.0
+FILTER = "filter_3D"  # column of Mip-Splatting: standard deviation of a filter on each Gaussian
 MIN_QUAT = 1e-8  # a quaternion without a component above this defines no rotation
+
+
+def bake_filter(scene: Scene) -> tuple[Scene, bool]:
+    """Bakes the 3D smoothing filter of Mip-Splatting (arXiv 2311.16493), the column filter_3D f, into scales s and opacities o:
+
+        s' = sqrt(s² + f²) on each axis;    o' = o s_x s_y s_z / (s'_x s'_y s'_z)
+
+    Returns the scene without the column, and whether it had one. f has the unit of the scales; NaN makes a Gaussian unusable.
+    """
+    if FILTER not in scene.attributes:
+        return scene, False
+    attributes = {name: column for name, column in scene.attributes.items() if name != FILTER}
+    log_scales, logits = scene.log_scales.astype(np.float64), scene.opacity_logits.astype(np.float64)
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # infinite values are repaired later
+        baked = np.logaddexp(2 * log_scales, 2 * np.log(np.abs(scene.attributes[FILTER].astype(np.float64)))[:, None]) / 2
+        log_opacity = -np.logaddexp(0, -logits) + (log_scales - baked).sum(axis=1)
+        logits = log_opacity - np.log(-np.expm1(log_opacity))
+    order = tuple(name for name in scene.property_order if name != FILTER)
+    baked, logits = baked.astype(scene.log_scales.dtype), logits.astype(scene.opacity_logits.dtype)
+    return replace(scene, log_scales=baked, opacity_logits=logits, attributes=attributes, property_order=order), True
 
 
 def unusable(scene: Scene) -> np.ndarray:

@@ -15,8 +15,9 @@
     probability.npy                                  if masks were learned
 
 A job whose state is not renewed for STALE seconds counts as interrupted. The folder is read like a file of a stranger: options are
-checked by name, type and range, arrays by shape and dtype, sizes of JSON files by LARGEST_JSON. discard() removes only names that a
-job writes.
+checked by name, type and range, arrays by shape and dtype, sizes of JSON files by LARGEST_JSON, and the number of Gaussians against
+scene.ply. A job with a symbolic link in its folder is refused before anything is written. discard() removes only names that a job
+writes.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import csv
 import io
 import json
 import math
+import os
 import shutil
 import time
 from collections.abc import Iterator
@@ -37,6 +39,7 @@ import numpy as np
 from .. import __version__
 from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write
+from ..files.ply_header import MAX_HEADER_BYTES, parse_header
 from ..files.registry import write_scene
 from ..finetune.methods import FORMER_NAMES
 from ..option_kinds import check_mapping
@@ -111,6 +114,26 @@ class JobFolder:
         self.write_json("job.json", {**request, "schema": SCHEMA, "options": {**request["options"], "method": present}})
         return f"Method '{former}' is called '{present}' now" if present != former else ""
 
+    def refuse_links(self):
+        """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file elsewhere."""
+        checkpoints = self / "recovered.ply.job"
+        for folder in (self.path, self / "previews", checkpoints, *checkpoints.glob("[0-9]" * 7)):
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
+                for entry in entries:
+                    if entry.is_symlink():
+                        raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
+
+    def check_scene(self):
+        """Raises FormatError if scene.ply does not have the number of Gaussians that job.json says."""
+        count, file = self.request()["count"], self / "scene.ply"
+        try:
+            with open(file, "rb") as stream:
+                (stored,) = [element.count for element in parse_header(stream.read(MAX_HEADER_BYTES)).elements if element.name == "vertex"]
+        except (OSError, ValueError, FormatError) as error:
+            raise FormatError(f"{file}: cannot be read ({error}); discard the job and start again") from None
+        if stored != count:
+            raise FormatError(f"{file}: has {stored:,} Gaussians, but job.json says {count:,}; discard the job and start again")
+
     def state(self) -> dict:
         """The keys of state.json. "state" is "interrupted" if the job has not ended but was not renewed for STALE seconds; "missing" without a job."""
         state = self._json("state.json")
@@ -178,6 +201,7 @@ class JobFolder:
         """Removes the files that the job wrote, and the folder if it is empty then. Raises FormatError if it holds no job."""
         if not (self / "job.json").is_file():
             raise FormatError(f"{self.path}: holds no job")
+        self.refuse_links()
         for checkpoint in self._checkpoints():
             shutil.rmtree(checkpoint, ignore_errors=True)
         for pattern in _FILES:

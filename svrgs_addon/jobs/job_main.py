@@ -129,7 +129,13 @@ def _say(kind: str, facts: dict):
 
 
 def main(arguments: list[str]) -> int:
-    return JobMain(JobFolder(Path(arguments[0]))).run()
+    folder = JobFolder(Path(arguments[0]))
+    return guarded(lambda: _run(folder), lambda sentence: print(sentence, file=sys.stderr))
+
+
+def _run(folder: JobFolder) -> int:
+    folder.refuse_links()  # before anything is written
+    return JobMain(folder).run()
 
 
 if __name__ == "__main__":

@@ -60,7 +60,8 @@ class Job:
             self._refreshed, self.facts = time.monotonic(), self.folder.state()
 
     def start(self):
-        """Starts the job, or continues it from its last checkpoint. Raises FormatError if the folder holds no job."""
+        """Starts the job, or continues it from its last checkpoint. Raises FormatError if the folder holds no job, or links."""
+        self.folder.refuse_links()
         self.renamed = self.folder.update_schema()
         self.folder.lower_flags()
         (self.folder / "messages.jsonl").write_bytes(b"")

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..errors import FormatError
 from ..exit_status import plain
 from ..files.atomic import atomic_write
 from ..files.images import write_image
@@ -36,12 +37,13 @@ class JobRecorder:
 
     def __init__(self, folder: JobFolder, listener: Listener):
         self.folder, self.listener = folder, listener
+        folder.check_scene()
         self.count = folder.request()["count"]
         self.ranking = Ranking(self.count, folder / "ranking.npz")
 
     def begin(self, run: Run):
         self.run = run
-        self.ranking.begin(run, run.model.metadata["attributes"][ROW])
+        self.ranking.begin(run, self._checked_rows(run.model.metadata["attributes"].get(ROW)))
         self._points = len(run.curves.iteration)
         old = self.folder.metrics()
         rows = [row for row in zip(*(old[name] for name in METRICS), strict=True) if row[0] <= run.iteration]
@@ -73,7 +75,8 @@ class JobRecorder:
         kept[rows] = True
         rank = np.zeros(self.count, np.float32)
         source = load_scene(self.folder / "scene.ply").scene
-        rank[source.attributes[ROW]] = importance(source, self.run.dataset, Rasterizer(), render_options(source, self.run.settings.background))
+        source_rows = self._checked_rows(source.attributes.get(ROW))
+        rank[source_rows] = importance(source, self.run.dataset, Rasterizer(), render_options(source, self.run.settings.background))
         _save(self.folder / "kept.npy", kept)
         _save(self.folder / "score.npy", self.ranking.scores(kept, rank))
         probability = self.ranking.probabilities()
@@ -87,6 +90,12 @@ class JobRecorder:
         self.folder.write_json("result.json", result)
         (self.folder / "recovered.ply").unlink()
         return result
+
+    def _checked_rows(self, rows: np.ndarray | None) -> np.ndarray:
+        """The column ROW (N,). Raises FormatError if it is missing, or if it does not hold rows of the source, each at most once."""
+        if rows is None or rows.dtype.kind != "u" or rows.max(initial=0) >= self.count or len(np.unique(rows)) < len(rows):
+            raise FormatError(f"{self.folder / 'scene.ply'}: its column {ROW} does not name the rows of the splat; discard the job and start again")
+        return rows
 
     def _preview(self, iteration: int):
         run: Run = self.run

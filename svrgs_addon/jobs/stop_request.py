@@ -1,4 +1,4 @@
-"""A clean stop on Ctrl-C (SIGINT) or SIGTERM."""
+"""A clean stop on Ctrl-C (SIGINT), SIGTERM, or when the terminal is closed (SIGHUP)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 
 class StopRequest:
-    """A context manager. Within its block, Ctrl-C and SIGTERM request a clean stop; a second Ctrl-C interrupts at once.
+    """A context manager. Within its block, the signals of stop_signals() request a clean stop; a second Ctrl-C interrupts at once.
 
     Calling the object returns whether a stop was requested. tell: called at the first request, within the signal handler.
     """
@@ -19,7 +19,7 @@ class StopRequest:
         self._tell = tell or _announce
 
     def __enter__(self) -> StopRequest:
-        self._old = {s: signal.signal(s, self._ask) for s in (signal.SIGINT, signal.SIGTERM)}
+        self._old = {s: signal.signal(s, self._ask) for s in stop_signals()}
         return self
 
     def __exit__(self, *_):
@@ -35,6 +35,12 @@ class StopRequest:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         if not told:
             self._tell()
+
+
+def stop_signals() -> tuple[signal.Signals, ...]:
+    """SIGINT and SIGTERM, and SIGHUP where it is not ignored, as under nohup."""
+    hangup = getattr(signal, "SIGHUP", None)  # there is none on Windows
+    return (signal.SIGINT, signal.SIGTERM) + ((hangup,) if hangup and signal.getsignal(hangup) != signal.SIG_IGN else ())
 
 
 def _announce():

@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import memory
 from ..errors import SceneError
-from ..files.atomic import check_writable
+from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
 from ..finetune import checkpoint, loop, masks, scores
 from ..finetune.engine import NativeEngine
@@ -33,6 +33,11 @@ CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it
 def train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int = 3) -> dict:
     """Trains from the dataset's sparse points and writes job.out. Returns the JSON result. Raises SplatError, Cancelled."""
     check_outputs(job)
+    with reserved(job.out):
+        return _train(dataset, plan, job, sh_degree)
+
+
+def _train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int) -> dict:
     check_request(dataset, plan)
     if (plan.target or plan.share) and not plan.prunes:
         raise SceneError(CANNOT_REACH.format(plan.method.name))
@@ -52,6 +57,11 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
     check_outputs(job)
     if job.out.resolve() == scene_path.resolve():
         raise SceneError(f"{job.out}: is the input itself, which is never overwritten; choose another output")
+    with reserved(job.out):
+        return _prune(scene_path, dataset, plan, job)
+
+
+def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> dict:
     check_request(dataset, plan)
     clock = Clock()
     with clock.phase("read"):
@@ -187,15 +197,23 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
 
 
 def run_identity(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
-    """Digest of everything that must be the same in a resumed run: plan, engine, scene, cameras, sizes of the photographs' files."""
+    """Digest of everything that must be the same in a resumed run: plan, engine, scene, cameras, photographs. Raises SceneError."""
     digest = hashlib.sha256(repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode())
     for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
         digest.update(np.ascontiguousarray(array).data)
     for camera in dataset.cameras:
         digest.update(repr((camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())).encode())
     for photo in dataset.photos:
-        digest.update(repr(photo.path.stat().st_size).encode())
+        digest.update(_file_digest(photo.path))
     return digest.hexdigest()
+
+
+def _file_digest(path: Path) -> bytes:
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 def curve_psnr(run: Run) -> float | None:

@@ -1,7 +1,6 @@
 """Finds, checks and reads COLMAP sparse models with pycolmap, and makes a pinhole camera of every camera.
 
-pycolmap is imported inside functions only. It trusts the counts in binary files: a truncated points3D.bin makes it loop for ever.
-So the counts are compared with the size of the files first. pycolmap then reads only cameras, images and points3D: the poses are
+pycolmap is imported inside functions only. It reads a checked copy of cameras, images and points3D (colmap_files.py): the poses are
 in `images`, and the files of rigs and frames are not needed for pinhole views.
 """
 
@@ -9,14 +8,10 @@ from __future__ import annotations
 
 import copy
 import functools
-import os
-import shutil
 import signal
-import struct
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import ModuleType
@@ -27,11 +22,11 @@ import numpy as np
 from ..camera import Camera
 from ..errors import FormatError, SceneError
 from ..files.images import MAX_SIDE
+from .colmap_files import copy_checked, has_files
 
 if TYPE_CHECKING:
     import pycolmap
 
-MODEL_FILES = ("cameras", "images", "points3D")
 MODEL_FOLDERS = (".", "sparse/0", "0", "sparse")  # searched below the given folder, in this order
 ROUNDING_PX = 1.0  # tolerance of each side of a scaled photograph
 
@@ -57,7 +52,7 @@ class Model:
 def find_model(folder: Path) -> Path:
     """The folder with the three files of the model: `folder` or one of MODEL_FOLDERS below it. Raises SceneError."""
     for below in MODEL_FOLDERS:
-        if _has_files(folder / below, ".bin") or _has_files(folder / below, ".txt"):
+        if has_files(folder / below, ".bin") or has_files(folder / below, ".txt"):
             return folder / below
     raise SceneError(f"{folder}: holds no COLMAP model (cameras, images and points3D as .bin or .txt, here or in sparse/0)")
 
@@ -65,14 +60,9 @@ def find_model(folder: Path) -> Path:
 def read_model(folder: Path) -> Model:
     """Reads the model in `folder`: the binary files if they exist, else the text files. Raises FormatError."""
     library = import_pycolmap()
-    suffix = ".bin" if _has_files(folder, ".bin") else ".txt"
     try:
-        if suffix == ".bin":
-            for name, skip in zip(MODEL_FILES, (_skip_camera, _skip_image, _skip_point), strict=True):
-                _check_records(folder / f"{name}.bin", skip)
         with tempfile.TemporaryDirectory() as temp_dir:
-            for name in MODEL_FILES:
-                _link_or_copy(folder / f"{name}{suffix}", Path(temp_dir))
+            copy_checked(folder, Path(temp_dir), _param_count)
             return _convert(library.Reconstruction(temp_dir))
     except FormatError as error:
         raise FormatError(f"{folder}: {error}") from None
@@ -129,19 +119,6 @@ def import_pycolmap() -> ModuleType:
     return pycolmap
 
 
-def _has_files(folder: Path, suffix: str) -> bool:
-    """Whether the folder has all three files of a model with this suffix."""
-    return all(os.path.isfile(folder / f"{name}{suffix}") for name in MODEL_FILES)
-
-
-def _link_or_copy(file: Path, folder: Path) -> None:
-    """Makes a link to the file in the folder, or a copy if links are not allowed."""
-    try:
-        os.symlink(os.path.abspath(file), folder / file.name)
-    except OSError:
-        shutil.copyfile(file, folder / file.name)
-
-
 def _convert(reconstruction: pycolmap.Reconstruction) -> Model:
     """The model with the images that have a pose. Raises FormatError."""
     images = [image for image in reconstruction.images.values() if image.has_pose]
@@ -196,37 +173,7 @@ def _check_aspect(view: View, width: int, height: int) -> None:
         )
 
 
-def _check_records(path: Path, skip: Callable[[bytes, int], int]) -> None:
-    """Visits all records that a binary file declares. Raises FormatError if they need more bytes than the file has."""
-    data = path.read_bytes()
-    try:
-        (count,) = struct.unpack_from("<Q", data)
-        position = 8
-        for _ in range(count):
-            position = skip(data, position)
-        whole = position <= len(data)
-    except (struct.error, ValueError, OverflowError):
-        whole = False
-    if not whole:
-        raise FormatError(f"{path.name} is truncated or not a COLMAP file; copy the model again")
-
-
-def _skip_camera(data: bytes, start: int) -> int:
-    """End of a record: id, camera model, width, height, then the parameters of the model."""
-    _, model, _, _ = struct.unpack_from("<IiQQ", data, start)
+def _param_count(model: int) -> int:
+    """The number of parameters of a camera model, given by its number in COLMAP. Raises ValueError for an unknown one."""
     library = import_pycolmap()
-    params = library.Camera.create_from_model_id(0, library.CameraModelId(model), 1.0, 1, 1).params
-    return start + 24 + 8 * len(params)
-
-
-def _skip_image(data: bytes, start: int) -> int:
-    """End of a record: id, pose, camera id, zero-terminated name, then (x, y, point id) of each keypoint."""
-    end = data.index(b"\0", start + 64) + 1
-    (count,) = struct.unpack_from("<Q", data, end)
-    return end + 8 + 24 * count
-
-
-def _skip_point(data: bytes, start: int) -> int:
-    """End of a record: id, xyz, rgb, error, then (image id, keypoint) of each observation."""
-    (count,) = struct.unpack_from("<Q", data, start + 43)
-    return start + 51 + 8 * count
+    return len(library.Camera.create_from_model_id(0, library.CameraModelId(model), 1.0, 1, 1).params)

@@ -26,7 +26,8 @@ from svrgs_addon.files.splat_format import SplatFormat
 from svrgs_addon.finetune import checkpoint
 from svrgs_addon.native import Rasterizer
 from svrgs_addon.photographs.cameras_json import load_cameras_json
-from svrgs_addon.photographs.colmap import MODEL_FILES, pinhole_camera, read_model
+from svrgs_addon.photographs.colmap import pinhole_camera, read_model
+from svrgs_addon.photographs.colmap_files import MODEL_FILES
 from svrgs_addon.scene import Scene
 
 SECONDS = 1.0  # of the processor
