@@ -21,10 +21,11 @@ def main() -> int:
     root = str(Path(__file__).resolve().parents[1])
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))}
     child = subprocess.Popen([sys.executable, "-m", "svrgs_addon", *words], env=environment)
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # there is no SIGHUP on Windows; under nohup it is ignored
-        number = getattr(signal, name, None)
-        if number and signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, lambda *_: stop(child))
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # not on Windows, and not under nohup
+        numbers.append(signal.SIGHUP)
+    for number in numbers:
+        signal.signal(number, lambda *_: stop(child))
     return child.wait()
 
 

@@ -194,13 +194,21 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize("size", [3_000, 20_000, 40_000])
+@pytest.mark.parametrize("size", [15_000, 20_000, 40_000])
 def test_a_first_checkpoint_that_cannot_be_written_is_one_sentence(tiny, tmp_path, size):
     """Nothing else on the terminal, and no file or folder of it."""
     words = ["prune", tiny.splat, "--colmap", tiny.folder, "--iterations", "4", "--recovery", "0", "--quiet", "--out", tmp_path / "o.ply"]
     done = subprocess.run([sys.executable, "-c", FULL_DISK, str(size), *words], cwd=ROOT, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
     assert done.stderr.startswith("svrgs: ") and "cannot be written (File too large)" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_copy_of_a_model_that_cannot_be_written_is_one_sentence(tiny, tmp_path):
+    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--quiet", "--out", tmp_path / "o.ply"]
+    done = subprocess.run([sys.executable, "-c", FULL_DISK, "3000", *words], cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
+    assert "points3D.bin: this temporary file cannot be written (File too large)" in done.stderr
     assert not list(tmp_path.iterdir())
 
 

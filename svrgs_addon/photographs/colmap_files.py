@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from ..errors import FormatError
+from ..errors import FormatError, SceneError
 
 MODEL_FILES = ("cameras", "images", "points3D")
 MAX_LENGTH_ERROR = 1e-3  # of a quaternion; text files round to six digits
@@ -29,17 +28,25 @@ def has_files(folder: Path, suffix: str) -> bool:
 
 
 def copy_checked(folder: Path, target: Path, params_of: Callable[[int], int]) -> None:
-    """Copies the binary files if they exist, else the text files, without keypoints and tracks. Raises FormatError, OSError.
+    """Copies the binary files if they exist, else the text files, without keypoints and tracks. Raises FormatError; OSError if a file
+    cannot be read; SceneError if the copy cannot be written.
 
     params_of: from the number of a camera model to the number of its parameters; ValueError for an unknown one.
     """
     if has_files(folder, ".bin"):
         for name, copy in {"cameras": _camera_copy(params_of), "images": _copy_image, "points3D": _copy_point}.items():
-            (target / f"{name}.bin").write_bytes(_binary_copy(folder / f"{name}.bin", copy))
+            _write(target / f"{name}.bin", _binary_copy(folder / f"{name}.bin", copy))
     else:
-        shutil.copyfile(folder / "cameras.txt", target / "cameras.txt")
+        _write(target / "cameras.txt", (folder / "cameras.txt").read_bytes())
         for name, lines in {"images": _image_lines, "points3D": _point_lines}.items():
-            (target / f"{name}.txt").write_bytes(b"\n".join(lines((folder / f"{name}.txt").read_bytes())) + b"\n")
+            _write(target / f"{name}.txt", b"\n".join(lines((folder / f"{name}.txt").read_bytes())) + b"\n")
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise SceneError(f"{path}: this temporary file cannot be written ({error.strerror or error}); free disk space, or set TMPDIR") from error
 
 
 def _binary_copy(path: Path, copy: Callable[[bytes, int], Record]) -> bytes:
