@@ -5,7 +5,9 @@ Exit status 0: done. 1: failure of the program or the system. 2: wrong usage or 
 
 from __future__ import annotations
 
+import json
 import math
+import sys
 from collections.abc import Callable
 
 from .errors import Cancelled, NativeError, SplatError
@@ -32,6 +34,22 @@ def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
     except (NativeError, MemoryError, OSError) as error:
         tell(str(error) or "out of memory")
         return 1
+
+
+def answer(work: Callable[[dict], dict]) -> int:
+    """The main function of a child process: it gives work() the JSON object on stdin, and prints its result as JSON on stdout.
+
+    An expected error is printed as {"error": sentence}. Returns the exit status.
+    """
+    request, result = json.load(sys.stdin), {}
+
+    def run() -> int:
+        result.update(work(request))
+        return 0
+
+    status = guarded(run, lambda sentence: result.update(error=sentence))
+    print(json.dumps(plain(result)), flush=True)
+    return status
 
 
 def plain(value):

@@ -90,12 +90,23 @@ def test_a_job_with_a_link_in_its_folder_is_refused(tiny, tmp_path, name, dangli
     (folder / name).symlink_to(victim)
     if not dangling:
         victim.write_text("mine")
-    for attempt in (Job(folder).start, folder.discard):
-        with pytest.raises(FormatError, match=f"{name}: is a link"):
-            attempt()
+    with pytest.raises(FormatError, match=f"{name}: is a link"):
+        Job(folder).start()
     child = subprocess.run([sys.executable, "-m", "svrgs_addon.jobs.job_main", str(folder.path)], cwd=ROOT, capture_output=True, text=True)
     assert child.returncode == 2 and "is a link" in child.stderr and "Traceback" not in child.stderr
     assert victim.read_text() == "mine" if not dangling else not victim.exists()
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_discarding_a_job_removes_its_links_and_not_what_they_lead_to(tiny, tmp_path, name):
+    folder, victim = create(tmp_path / "job", tiny, **SHORT), tmp_path / "victim"
+    (victim / "0000001").mkdir(parents=True)
+    (victim / "0000001.png").write_text("mine")
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).unlink(missing_ok=True)
+    (folder / name).symlink_to(victim)
+    folder.discard()
+    assert not folder.path.exists() and sorted(path.name for path in victim.iterdir()) == ["0000001", "0000001.png"]
 
 
 @pytest.mark.parametrize("count", [7, 50_000_000, 10**30])

@@ -7,7 +7,6 @@ file `out`, and prints {} or {"error": sentence} on stdout.
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import SceneError, SplatError
-from ..exit_status import guarded
+from ..exit_status import answer
 from . import subprocess_python
 
 
@@ -101,20 +100,11 @@ def _unpack(path: Path) -> PosedPhotos:
         return PosedPhotos(cameras, files, data["points"], data["point_colors"], str(data["warning"]))
 
 
-def main() -> int:
-    """The child process. Returns its exit status."""
-    request = json.load(sys.stdin)
-    result: dict = {}
-
-    def work() -> int:
-        undistorted = Path(request["undistorted"]) if request["undistorted"] else None
-        _pack(Path(request["out"]), read(Path(request["folder"]), request["images"], undistorted))
-        return 0
-
-    status = guarded(work, lambda sentence: result.update(error=sentence))
-    print(json.dumps(result), flush=True)
-    return status
+def _read_request(request: dict) -> dict:
+    undistorted = Path(request["undistorted"]) if request["undistorted"] else None
+    _pack(Path(request["out"]), read(Path(request["folder"]), request["images"], undistorted))
+    return {}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answer(_read_request))

@@ -6,7 +6,6 @@ It renders some reduced views and measures the speed of a few steps. Child proce
 
 from __future__ import annotations
 
-import json
 import statistics
 import sys
 import time
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import native
-from ..exit_status import guarded, plain
+from ..exit_status import answer
 from ..files.registry import invisible, load_scene
 from ..finetune import scores
 from ..finetune.engine import NativeEngine
@@ -153,19 +152,10 @@ def _rate(scene: Scene, dataset: Dataset, options: PruneOptions) -> float:
     return 1 / statistics.median(seconds)
 
 
-def main() -> int:
-    request = json.load(sys.stdin)
-    result: dict = {}
-
-    def work() -> int:
-        options = check_mapping(PruneOptions, request["options"])
-        result.update(estimate(PruneOptions(**options, scene=Path(request["scene"]))))
-        return 0
-
-    status = guarded(work, lambda sentence: result.update(error=sentence))
-    print(json.dumps(plain(result)), flush=True)
-    return status
+def _estimate_request(request: dict) -> dict:
+    options = check_mapping(PruneOptions, request["options"])
+    return estimate(PruneOptions(**options, scene=Path(request["scene"])))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answer(_estimate_request))

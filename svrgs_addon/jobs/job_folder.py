@@ -198,10 +198,15 @@ class JobFolder:
             (self / flag).unlink(missing_ok=True)
 
     def discard(self):
-        """Removes the files that the job wrote, and the folder if it is empty then. Raises FormatError if it holds no job."""
+        """Removes the files that the job wrote, and the folder if it is empty then. A link is removed, not what it leads to.
+
+        Raises FormatError if the folder holds no job.
+        """
         if not (self / "job.json").is_file():
             raise FormatError(f"{self.path}: holds no job")
-        self.refuse_links()
+        for folder in (self / "previews", self / "recovered.ply.job"):
+            if folder.is_symlink():  # the patterns would be searched behind it
+                folder.unlink()
         for checkpoint in self._checkpoints():
             shutil.rmtree(checkpoint, ignore_errors=True)
         for pattern in _FILES:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..blender.subprocess_python import environment
-from ..exit_status import STOPPED, guarded, plain
+from ..exit_status import STOPPED, answer
 from .options import PruneOptions
 from .stop_request import StopRequest
 
@@ -49,22 +49,12 @@ def _stop(child: subprocess.Popen):
         child.terminate()
 
 
-def main() -> int:
+def _prune_request(request: dict) -> dict:
     from .run_job import prune_scene
 
-    request = json.load(sys.stdin)
     values: dict[str, Any] = {name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()}
-    options = PruneOptions(**values | {"background": tuple(values["background"])})
-    result: dict = {}
-
-    def job() -> int:
-        result.update(prune_scene(options))
-        return 0
-
-    status = guarded(job, lambda sentence: result.update(error=sentence))
-    print(json.dumps(plain(result)), flush=True)
-    return status
+    return prune_scene(PruneOptions(**values | {"background": tuple(values["background"])}))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answer(_prune_request))
