@@ -22,13 +22,14 @@ from . import (
     render_engine,
     scene_cache,
     spatial_mask,
+    splat_transforms,
     view_properties,
     viewport,
 )
 
 MODULES = (
     import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
-    active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+    active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare, splat_transforms,
 )  # fmt: skip
 
 

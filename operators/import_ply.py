@@ -49,6 +49,7 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
     def add(self, context, name, scene) -> bpy.types.Object:
         """Adds the splat as an object; with the cameras below one root if the active object belongs to a dataset."""
         obj = bridge.object_from_scene(name, scene, context.collection, bridge.AXES if self.y_down else Matrix())
+        obj[bridge.Y_DOWN] = self.y_down
         root = bridge.root_of(context.object)
         if root is not None and self.y_down:
             bridge.parent_to_root(obj, root)

@@ -126,14 +126,17 @@ class Overlay:
     def visible_cloud(self, context) -> Cloud | None:
         """The splats that this viewport shows; None if there is none."""
         settings = context.scene.svrgs_looking
-        found = bridge_graph.splats_in_view(context)
-        key = settings.overlay_shown, settings.overlay_moving, *((scene_cache.number(obj), tuple(map(tuple, matrix))) for obj, matrix in found)
+        found = [(scene_cache.number(obj), tuple(map(tuple, matrix))) for obj, matrix in bridge_graph.splats_in_view(context)]
         if not found:
             return None
+        key = settings.overlay_shown, settings.overlay_moving, *found
         if self.cloud is not None and self.cloud.key == key:
             return self.cloud
-        placed = bridge_graph.placed([(scene_cache.read(obj), matrix) for obj, matrix in found])
-        values = [scene_cache.read_values(obj, settings.overlay_shown) for obj, _ in found]
+        scenes, values = [], []
+        for obj, matrix in bridge_graph.splats_in_view(context):
+            scenes.append((scene_cache.read(obj), matrix))
+            values.append(scene_cache.read_values(obj, settings.overlay_shown))
+        placed = bridge_graph.placed(scenes)
         return Cloud(key, placed, painted(placed.scene, values), settings.overlay_moving)
 
     def view_of(self, region: bpy.types.Region) -> View:

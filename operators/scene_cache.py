@@ -24,7 +24,7 @@ class Entry:
     number: int = field(default_factory=itertools.count().__next__)  # every entry has another number
 
 
-_entries: dict[int, Entry] = {}  # by session_uid of the object
+_entries: dict[tuple[int, int], Entry] = {}  # by session_uid of the object and address of its evaluated data: nodes may show others beside its own
 
 
 def read(obj: bpy.types.Object) -> Scene:
@@ -44,12 +44,12 @@ def read_values(obj: bpy.types.Object, name: str):
 
 
 def _entry(obj: bpy.types.Object) -> Entry:
-    uid = obj.original.session_uid
-    if uid not in _entries:
+    key = obj.original.session_uid, obj.data.as_pointer()
+    if key not in _entries:
         scene, rows = bridge.scene_from_object(obj), bridge_graph.visible_rows(obj)
         rows = rows[morton_order(scene.means[rows])]
-        _entries[uid] = Entry(scene.select(rows), rows, obj.original.data.session_uid)
-    return _entries[uid]
+        _entries[key] = Entry(scene.select(rows), rows, obj.original.data.session_uid)
+    return _entries[key]
 
 
 def forget_updated(depsgraph: bpy.types.Depsgraph):
@@ -58,9 +58,9 @@ def forget_updated(depsgraph: bpy.types.Depsgraph):
         return
     there = {obj.session_uid for obj in bpy.data.objects}
     changed = {update.id.original.session_uid for update in depsgraph.updates if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry}
-    for uid, entry in list(_entries.items()):
+    for (uid, address), entry in list(_entries.items()):
         if uid not in there or uid in changed or entry.data in changed:
-            del _entries[uid]
+            del _entries[uid, address]
 
 
 @persistent

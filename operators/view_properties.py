@@ -6,7 +6,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.render import color_maps
-from . import bridge, comparison_images, mask_image, overlay, undistort
+from . import bridge, comparison_images, mask_image, overlay, splat_transforms, undistort
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
@@ -25,6 +25,10 @@ def _about(_) -> str:
     return f"{bridge.count(obj):,} Gaussians, SH degree {bridge.sh_degree(obj)}" if bridge.is_splat(obj) else ""
 
 
+def _moved(_) -> int:
+    return splat_transforms.moved_count(bpy.context.object)
+
+
 def _is_splat(_, obj) -> bool:  # not a lambda below: Blender evaluates annotations where `bridge` is unknown
     return bridge.is_splat(obj)
 
@@ -35,6 +39,7 @@ def _photographs(_) -> str:
 
 class SVRGS_PG_view(bpy.types.PropertyGroup):
     about: StringProperty(get=_about, options={"HIDDEN"})  # one line about the active splat; empty if no splat is active
+    moved: IntProperty(get=_moved, options={"HIDDEN"})  # Gaussians of the active splat whose points were moved without their shapes
     photographs: StringProperty(get=_photographs, options={"HIDDEN"})  # status of undistorting photographs; mostly empty
     background: FloatVectorProperty(
         name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="Colour behind the Gaussians. Black, as in training"

@@ -24,6 +24,10 @@ class SVRGS_PT_scene(bpy.types.Panel):
             return
         layout.label(text=context.object.name, icon="OUTLINER_OB_POINTCLOUD")
         layout.label(text=about)
+        moved = context.scene.svrgs_looking.moved
+        if moved:
+            wrapped_label(layout, f"Blender has moved {moved:,} points without their shapes. SVR-GS shows and exports the right shapes", "INFO")
+            layout.operator("svrgs.write_shapes", icon="CHECKMARK")
 
 
 def register():
