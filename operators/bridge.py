@@ -142,7 +142,7 @@ def record_positions(obj: bpy.types.Object) -> bool:
     """Stores where the points of a splat are now, if that was never stored. Returns whether it was stored now."""
     if _attribute(obj.data, RAW_POSITION):
         return False
-    _set(obj.data, RAW_POSITION, "FLOAT_VECTOR", values(obj, POSITION))
+    _set(obj.data, RAW_POSITION, "FLOAT_VECTOR", stored_values(obj, POSITION))
     return True
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scenes
 
+import scenes
 from svrgs_addon.geometry.affine import transformed
 from svrgs_addon.geometry.moved_points import common_motion, follow_points, moved_parts
 
