@@ -20,6 +20,7 @@ from . import (
     prune_settings,
     prune_state,
     render_engine,
+    saved_images,
     scene_cache,
     spatial_mask,
     splat_transforms,
@@ -30,6 +31,7 @@ from . import (
 MODULES = (
     import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
     active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare, splat_transforms,
+    saved_images,
 )  # fmt: skip
 
 
