@@ -7,6 +7,7 @@ it becomes the scene's camera (active_camera.py).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -48,21 +49,32 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         splat = context.object if bridge.is_splat(context.object) else None
         root, cameras = self.add_objects(context, folder.absolute(), photos)
         select(context, [splat or root])
-        problem = photos.warning or (self.show_photographs(folder, cameras, photos.files) if self.photographs else "")
-        if problem:
-            self.report({"WARNING"}, problem)
-        shown = sum(bool(obj.data.background_images) for obj in cameras)
-        self.report({"INFO"}, f"Imported {len(cameras):,} cameras, {shown:,} photographs and {len(photos.points):,} sparse points")
+        undistort.begin(photos.warnings)
+        if self.photographs:
+            self.show_photographs(folder, cameras, photos)
+        for level, text in self.messages(context, cameras, photos):
+            self.report({level}, text)
         return {"FINISHED"}
 
-    def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], files: list[Path | None]) -> str:
-        """Gives cameras their photographs as backgrounds; starts undistorting where that is needed. Returns what went wrong."""
-        for obj, file in zip(cameras, files, strict=True):
+    def messages(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> Iterator[tuple[str, str]]:
+        """(level, text) of each report: what went wrong, then what was done."""
+        if problems := undistort.problems():
+            yield "WARNING", problems
+        shown, (done, total) = sum(bool(obj.data.background_images) for obj in cameras), undistort.progress()
+        parts = [f"Imported {len(cameras):,} cameras and {shown:,} photographs"]
+        parts += [f"{total - done:,} photographs are being undistorted first"] if total > done else []
+        parts += [f"{len(photos.points):,} sparse points"] if self.points else []
+        render = context.scene.render
+        parts.append(f"the scene's camera is '{context.scene.camera.name}', {render.resolution_x} x {render.resolution_y}")
+        yield "INFO", "; ".join(parts)
+
+    def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], photos: PosedPhotos):
+        """Gives cameras their photographs as backgrounds; starts undistorting where that is needed."""
+        for obj, file in zip(cameras, photos.files, strict=True):
             undistort.show(obj, file)
-        if None not in files:
-            return ""
-        undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / "images_undistorted"
-        return undistort.start(cameras, folder, self.images, undistorted)
+        if photos.distorted:
+            undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / "images_undistorted"
+            undistort.start(cameras, folder, self.images, undistorted, photos.distorted)
 
     def add_objects(self, context, folder: Path, photos: PosedPhotos) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
         """Adds points and cameras below a root. Returns root and cameras; the first becomes the scene's camera."""
@@ -115,11 +127,12 @@ def menu(self, context):
 
 
 def register():
+    undistort.register()
     bpy.utils.register_class(SVRGS_OT_import_colmap)
     bpy.types.TOPBAR_MT_file_import.append(menu)
 
 
 def unregister():
-    undistort.forget()
     bpy.types.TOPBAR_MT_file_import.remove(menu)
     bpy.utils.unregister_class(SVRGS_OT_import_colmap)
+    undistort.unregister()
