@@ -9,6 +9,7 @@ from . import (
     estimate,
     export_ply,
     former_methods,
+    frame,
     import_colmap,
     import_ply,
     job,
@@ -28,7 +29,7 @@ from . import (
 
 MODULES = (
     import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
-    active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+    frame, active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
 )  # fmt: skip
 
 

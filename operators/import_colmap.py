@@ -1,13 +1,14 @@
 """File > Import > COLMAP Cameras: cameras with their photographs, and the sparse points.
 
 Cameras and points become children of an empty, the root, together with the splat that is active. The root takes the place of the
-splat, so moving the root moves all. A camera stores the size and the pixel aspect of its photograph and gives them to the scene when
-it becomes the scene's camera (active_camera.py).
+splat, so moving the root moves all. It is turned until the photographs stand upright; the numbers of splat and cameras stay.
+
+A camera stores the size and the pixel aspect of its photograph and gives them to the scene when it becomes the scene's camera
+(active_camera.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -17,6 +18,8 @@ from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SplatError
 from . import bridge, undistort
+from .bridge_framing import level
+from .frame import frame
 from .select import select
 
 DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras
@@ -37,7 +40,11 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         name="Undistorted",
         description="Folder for undistorted copies of photographs with lens distortion. Empty: images_undistorted in the dataset",
     )
-    points: BoolProperty(name="Sparse Points", default=True, description="Import the sparse points as a mesh")
+    points: BoolProperty(name="Sparse Points", default=True, description="Import the sparse points as a mesh. It is hidden at first")
+    level: BoolProperty(
+        name="Level", default=True, description="Turn cameras and splat upright, as the photographs say. What you have moved already stays as it is"
+    )
+    frame: BoolProperty(name="Frame", default=True, description="Turn the 3D viewports to the splat, or to the cameras if there is none")
 
     def execute(self, context):
         folder = Path(bpy.path.abspath(self.directory))
@@ -48,25 +55,26 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
             return {"CANCELLED"}
         splat = context.object if bridge.is_splat(context.object) else None
         root, cameras = self.add_objects(context, folder.absolute(), photos)
+        levelled = level(root, photos.cameras) if self.level else ""
         select(context, [splat or root])
+        if self.frame:
+            frame(context, list(root.children_recursive))
         undistort.begin(photos.warnings)
         if self.photographs:
             self.show_photographs(folder, cameras, photos)
-        for level, text in self.messages(context, cameras, photos):
-            self.report({level}, text)
+        if problems := undistort.problems():
+            self.report({"WARNING"}, problems)
+        self.report({"INFO"}, "; ".join(filter(None, [*self.done(context, cameras, photos), levelled])))
         return {"FINISHED"}
 
-    def messages(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> Iterator[tuple[str, str]]:
-        """(level, text) of each report: what went wrong, then what was done."""
-        if problems := undistort.problems():
-            yield "WARNING", problems
+    def done(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> list[str]:
+        """What was imported, in words."""
         shown, (done, total) = sum(bool(obj.data.background_images) for obj in cameras), undistort.progress()
         parts = [f"Imported {len(cameras):,} cameras and {shown:,} photographs"]
         parts += [f"{total - done:,} photographs are being undistorted first"] if total > done else []
-        parts += [f"{len(photos.points):,} sparse points"] if self.points else []
+        parts += [f"{len(photos.points):,} sparse points, hidden"] if self.points else []
         render = context.scene.render
-        parts.append(f"the scene's camera is '{context.scene.camera.name}', {render.resolution_x} x {render.resolution_y}")
-        yield "INFO", "; ".join(parts)
+        return [*parts, f"the scene's camera is now '{context.scene.camera.name}', {render.resolution_x} x {render.resolution_y}"]
 
     def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], photos: PosedPhotos):
         """Gives cameras their photographs as backgrounds; starts undistorting where that is needed."""
@@ -78,7 +86,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
 
     def add_objects(self, context, folder: Path, photos: PosedPhotos) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
         """Adds points and cameras below a root. Returns root and cameras; the first becomes the scene's camera."""
-        name, has_splat = folder.name, bridge.is_splat(context.object)
+        name = folder.name
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
         root, points = root_for(context.object, name, collection), []
@@ -92,7 +100,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         bridge.apply_camera_size(context.scene)
         context.view_layer.update()
         for obj in points:
-            obj.hide_set(has_splat)  # else the points would cover the splat
+            obj.hide_set(True)  # they would cover the splat, and without one they are black
         return root, cameras
 
     def invoke(self, context, event):

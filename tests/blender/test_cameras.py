@@ -214,8 +214,8 @@ def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, mo
     said = capfd.readouterr().out
     try:
         assert len(cameras()) == 2 and not any(obj.data.background_images for obj in cameras())
-        assert "Imported 2 cameras and 0 photographs; 2 photographs are being undistorted first; 120 sparse points" in said
-        assert "; the scene's camera is '00.png', 60 x 44" in said
+        assert "Imported 2 cameras and 0 photographs; 2 photographs are being undistorted first; 120 sparse points, hidden" in said
+        assert "; the scene's camera is now '00.png', 60 x 44" in said
         assert looking.photographs in [f"Undistorting photographs: {done} of 2" for done in range(3)]
         (thread,) = undistort._threads
         thread.join()
