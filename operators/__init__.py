@@ -9,6 +9,7 @@ from . import (
     estimate,
     export_ply,
     former_methods,
+    frame,
     import_colmap,
     import_ply,
     job,
@@ -29,10 +30,33 @@ from . import (
 )
 
 MODULES = (
-    import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
-    active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare, splat_transforms,
+    import_ply,
+    import_colmap,
+    export_ply,
+    prune,
+    prune_settings,
+    former_methods,
+    estimate,
+    job_pictures,
+    job_result,
+    job_watch,
+    job,
+    apply,
+    prune_state,
+    active_camera,
+    command_line,
+    scene_cache,
+    view_properties,
+    viewport,
+    overlay,
+    render_engine,
+    spatial_mask,
+    contribution,
+    compare,
+    splat_transforms,
     saved_images,
-)  # fmt: skip
+    frame,
+)
 
 
 def register():

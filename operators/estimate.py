@@ -51,6 +51,7 @@ def sentences(obj: bpy.types.Object) -> list[str]:
         f"{file_size(obj, count)} → about {file_size(obj, kept)}",
         f"{found['invisible']:,} are transparent, {found['unseen']:,} are in none of {found['views']} views, {found['faint']:,} are below the first cut",
         f"About {minutes:.0f} min {speed}" if minutes >= 1 else f"Less than a minute {speed}",
+        *found["notes"],
     ]
 
 

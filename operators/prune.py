@@ -75,7 +75,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
         select(context, [obj])
         before, psnr = result["before"], [figures.get("psnr") for figures in (result["before"], result)]
         change = f", {psnr[1] - psnr[0]:+.2f} dB" if None not in psnr else ""  # null if images and photographs are identical
-        self.report({"INFO"}, f"Kept {result['count']:,} of {before['count']:,} Gaussians{change}")
+        self.report({"INFO"}, ". ".join([f"Kept {result['count']:,} of {before['count']:,} Gaussians{change}", *result["notes"]]))
         return {"FINISHED"}
 
     def prune(self, source: bpy.types.Object | None, temp_dir: Path, threads: int):

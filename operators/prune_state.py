@@ -57,7 +57,7 @@ def _of_ready(context) -> list[str]:
 def _of_job(job: Job) -> list[str]:
     if job.state in BUSY:
         silent = [f"No sign of life for {job.seconds_silent:.0f} s: Cancel ends the job"] if job.seconds_silent > SILENT_SECONDS else []
-        return [job.facts.get("text") or "Working", *_figures(job.facts), *silent]
+        return [job.facts.get("text") or "Working", *_figures(job.facts), *filter(None, [job.facts.get("note")]), *silent]
     if job.state not in WAITING:
         return ["A finished job was found: load its result, or discard it and prune again"]
     progress = f" at {_progress_share(job.facts):.0%}" if job.facts.get("total") else ""

@@ -16,6 +16,7 @@ class SVRGS_PT_scene(bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("svrgs.import_ply", icon="IMPORT", text="Import Splat")
         column.operator("svrgs.import_colmap", icon="OUTLINER_OB_CAMERA", text="Import Cameras")
+        column.operator("svrgs.frame", icon="ZOOM_SELECTED")
         if context.scene.svrgs_looking.photographs:
             wrapped_label(layout, context.scene.svrgs_looking.photographs, "INFO")
         about = context.scene.svrgs_looking.about

@@ -48,7 +48,7 @@ def estimate(options: PruneOptions) -> dict:
 
     count: Gaussians of the scene; invisible: those with an opacity below 1/255; unseen: those that no rendered view sees; faint: those
     that the first cut removes; kept: roughly how many stay; at_most: whether kept is an upper bound; views: number of rendered views;
-    steps_per_second; seconds: expected time of the run.
+    steps_per_second; seconds: expected time of the run; notes: sentences on the dataset.
     """
     native.set_threads(options.threads)
     dataset = dataset_of(options)
@@ -71,6 +71,7 @@ def estimate(options: PruneOptions) -> dict:
         "at_most": bool(options.max_drop),
         "views": views,
         "steps_per_second": rate,
+        "notes": list(dataset.notes),
         "seconds": (active * relative_time((1 + share) / 2) + (plan.total - active) * relative_time(share)) / rate,
     }
 

@@ -253,5 +253,6 @@ def run_facts(run: Run, job: JobContext, clock: Clock) -> dict:
         "nonfinite_gradients": run.nonfinite,
         "densifications_held_back": run.held_back,
         "seed": plan.seed,
+        "notes": list(run.dataset.notes),
         "curves": vars(run.curves),
     }
