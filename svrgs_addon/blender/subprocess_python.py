@@ -5,14 +5,14 @@ Work that could end the process runs here: libraries that conflict with those of
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
-PACKAGES = ("numpy", "OpenImageIO", "pycolmap")  # the child process finds them where this process does
+from .packages import ROOT, importable
 
 
 def run(words: list[str], module: str = "svrgs_addon", request: dict | None = None, capture: bool = True) -> tuple[int, dict]:
@@ -35,13 +35,10 @@ def run(words: list[str], module: str = "svrgs_addon", request: dict | None = No
         return done.returncode, {"error": reason} if done.returncode else {}
 
 
-def environment() -> dict[str, str]:
-    """The environment variables of this process, with a PYTHONPATH on which a child process finds this package and PACKAGES."""
-    paths = [str(Path(__file__).parents[2])]
-    for name in PACKAGES:
-        spec = importlib.util.find_spec(name)
-        if spec is not None and spec.submodule_search_locations:
-            paths.append(str(Path(next(iter(spec.submodule_search_locations))).parent))
-    if os.environ.get("PYTHONPATH"):
-        paths.append(os.environ["PYTHONPATH"])
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
+def environment(packages: Mapping[str, Path] | None = None) -> dict[str, str]:
+    """The environment variables of this process, with a PYTHONPATH on which a child process finds this package and those it needs.
+
+    packages: {package: its folder}. Default: where this process finds them.
+    """
+    paths = [ROOT, *(importable() if packages is None else packages).values(), os.environ.get("PYTHONPATH")]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(str(path) for path in paths if path))}
