@@ -6,17 +6,17 @@ Work that could end the process runs here: libraries that conflict with those of
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from .packages import ROOT, importable
+
 Tell = Callable[..., None]
-PACKAGES = ("numpy", "OpenImageIO", "pycolmap")  # the child process finds them where this process does
 
 
 def run(words: list[str], module: str = "svrgs_addon", request: dict | None = None, capture: bool = True, tell: Tell = lambda *_: None) -> tuple[int, dict]:
@@ -52,13 +52,10 @@ def _result(status: int, last: str, error_lines: list[str]) -> dict:
     return {"error": reason} if status else {}
 
 
-def environment() -> dict[str, str]:
-    """The environment variables of this process, with a PYTHONPATH on which a child process finds this package and PACKAGES."""
-    paths = [str(Path(__file__).parents[2])]
-    for name in PACKAGES:
-        spec = importlib.util.find_spec(name)
-        if spec is not None and spec.submodule_search_locations:
-            paths.append(str(Path(next(iter(spec.submodule_search_locations))).parent))
-    if os.environ.get("PYTHONPATH"):
-        paths.append(os.environ["PYTHONPATH"])
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
+def environment(packages: Mapping[str, Path] | None = None) -> dict[str, str]:
+    """The environment variables of this process, with a PYTHONPATH on which a child process finds this package and those it needs.
+
+    packages: {package: its folder}. Default: where this process finds them.
+    """
+    paths = [ROOT, *(importable() if packages is None else packages).values(), os.environ.get("PYTHONPATH")]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(str(path) for path in paths if path))}
