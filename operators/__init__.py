@@ -24,11 +24,12 @@ from . import (
     spatial_mask,
     view_properties,
     viewport,
+    viewport_wipe,
 )
 
 MODULES = (
     import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
-    active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+    active_camera, command_line, scene_cache, view_properties, viewport_wipe, viewport, overlay, render_engine, spatial_mask, contribution, compare,
 )  # fmt: skip
 
 
