@@ -123,6 +123,7 @@ class Viewport:
         if side.name not in self.panes:
             self.panes[side.name] = Pane()
         pane = self.panes[side.name]
+        assert self.triangles is not None  # see draw()
         placed, camera = pane.place(side), bridge_graph.region_camera(context.region, context.region_data)
         background, transparent = tuple(scene.svrgs_looking.background), scene.render.film_transparent
         key = self.version, side.key, camera.key, background, transparent
