@@ -27,6 +27,7 @@ from . import (
     splat_transforms,
     view_properties,
     viewport,
+    viewport_wipe,
 )
 
 MODULES = (
@@ -56,6 +57,7 @@ MODULES = (
     splat_transforms,
     saved_images,
     frame,
+    viewport_wipe,
 )
 
 

@@ -10,8 +10,9 @@ import bpy
 
 from ..svrgs_addon.errors import SplatError
 from . import bridge, edit_guard, job_result
-from .job import delete_job, file_size
+from .job import delete_job
 from .select import select
+from .splat_size import size_text
 
 
 class SVRGS_OT_apply(bpy.types.Operator):
@@ -48,7 +49,7 @@ class SVRGS_OT_apply(bpy.types.Operator):
             original.hide_viewport = original.hide_render = True
             before = f" of {bridge.count(original):,}"
         select(context, [pruned])
-        self.report({"INFO"}, f"Kept {scene.count:,}{before} Gaussians, {file_size(pruned, scene.count)}")
+        self.report({"INFO"}, f"Kept {scene.count:,}{before} Gaussians, {size_text(pruned, scene.count)}")
         return {"FINISHED"}
 
 

@@ -80,6 +80,12 @@ def scene_from_object(obj: bpy.types.Object) -> Scene:
         return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
 
 
+def sample_scene(obj: bpy.types.Object, rows: int) -> Scene:
+    """A scene of `rows` Gaussians with the columns, comments and order of a splat, without reading it; all values are 1."""
+    numbers = [a.name for a in obj.data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
+    return from_attributes(lambda name: _ones(obj.data, name, rows), numbers, obj.data.get(NOTES, ""))
+
+
 def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
     """(N,) or (N, width) values of an attribute of a splat; None if it has no attribute of that name."""
     return _get(obj.data, name)
@@ -225,10 +231,23 @@ def _get(data, name: str) -> np.ndarray | None:
         return None
     kind = attribute.data_type
     width = WIDTH.get(kind, 1)
-    dtype = bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32  # with another type, foreach_get takes a thousand times as long
-    values = np.empty(len(attribute.data) * width, dtype)
+    values: np.ndarray = np.empty(len(attribute.data) * width, _dtype(kind))
     attribute.data.foreach_get(VALUE.get(kind, "value"), values)
     return values.reshape(-1, width) if width > 1 else values
+
+
+def _dtype(kind: str) -> type:
+    """The type of an attribute's values. With another type, foreach_get takes a thousand times as long."""
+    return bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32
+
+
+def _ones(data, name: str, rows: int) -> np.ndarray | None:
+    """As _get, with `rows` rows of 1."""
+    attribute = _attribute(data, name)
+    if attribute is None:
+        return None
+    width = WIDTH.get(attribute.data_type, 1)
+    return np.ones((rows, width) if width > 1 else rows, _dtype(attribute.data_type))
 
 
 def _attribute(data, name: str):

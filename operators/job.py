@@ -13,13 +13,10 @@ from ..svrgs_addon.errors import FormatError, SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.jobs.job_folder import JobFolder
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, edit_guard
+from . import bridge, edit_guard, goals
 from .job_watch import BUSY, JOBS_FOLDER, WAITING, current, job_of, jobs, link, load_result, start_timer, unlink
 from .native_check import native_problem
-from .option_properties import menu_name
 from .preferences import PACKAGE, threads
-
-BYTES_PER_GAUSSIAN = {0: 68, 1: 104, 2: 164, 3: 248}  # in a file, by SH degree
 
 
 def dataset_of(context) -> tuple[str, str]:
@@ -33,45 +30,15 @@ def dataset_of(context) -> tuple[str, str]:
 
 def options_of(context, obj: bpy.types.Object) -> dict:
     """The settings of the panel as the options of a job."""
-    s, total = context.scene.svrgs_prune, bridge.count(obj)
+    s = context.scene.svrgs_prune
     colmap, images = dataset_of(context)
     options = {
         "colmap": colmap, "images": images, "method": s.method, "iterations": s.iterations, "recovery": s.recovery, "seed": s.seed,
         "threads": threads(context), "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
-    method = METHODS[s.method]
-    if method.lambda_f:
-        options["lambda_f"] = s.lambda_f
-    if method.first_cut:
+    if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
-    targets = {"SHARE": s.share / 100 * total, "COUNT": s.count, "SIZE": s.size * 1e6 / bytes_per_gaussian(obj)}
-    if s.goal in targets:
-        options["target_count"] = min(total, max(1, round(targets[s.goal])))
-    elif s.goal == "DROP":
-        options["max_drop"] = round(s.drop, 4)
-    return options
-
-
-def bytes_per_gaussian(obj: bpy.types.Object) -> int:
-    """Bytes that one Gaussian of the splat takes in a file."""
-    return BYTES_PER_GAUSSIAN[bridge.sh_degree(obj)]
-
-
-def file_size(obj: bpy.types.Object, count: int) -> str:
-    """The size of a file with this many of the splat's Gaussians, as text."""
-    size = count * bytes_per_gaussian(obj)
-    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
-
-
-def goal_problem(settings) -> str:
-    """Why the chosen method cannot reach the chosen goal; empty if it can."""
-    method, learns = METHODS[settings.method], settings.iterations > 0
-    name = menu_name(method)
-    if settings.goal == "LAMBDA" and method.ranks and not method.share:
-        return f"'{name}' only ranks the Gaussians: choose a percentage, a count or a size as the goal"
-    if settings.goal == "DROP" and not (method.supports_max_drop and learns):
-        return f"'{name}' cannot prune to a loss in dB: choose another goal or method" if learns else "A loss as the goal needs iterations: set more than 0"
-    return ""
+    return options | goals.options(s, obj)
 
 
 def start_problem(context) -> str:
@@ -87,7 +54,7 @@ def start_problem(context) -> str:
         return "Resume or discard this splat's job first"
     if not dataset_of(context)[0]:
         return "Choose the dataset of the splat's photographs, or import its cameras"
-    return goal_problem(context.scene.svrgs_prune) or native_problem()
+    return goals.problem(context.scene.svrgs_prune) or native_problem()
 
 
 def new_folder(context, name: str) -> Path:

@@ -6,17 +6,18 @@ All properties are read-only. They are worked out whenever a panel is drawn, and
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.finetune.methods.base import Method
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, edit_guard, estimate, former_methods, job_pictures, job_result
-from .job import dataset_of, file_size, goal_problem
+from . import bridge, edit_guard, estimate, former_methods, goals, job_pictures, job_result
+from .job import dataset_of
 from .job_watch import BUSY, WAITING, current
 from .native_check import native_problem
-from .option_properties import lambda_sentence, method_sentence
+from .option_properties import CHOICES, method_sentence
+from .splat_size import size_text
 
 SILENT_SECONDS = 60.0  # after this time without a sign of life, the panel says so
 WAITING_TEXT = {"paused": "Paused", "cancelled": "Cancelled", "interrupted": "An interrupted job was found", "failed": "The job failed"}
@@ -50,7 +51,7 @@ def sentences(context) -> list[str]:
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
     texts = ["Estimating from some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
-    texts += filter(None, [edit_guard.problem(context, context.object), goal_problem(context.scene.svrgs_prune)])
+    texts += filter(None, [edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
     return texts if dataset_of(context)[0] else [*texts, "Choose the dataset of the splat's photographs, or import its cameras in step 1"]
 
 
@@ -66,15 +67,16 @@ def _of_job(job: Job) -> list[str]:
 
 def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
-    texts = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {file_size(pruned, count)}"]
+    texts = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {size_text(pruned, count)}"]
     if job_result.PSNR in pruned:
         before, after = pruned[job_result.PSNR]
-        texts.append(f"PSNR {before:.2f} → {after:.2f} dB, {kept:,} recovered")
+        elsewhere = "" if count == kept else "; not measured at this setting"
+        texts.append(f"Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB{elsewhere}")
     return [*texts, f"{count - kept:,} more than were recovered: shown as in the original"] if count > kept else texts
 
 
 def _of_applied(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
-    text = f"Pruned to {bridge.count(pruned):,} Gaussians, {file_size(pruned, bridge.count(pruned))}"
+    text = f"Pruned to {bridge.count(pruned):,} Gaussians, {size_text(pruned, bridge.count(pruned))}"
     return [text, f"The original '{original.name}' ({bridge.count(original):,} Gaussians) is hidden"] if original is not None else [text]
 
 
@@ -138,24 +140,20 @@ def _method() -> Method:
 
 
 def _method_help(_) -> str:
-    return method_sentence(_method())
+    method, sentence = _method(), method_sentence(_method())
+    return sentence if method.name in CHOICES.values() else f"{method.label}: {sentence}"
 
 
-def _lambda_help(_) -> str:
-    return lambda_sentence(_method())
+def _goal_help(_) -> str:
+    return goals.sentence(bpy.context.scene.svrgs_prune)
+
+
+def _strength_help(_) -> str:
+    return goals.strength_sentence(bpy.context.scene.svrgs_prune)
 
 
 def _method_renamed(_) -> str:
     return former_methods.sentence_of(bpy.context.scene)
-
-
-def _own_strength(_) -> str:
-    method = _method()
-    return f"Keeps {method.share:.0%} of the Gaussians" if method.share else "" if method.ranks else "The method's own weight decides"
-
-
-def _uses_lambda(_) -> bool:
-    return _method().lambda_f > 0
 
 
 def _subject(_) -> str:
@@ -167,7 +165,7 @@ def _subject(_) -> str:
 
 def _size(_) -> str:
     obj = bpy.context.object
-    return f"{bridge.count(obj):,} Gaussians, {file_size(obj, bridge.count(obj))}" if bridge.is_splat(obj) else ""
+    return f"{bridge.count(obj):,} Gaussians, {size_text(obj, bridge.count(obj))}" if bridge.is_splat(obj) else ""
 
 
 def _marked(_) -> int:
@@ -185,10 +183,9 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     preview: IntProperty(get=_preview)  # icon
     dataset: StringProperty(get=_dataset)
     method_help: StringProperty(get=_method_help)
-    lambda_help: StringProperty(get=_lambda_help)
+    goal_help: StringProperty(get=_goal_help)
+    strength_help: StringProperty(get=_strength_help)  # empty: the method has no λ_F
     method_renamed: StringProperty(get=_method_renamed)
-    uses_lambda: BoolProperty(get=_uses_lambda)
-    own_strength: StringProperty(get=_own_strength)
     size: StringProperty(get=_size)
     marked: IntProperty(get=_marked)  # Gaussians of the active splat that are marked as removed
 

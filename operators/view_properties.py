@@ -6,7 +6,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.render import color_maps
-from . import bridge, comparison_images, mask_image, overlay, splat_transforms, undistort
+from . import bridge, mask_image, overlay, splat_transforms, undistort, viewport_wipe
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
@@ -37,6 +37,10 @@ def _photographs(_) -> str:
     return undistort.status()
 
 
+def _wiping(settings) -> bool:
+    return viewport_wipe.pair(settings.id_data) is not None
+
+
 class SVRGS_PG_view(bpy.types.PropertyGroup):
     about: StringProperty(get=_about, options={"HIDDEN"})  # one line about the active splat; empty if no splat is active
     moved: IntProperty(get=_moved, options={"HIDDEN"})  # Gaussians of the active splat whose points were moved without their shapes
@@ -62,8 +66,9 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
         name="Camera", type=bpy.types.Object, poll=lambda _, obj: obj.type == "CAMERA", description="Camera to compare from. Empty: the scene's camera"
     )
     wipe: FloatProperty(
-        name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=comparison_images.redraw, description="Original on the left, pruned on the right"
+        name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=viewport_wipe.moved, description="Original on the left, pruned on the right"
     )
+    wiping: BoolProperty(get=_wiping, options={"HIDDEN"})  # whether Wipe in Viewport is on
     compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned, between
 
     overlay: BoolProperty(name="Draw Splats", default=True, update=overlay.switch, description="Draw splats in Solid and Material Preview viewports")

@@ -31,7 +31,7 @@ class ComparePanel:  # the base of Panel classes, which have a layout
         row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
         image = bpy.data.images.get(WIPE)
         if image is None or not settings.compare_result:
-            wrapped_label(layout, "Compare draws both from the camera", "INFO")
+            wrapped_label(layout, "Renders original and pruned side by side", "INFO")
             return
         draw_image(layout, image)
         layout.prop(settings, "wipe", slider=True)

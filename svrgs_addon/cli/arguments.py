@@ -45,7 +45,8 @@ def method_list(width: int) -> str:
 
     indent = " " * NAME_WIDTH
     wrapped = (
-        textwrap.wrap(f"  {name:{NAME_WIDTH - 2}}{method.help}", max(width, 2 * NAME_WIDTH), subsequent_indent=indent) for name, method in METHODS.items()
+        textwrap.wrap(f"  {name:{NAME_WIDTH - 2}}{method.label}: {method.help}", max(width, 2 * NAME_WIDTH), subsequent_indent=indent)
+        for name, method in METHODS.items()
     )
     return "methods:\n" + "\n".join(line for lines in wrapped for line in lines)
 

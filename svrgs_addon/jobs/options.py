@@ -80,8 +80,8 @@ class PruneOptions(TuningOptions):
     """Options of `svrgs prune` for one scene."""
 
     method: str = option(TEXT, "pressure", "method that decides which Gaussians are removed, see the list below", metavar="NAME", in_job=True)
-    iterations: int = option(COUNT, PRUNE_ITERATIONS, "number of steps in which the method learns which Gaussians to remove", metavar="N", in_job=True)
-    recovery: int = option(COUNT, RECOVERY, "number of steps after pruning, which recover the quality", metavar="N", in_job=True)
+    iterations: int = option(COUNT, PRUNE_ITERATIONS, "steps spent deciding which Gaussians to remove", metavar="N", in_job=True)
+    recovery: int = option(COUNT, RECOVERY, "steps after pruning, which recover the quality", metavar="N", in_job=True)
     min_contribution: float | None = option(
         SMALL_SHARE, None, "first remove the Gaussians that cover less than this share of every pixel in every training view", metavar="A",
         default_help=f"{MIN_CONTRIBUTION} for methods that learn masks, else 0", in_job=True,

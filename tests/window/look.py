@@ -96,8 +96,9 @@ def see_rendered_viewport(space: bpy.types.SpaceView3D, seen: dict):
     scene, viewport = bpy.context.scene, part("operators.viewport")
     scene.render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
     space.shading.type = "RENDERED"
-    yield from rest(lambda: [view.live for view in viewport._open])
-    seen["rendered"] = [list(view.live.picture().result.shape[:2]) for view in viewport._open]
+    views = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]  # noqa: E731
+    yield from rest(views)
+    seen["rendered"] = [list(live.picture().result.shape[:2]) for live in views()]
     shot("rendered")
 
 
