@@ -143,7 +143,7 @@ def test_a_stopped_batch_can_be_resumed(tiny, tmp_path, number, entry, everyone)
         add_scene(tiny, tmp_path / name)
     command = [sys.executable, *entry, "prune", tmp_path / "a", tmp_path / "b", "--iterations", 3000, "--recovery", 0, "--batch"]
     process = subprocess.Popen([str(word) for word in command], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    assert "press 1/" in process.stderr.readline()
+    assert "prune 1/" in process.stderr.readline()
     os.killpg(process.pid, number) if everyone else process.send_signal(number)
     output, errors = process.communicate(timeout=60)
     assert process.returncode == 130 and "Traceback" not in errors and "***" not in errors, errors
