@@ -3,6 +3,7 @@
 from . import (
     active_camera,
     apply,
+    camera_match,
     command_line,
     compare,
     contribution,
@@ -43,6 +44,7 @@ MODULES = (
     job_watch,
     job,
     apply,
+    camera_match,
     prune_state,
     active_camera,
     command_line,

@@ -273,6 +273,17 @@ def to_file(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
     return _relative(root.matrix_world if root is not None else AXES if obj.get(Y_DOWN, True) else Matrix(), matrix)
 
 
+def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
+    """Puts a splat below a root, or below nothing, where its file's coordinates are those of the root, or y down as after an import."""
+    place = Matrix(to_file(obj, obj.matrix_world))
+    if root is not None:
+        parent_to_root(obj, root)
+        obj.matrix_basis = place
+    else:
+        obj.parent = None
+        obj.matrix_world = (AXES if obj.get(Y_DOWN, True) else Matrix()) @ place
+
+
 def to_world(matrix: Matrix, y_down: bool) -> np.ndarray:
     """(4, 4) float64 from local coordinates to Blender's world, or to the same world with y down. matrix: from them to Blender's world."""
     return _relative(AXES if y_down else Matrix(), matrix)

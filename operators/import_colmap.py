@@ -53,9 +53,10 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        splat = context.object if bridge.is_splat(context.object) else None
+        active = context.object if bridge.is_splat(context.object) else None
         root, cameras = self.add_objects(context, folder.absolute(), photos)
         levelled = level(root, photos.cameras) if self.level else ""
+        splat = active if bridge.root_of(active) == root else None
         select(context, [splat or root])
         if self.frame:
             frame(context, list(root.children_recursive))
@@ -64,7 +65,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
             self.show_photographs(folder, cameras, photos)
         if problems := undistort.problems():
             self.report({"WARNING"}, problems)
-        self.report({"INFO"}, "; ".join(filter(None, [*self.done(context, cameras, photos), levelled])))
+        self.report({"INFO"}, "; ".join(filter(None, [*self.done(context, cameras, photos), joined(active, splat), levelled])))
         return {"FINISHED"}
 
     def done(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> list[str]:
@@ -89,7 +90,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         name = folder.name
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
-        root, points = root_for(context.object, name, collection), []
+        root, points = root_for(context.object, folder, collection), []
         root[bridge.DATASET], root[bridge.IMAGES] = str(folder), self.images
         if self.points and len(photos.points):
             points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
@@ -108,14 +109,22 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
 
-def root_for(obj: bpy.types.Object | None, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
-    """The root above the object; a new root in its place if it is a splat without one; else a new root with z up."""
+def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> str:
+    """What became of the active splat, in words. splat: the one that the cameras were joined to."""
+    if splat is not None:
+        return f"joined to '{splat.name}'"
+    return f"'{active.name}' keeps the cameras of another dataset" if active is not None else ""
+
+
+def root_for(obj: bpy.types.Object | None, folder: Path, collection: bpy.types.Collection) -> bpy.types.Object:
+    """The root above the object, if it has no cameras of another dataset; a new root in its place if it is a splat without one; else a
+    new root with z up."""
     root = bridge.root_of(obj)
-    if root is not None:
+    if root is not None and root.get(bridge.DATASET, str(folder)) == str(folder):
         return root
-    if obj is None or not bridge.is_splat(obj):
-        return bridge.new_root(name, collection)
-    root = bridge.new_root(name, collection, obj.matrix_world)
+    if root is not None or obj is None or not bridge.is_splat(obj):
+        return bridge.new_root(folder.name, collection)
+    root = bridge.new_root(folder.name, collection, obj.matrix_world)
     bridge.parent_to_root(obj, root)
     return root
 

@@ -42,8 +42,10 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
                 self.report({"ERROR" if len(paths) == 1 else "WARNING"}, str(error))
                 continue
             objects.append(self.add(context, path.stem, scene))
+            root = bridge.root_of(objects[-1])
             text = f"{path.name}: {scene.count:,} Gaussians" + f" ({dropped:,} with values that are not finite were left out)" * bool(dropped)
-            texts.append(text + " (3D filter of Mip-Splatting baked in)" * filtered)
+            text += " (3D filter of Mip-Splatting baked in)" * filtered
+            texts.append(text + (f", joined to the cameras of '{root.name}'" if root is not None else ""))
         if not objects:
             return {"CANCELLED"}
         select(context, objects)

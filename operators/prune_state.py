@@ -12,7 +12,7 @@ from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.finetune.methods.base import Method
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, edit_guard, estimate, former_methods, goals, job_pictures, job_result
+from . import bridge, camera_match, edit_guard, estimate, former_methods, goals, job_pictures, job_result
 from .job import dataset_of
 from .job_watch import BUSY, WAITING, current
 from .native_check import native_problem
@@ -51,7 +51,7 @@ def sentences(context) -> list[str]:
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
     texts = ["Estimating from some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
-    texts += filter(None, [edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
+    texts += filter(None, [camera_match.sentence(context), edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
     return texts if dataset_of(context)[0] else [*texts, "Choose the dataset of the splat's photographs, or import its cameras in step 1"]
 
 
