@@ -14,12 +14,11 @@ FILE_NAME = {"win32": "svrgs.dll", "darwin": "libsvrgs.dylib"}.get(sys.platform,
 
 
 def library_path(other_folders: Iterable[Path] = ()) -> Path:
-    """The file of the native library: the one that LIBRARY_VARIABLE names, or the one in this folder, or the first of other_folders.
-
-    Raises NativeError if there is none.
-    """
-    path = Path(os.environ.get(LIBRARY_VARIABLE) or Path(__file__).with_name(FILE_NAME))
-    for found in (path, *(folder / FILE_NAME for folder in other_folders)):
-        if found.exists():
-            return found
-    raise NativeError(f"the native library {path} is missing: run 'make native' in a checkout, or install the extension's zip in Blender")
+    """The file of the native library: the one that LIBRARY_VARIABLE names; without the variable the one in this folder, or else the first
+    in other_folders. Raises NativeError if there is none."""
+    named, own = os.environ.get(LIBRARY_VARIABLE), Path(__file__).with_name(FILE_NAME)
+    paths = [Path(named)] if named else [own, *(folder / FILE_NAME for folder in other_folders)]
+    for path in paths:
+        if path.exists():
+            return path
+    raise NativeError(f"the native library {paths[0]} is missing: run 'make native' in a checkout, or install the extension's zip in Blender")

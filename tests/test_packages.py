@@ -134,12 +134,16 @@ def test_numpy_is_asked_of_the_system(root, monkeypatch):
 
 def test_the_native_library_may_be_that_of_an_extension(tmp_path, monkeypatch):
     monkeypatch.delenv(LIBRARY_VARIABLE, raising=False)
-    assert library_path() == ROOT / "svrgs_addon" / FILE_NAME
-    monkeypatch.setenv(LIBRARY_VARIABLE, str(tmp_path / "gone.so"))
-    with pytest.raises(NativeError, match=r"the native library .*gone.so is missing: run 'make native' in a checkout, or install the extension's zip"):
+    assert library_path([tmp_path]) == ROOT / "svrgs_addon" / FILE_NAME
+    sentence = r"the native library .*{} is missing: run 'make native' in a checkout, or install the extension's zip"
+    monkeypatch.setattr("svrgs_addon.library_path.__file__", str(tmp_path / "checkout/library_path.py"))
+    with pytest.raises(NativeError, match=sentence.format(f"checkout/{FILE_NAME}")):
         library_path([tmp_path])
     (tmp_path / FILE_NAME).touch()
     assert library_path([tmp_path / "none", tmp_path]) == tmp_path / FILE_NAME
+    monkeypatch.setenv(LIBRARY_VARIABLE, str(tmp_path / "gone.so"))
+    with pytest.raises(NativeError, match=sentence.format("gone.so")):
+        library_path([tmp_path])
 
 
 # --- a batch in a Python that has only numpy

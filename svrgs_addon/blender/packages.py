@@ -7,6 +7,7 @@ into the user's cache folder.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import platform
@@ -127,8 +128,9 @@ def _unpacked(wheel: Path) -> Path:
 def _remove_abandoned(cache: Path):
     """Removes what a killed process has not finished. One that still runs needs seconds, not an hour."""
     for folder in cache.glob(f"{UNFINISHED}*"):
-        if time.time() - folder.stat().st_mtime > 3600:
-            shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(OSError):  # its process has just finished it
+            if time.time() - folder.stat().st_mtime > 3600:
+                shutil.rmtree(folder)
 
 
 def _rename(made: Path, folder: Path):
