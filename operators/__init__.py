@@ -15,6 +15,7 @@ from . import (
     job_pictures,
     job_result,
     job_watch,
+    open_image,
     overlay,
     prune,
     prune_settings,
@@ -29,7 +30,7 @@ from . import (
 
 MODULES = (
     import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
-    active_camera, command_line, scene_cache, view_properties, viewport_wipe, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+    active_camera, command_line, scene_cache, view_properties, viewport_wipe, viewport, overlay, render_engine, spatial_mask, contribution, compare, open_image,
 )  # fmt: skip
 
 

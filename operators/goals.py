@@ -25,7 +25,7 @@ class Preset(NamedTuple):
 
 
 PRESETS = {
-    "LIGHT": Preset(0.25, 0.5, "Removes only what the photographs hardly need. Choose it where every detail counts"),
+    "LIGHT": Preset(0.25, 0.5, "Removes only what the photographs hardly need"),
     "BALANCED": Preset(1.0, 0.25, "Much smaller, with almost no visible loss"),
     "SMALL": Preset(4.0, 0.17, "As small as still held up when measured, with a slight loss"),
 }
