@@ -87,6 +87,7 @@ def test_looking_with_the_mouse(drive, tiny, tmp_path):
     assert seen["wipe"] == ["scene", "scene pruned", 2, 2] and abs(seen["moved"][0] - seen["moved"][1]) < 2, (
         "two sides in Solid and in Rendered; the mouse moves the line"
     )
+    assert seen["opened"] == ["SVR-GS Wipe"]
     assert seen["mask"]["camera"] == seen["compare"]["camera"] == seen["camera"] and seen["mask"]["largest"] > seen["mask"]["mean"] > 0
     original, pruned = seen["compare"]["original"], seen["compare"]["pruned"]
     assert (original["count"], pruned["count"]) == (250, 100) and min(original["psnr"], pruned["psnr"]) > 15

@@ -168,6 +168,9 @@ def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     yield from click(COMPARE[0], WIPE)
     yield from until(lambda: not looking.wiping, "the end of the wipe")
     yield from until(lambda: len(overlay_views()) == 1, "one side")
+    bpy.ops.svrgs.open_image(name="SVR-GS Wipe")
+    yield 0.5
+    seen["opened"] = [space.image.name for window in bpy.context.window_manager.windows[1:] for space in [window.screen.areas[0].spaces.active]]
 
 
 def steps():
