@@ -17,6 +17,7 @@ from . import (
     job_pictures,
     job_result,
     job_watch,
+    open_image,
     overlay,
     prune,
     prune_settings,
@@ -60,6 +61,7 @@ MODULES = (
     saved_images,
     frame,
     viewport_wipe,
+    open_image,
 )
 
 

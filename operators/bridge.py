@@ -80,10 +80,10 @@ def scene_from_object(obj: bpy.types.Object) -> Scene:
         return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
 
 
-def sample_scene(obj: bpy.types.Object, rows: int) -> Scene:
-    """A scene of `rows` Gaussians with the columns, comments and order of a splat, without reading it; all values are 1."""
+def sample_scene(obj: bpy.types.Object) -> Scene:
+    """A scene of one Gaussian with the columns, comments and order of a splat, which is not read: all values are 1."""
     numbers = [a.name for a in obj.data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
-    return from_attributes(lambda name: _ones(obj.data, name, rows), numbers, obj.data.get(NOTES, ""))
+    return from_attributes(lambda name: _ones(obj.data, name), numbers, obj.data.get(NOTES, ""))
 
 
 def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
@@ -241,13 +241,13 @@ def _dtype(kind: str) -> type:
     return bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32
 
 
-def _ones(data, name: str, rows: int) -> np.ndarray | None:
-    """As _get, with `rows` rows of 1."""
+def _ones(data, name: str) -> np.ndarray | None:
+    """As _get, with one row of 1."""
     attribute = _attribute(data, name)
     if attribute is None:
         return None
     width = WIDTH.get(attribute.data_type, 1)
-    return np.ones((rows, width) if width > 1 else rows, _dtype(attribute.data_type))
+    return np.ones((1, width) if width > 1 else 1, _dtype(attribute.data_type))
 
 
 def _attribute(data, name: str):

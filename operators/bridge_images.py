@@ -10,7 +10,7 @@ from ..svrgs_addon.files.images import linear_to_srgb
 from ..svrgs_addon.render.passes import SRGB_PRIMARIES
 
 _written: set[str] = set()  # names of images that were written since the file was saved
-PREVIEW = 256  # pixels on the longer side
+PREVIEW = 512  # pixels on the longer side: a wide sidebar shows that many
 
 
 def write_image(name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: bool = False) -> bpy.types.Image:

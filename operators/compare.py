@@ -76,7 +76,7 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
 class SVRGS_OT_compare(bpy.types.Operator):
     bl_idname = "svrgs.compare"
     bl_label = "Compare"
-    bl_description = "Draw the original and the pruned splat from the camera. Measure both against its photograph, if it has one"
+    bl_description = "Render original and pruned splat from the camera, side by side. Measure both against its photograph, if it has one"
     bl_options = {"REGISTER"}
 
     @classmethod

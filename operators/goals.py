@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import bpy
 
-from ..svrgs_addon.finetune.methods import METHODS
+from ..svrgs_addon.finetune.methods import DEFAULT, METHODS
 from ..svrgs_addon.finetune.methods.base import Method
 from . import bridge
 from .splat_size import count_in
@@ -25,7 +25,7 @@ class Preset(NamedTuple):
 
 
 PRESETS = {
-    "LIGHT": Preset(0.25, 0.5, "Removes only what the photographs hardly need. Choose it where every detail counts"),
+    "LIGHT": Preset(0.25, 0.5, "Removes only what the photographs hardly need"),
     "BALANCED": Preset(1.0, 0.25, "Much smaller, with almost no visible loss"),
     "SMALL": Preset(4.0, 0.17, "As small as still held up when measured, with a slight loss"),
 }
@@ -61,13 +61,14 @@ def options(settings, obj: bpy.types.Object) -> dict:
 def sentence(settings) -> str:
     """What the goal means for the chosen method; empty where its property says it all."""
     method, goal = METHODS[settings.method], settings.goal
-    if goal in PRESETS:
-        preset = PRESETS[goal]
-        shares = goal != "BALANCED" or _needs_share(method)
-        return f"Keeps {preset.share:.0%} of the Gaussians" if shares and not method.lambda_f else preset.sentence
-    if goal == "LAMBDA" and not method.lambda_f:
-        return f"Keeps {method.share:.0%} of the Gaussians" if method.share else "" if method.ranks else "The method's own weight decides"
-    return ""
+    preset = PRESETS.get(goal)
+    if preset is None:
+        return _own_amount(method) if goal == "LAMBDA" and not method.lambda_f else ""
+    if method.name == DEFAULT:
+        return preset.sentence
+    if method.lambda_f:
+        return "The default λ_F of this method" if preset.strength == 1 else f"{preset.strength:g} times the default λ_F of this method"
+    return _own_amount(method) if goal == "BALANCED" and not _needs_share(method) else f"Keeps {preset.share:.0%} of the Gaussians"
 
 
 def strength_sentence(settings) -> str:
@@ -89,6 +90,11 @@ def problem(settings) -> str:
     if settings.goal != "DROP" or (method.supports_max_drop and learns):
         return ""
     return f"'{method.label}' cannot prune to a loss in dB: choose another goal or method" if learns else "A loss as the goal needs iterations: set more than 0"
+
+
+def _own_amount(method: Method) -> str:
+    """What a method without λ_F keeps if it is asked for nothing."""
+    return f"Keeps {method.share:.0%} of the Gaussians" if method.share else "" if method.ranks else "The method's own weight decides"
 
 
 def _needs_share(method: Method) -> bool:

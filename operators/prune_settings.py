@@ -55,7 +55,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     )  # fmt: skip
     lambda_f: FloatProperty(
         name="Exact λ_F", get=_get_lambda, set=_set_lambda, min=1e-7, max=1, soft_min=1e-5, soft_max=1e-3, precision=6,
-        description="The goal Strength as a number. A higher λ_F keeps fewer Gaussians",
+        description="The λ_F of the goal Strength, as a number. A higher λ_F keeps fewer Gaussians",
     )  # fmt: skip
     share: FloatProperty(name="Keep", subtype="PERCENTAGE", min=0.1, max=100, default=25, description="Percentage of the Gaussians to keep")
     count: IntProperty(name="Keep", min=1, default=100_000, description="Number of Gaussians to keep")

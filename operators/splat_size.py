@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import bpy
 
-from ..svrgs_addon.files.registry import file_size
+from ..svrgs_addon.files.registry import foreseen_size
 from . import bridge
 
 
 def size_of(obj: bpy.types.Object, count: int) -> int:
-    """Bytes of a file with this many of the splat's Gaussians; right but for a few bytes, which the header takes to say the number."""
-    header, with_one = (file_size(bridge.sample_scene(obj, rows)) for rows in (0, 1))
-    return header + count * (with_one - header)
+    """Bytes of a file with this many of the splat's Gaussians."""
+    return foreseen_size(bridge.sample_scene(obj), count)
 
 
 def size_text(obj: bpy.types.Object, count: int) -> str:

@@ -9,7 +9,7 @@ from .wrapped_label import wrapped_label
 PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
 GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # goal -> its property; the strength has rows of its own
 ADVANCED = (
-    "method", "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder",
+    "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder",
 )  # fmt: skip
 ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK", "APPLIED": "CHECKMARK"}  # stage -> icon of the first sentence
 
@@ -56,6 +56,7 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
     def draw(self, context):
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
+        column.prop(context.scene.svrgs_prune, "method", text="All Methods")
         for name in ADVANCED:
             column.prop(context.scene.svrgs_prune, name)
 

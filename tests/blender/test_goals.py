@@ -36,8 +36,20 @@ def test_the_plain_goals_are_multiples_of_the_default_strength_or_shares(splat, 
         set_up({"method": method, "goal": goal})
         assert options(splat) == pytest.approx(wanted)
         assert bpy.ops.svrgs.job_start.poll()
-        said = " ".join(drawn("prune").split())
-        assert ("Keeps" in said) == ("target_count" in wanted) and "amount" not in said
+        assert ("Keeps" in drawn("prune")) == ("target_count" in wanted or method == "gns") and "amount" not in drawn("prune")
+
+
+@pytest.mark.parametrize(
+    "method, goal, sentence",
+    [
+        ("pressure", "BALANCED", "almost no visible loss"), ("svr", "BALANCED", "The default λ_F of this method"),
+        ("svr", "LIGHT", "0.25 times the default λ_F of this method"), ("gns", "BALANCED", "Keeps 25% of the Gaussians"),
+        ("maskgs", "BALANCED", "The method's own weight decides"), ("maskgs", "SMALL", "Keeps 17% of the Gaussians"),
+    ],
+)  # fmt: skip
+def test_the_panel_promises_only_what_was_measured(splat, method, goal, sentence):
+    set_up({"method": method, "goal": goal})
+    assert sentence in " ".join(drawn("prune").split())
 
 
 def test_balanced_is_what_the_default_strength_is(splat):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import bpy
 import pytest
 from extension import DATA, part
-from job_helpers import LONG, SHORT, drawn, follow, set_up
+from job_helpers import LONG, SHORT, Layout, drawn, follow, set_up
 
 RENAMED = [  # number in the menu, name now, sentence
     (0, "pressure", "Method 'svr' of this file is called 'Recommended' now ('pressure' on the command line)"),
@@ -62,6 +63,15 @@ def test_the_short_menu_shows_and_sets_the_method(splat):
     settings.method_choice = "OTHER"
     assert settings.method == "pup", "a method that was chosen already stays"
     assert "PUP 3D-GS: Removes, in one cut" in " ".join(drawn("prune").split())
+
+
+def test_all_methods_are_under_advanced_with_words_that_explain_themselves(splat):
+    layout, panel = Layout(), part("panels.prune").SVRGS_PT_prune_advanced
+    panel.draw(SimpleNamespace(layout=layout), bpy.context)
+    assert "All Methods" in layout.text and panel.poll(bpy.context)
+    settings = bpy.context.scene.svrgs_prune.bl_rna.properties
+    assert (settings["holdout"].name, settings["min_contribution"].name) == ("Hold Out Every Nth Photo", "Drop Below")
+    assert settings["iterations"].description == "Steps spent deciding which Gaussians to remove"
 
 
 @pytest.mark.parametrize("name", ["pressure", "svr"])

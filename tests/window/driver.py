@@ -36,6 +36,21 @@ def click(x: int, y: int, **modifiers: bool) -> Iterator[float]:
     yield 0.2
 
 
+def drag(x: int, y: int, to_x: int, to_y: int) -> Iterator[float]:
+    """Left drag in ten moves."""
+    window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x - 5, y=SIZE[1] - y)
+    yield 0.2
+    window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x, y=SIZE[1] - y)
+    yield 0.2
+    window().event_simulate(type="LEFTMOUSE", value="PRESS", x=x, y=SIZE[1] - y)
+    for step in range(1, 11):
+        yield 0.1
+        window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x + (to_x - x) * step // 10, y=SIZE[1] - (y + (to_y - y) * step // 10))
+    yield 0.2
+    window().event_simulate(type="LEFTMOUSE", value="RELEASE", x=to_x, y=SIZE[1] - to_y)
+    yield 0.3
+
+
 def key(letter: str, x: int, y: int, **modifiers: bool) -> Iterator[float]:
     """A key, with the pointer over (x, y)."""
     window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x, y=SIZE[1] - y)

@@ -15,7 +15,7 @@ from driver import DATA, OUT, click, key, shot, until
 
 PACKAGE = "bl_ext.user_default.svrgs"
 LEFT, RIGHT = 842, 961  # the two buttons of a row
-START, PAUSE, RESUME, APPLY = 468, 526, 507, 370  # heights of these rows
+START, PAUSE, RESUME, APPLY = 406, 526, 507, 391  # heights of these rows
 VIEW = (400, 700)  # somewhere in the 3D view
 
 

@@ -39,7 +39,7 @@ class MaskGS(Masked):
 LIKE_BETA = "when pruning, the same as MaskGaussian; in training, "
 
 METHODS = (
-    MaskGS("maskgs", "learns for each Gaussian the probability that it exists and penalises the mean of all masks", 7, "MaskGaussian"),
+    MaskGS("maskgs", "learns the probability that each Gaussian exists and penalises the mean of all", 7, "MaskGaussian"),
     MaskGS(
         "maskgs-alpha", LIKE_BETA + "schedule alpha: a strong penalty from 19/30 to 20/30 of the steps", 8, "MaskGaussian Alpha",
         lambda_m=0.1, window=(19 / 30, 20 / 30),

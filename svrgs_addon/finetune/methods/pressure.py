@@ -70,4 +70,4 @@ def _with_dropout(phases: list[Phase]) -> list[Phase]:
     return [replace(phase, dropout=DROPOUT) if phase.name == "recover" else phase for phase in phases]
 
 
-METHODS = (Pressure("pressure", "fades out the Gaussians that the photographs need least, while others take over, and removes them", 0, "Recommended"),)
+METHODS = (Pressure("pressure", "fades out and removes the Gaussians that the photographs need least", 0, "Recommended"),)

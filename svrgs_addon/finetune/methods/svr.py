@@ -21,7 +21,7 @@ class SVR(Masked):
     lambda_f_help: str = field(default=WEIGHT, repr=False)
 
 
-SVR_GS = SVR("svr", "learns for each Gaussian the probability that it exists and penalises the spatial mask F, as in the paper", 1, "SVR-GS (paper)")
+SVR_GS = SVR("svr", "learns the probability that each Gaussian exists and penalises the spatial mask F, as in the paper", 1, "SVR-GS (paper)")
 
 # The printed settings of the paper to the letter: L1 + (1 - SSIM) with weights 1 and 1, exact gradient, F along the whole ray,
 # lambda_F = 1e-4 in every step, no first cut. Pruning events of 10 samples, at each densification and every 1000 steps after it, are the
