@@ -16,6 +16,7 @@ TILE = 256  # side of a tile, pixels
 T = TypeVar("T")
 Window = tuple[slice, slice]  # rows and columns
 
+
 def image_pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Both images as float32 (H, W, 3). Raises SceneError if their shapes differ or a value is not finite."""
     a, b = np.asarray(a, np.float32), np.asarray(b, np.float32)
@@ -34,7 +35,7 @@ def over_tiles(work: Callable[[Window, Window], T], shape: tuple[int, ...], marg
     the outer rows and columns. Filters with a radius of at most `margin` are right on the inner pixels.
     """
     with ThreadPoolExecutor(threads()) as pool:
-        return list(pool.map(lambda tile: work(*tile), _tiles(*shape[:2], margin)))
+        return list(pool.map(lambda tile: work(*tile), _tiles(shape[0], shape[1], margin)))
 
 
 def _tiles(height: int, width: int, margin: int) -> Iterator[tuple[Window, Window]]:
