@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
 import numpy as np
+
+from .errors import SceneError
 
 
 @dataclass(frozen=True)
@@ -76,3 +79,12 @@ def view_stem(name: str) -> str:
     """The image name without its extension. Folders are kept. A suffix that is a number, as in 'frame.0001', is no extension and is kept."""
     path = PurePosixPath(name)
     return str(path if path.suffix[1:].isdecimal() else path.with_suffix(""))
+
+
+def refuse_same_stems(cameras: Iterable[Camera], advice: str):
+    """Raises SceneError if the files of one view, which are named after its stem, would replace those of another. advice: what to do."""
+    by_stem: dict[str, Camera] = {}
+    for camera in cameras:
+        other = by_stem.setdefault(view_stem(camera.name), camera)
+        if other is not camera:
+            raise SceneError(f"views '{other.name}' and '{camera.name}' would be written to the same files; {advice}")

@@ -77,9 +77,9 @@ def _threads(command: argparse.ArgumentParser):
     _add(command, "threads", options_of(DatasetOptions)["threads"], 0)
 
 
-def _options(command: argparse.ArgumentParser, cls: type, **required: bool):
-    """Adds every option of the dataclass to the command. required: whether an option must be given, if its field says otherwise."""
-    options = options_of(cls)
+def _options(command: argparse.ArgumentParser, cls: type, leave_out: tuple[str, ...] = (), **required: bool):
+    """Adds the options of the dataclass to the command. required: whether an option must be given, if its field says otherwise."""
+    options = {name: option for name, option in options_of(cls).items() if name not in leave_out}
     size = command.add_mutually_exclusive_group() if any(option.size for option in options.values()) else None  # Python 3.11: never an empty group
     for name, option in options.items():
         _add(size if size is not None and option.size else command, name, option, default_of(cls, name), required.get(name, option.required))
@@ -153,7 +153,7 @@ def _prune(commands):
 def _eval(commands):
     command = _command(commands, "eval", "Measures the quality of a scene on photographs: PSNR, SSIM, LPIPS, FLIP.")
     command.add_argument("scene", type=Path, help="splat file")
-    _options(command, DatasetOptions)
+    _options(command, DatasetOptions, leave_out=("image_memory",))  # it reads each photograph once
     command.add_argument("--split", choices=("test", "train", "all"), default="test", help="views to measure on (default: test)")
 
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .. import memory
 from ..errors import Cancelled
 from ..exit_status import STOPPED, plain
 from ..files import registry
@@ -83,10 +84,13 @@ def evaluate(words: Words) -> int:
 
     _set_threads(words)
     scene = registry.load_scene(words.scene).scene
-    dataset = dataset_of(options_from(DatasetOptions, words))
+    dataset = dataset_of(options_from(DatasetOptions, words, image_memory=0.0))  # each photograph is read once
     refuse_unseen(scene, dataset.cameras, str(words.scene))
     lpips, reason = load_lpips(words.lpips_weights)
-    result = measure(scene, dataset, split_indices(dataset, words.split), Rasterizer(), lpips)
+    views = split_indices(dataset, words.split)
+    cameras = [dataset.cameras[i] for i in views]
+    memory.refuse_excess(f"{words.scene}: measuring it", memory.measuring(scene.count, cameras, dataset.memory_budget, lpips is not None))
+    result = measure(scene, dataset, views, Rasterizer(), lpips)
     result |= {"bytes": words.scene.stat().st_size, "notes": list(dataset.notes)}
     return _print(result, words, _figures(result, reason))
 

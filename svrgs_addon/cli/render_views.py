@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import memory
-from ..camera import Camera, view_stem
+from ..camera import Camera, refuse_same_stems, view_stem
 from ..errors import SceneError
 from ..files.atomic import atomic_write, check_writable
 from ..files.images import write_image
@@ -26,7 +26,7 @@ def render_views(options: argparse.Namespace) -> list[Path]:
     check_writable(options.out / "view.png")
     scene = load_scene(options.scene).scene
     chosen = choose(_cameras(options), options.views)
-    refuse_same_names(chosen)
+    refuse_same_stems(chosen, "render them one at a time, into separate folders")
     largest = max(chosen, key=lambda camera: camera.width * camera.height)
     memory.refuse_excess(f"{options.scene}: rendering it", memory.rendering(scene.count, largest.width, largest.height))
     rasterizer = Rasterizer()
@@ -72,15 +72,6 @@ def choose(cameras: list[Camera], views: str) -> list[Camera]:
         else:
             raise SceneError(f"there is no view '{part}'; views have names such as '{cameras[0].name}' and numbers 0 to {len(cameras) - 1}")
     return chosen
-
-
-def refuse_same_names(cameras: list[Camera]):
-    """Raises SceneError if the files of one view would replace those of another."""
-    by_stem: dict[str, Camera] = {}
-    for camera in cameras:
-        other = by_stem.setdefault(view_stem(camera.name), camera)
-        if other is not camera:
-            raise SceneError(f"views '{other.name}' and '{camera.name}' would be written to the same files; render them one at a time, into separate folders")
 
 
 def _save(folder: Path, camera: Camera, output: str, image: np.ndarray, extension: str) -> Path:

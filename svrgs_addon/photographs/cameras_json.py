@@ -36,6 +36,8 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
 
 def _read_entries(path: str | os.PathLike) -> list:
     """The entries of the file, unchecked. Raises FormatError if it is not a JSON list with at least one entry."""
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe would wait for ever
+        raise FormatError(f"{path}: is not a regular file; give a cameras.json of 3DGS")
     try:
         if os.path.getsize(path) > MAX_BYTES:
             raise FormatError(f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it is not a cameras.json of 3DGS")

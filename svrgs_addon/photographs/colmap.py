@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import os
 import signal
 import sys
 import tempfile
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .. import packages
 from ..camera import Camera
 from ..errors import FormatError, SceneError
 from ..files.images import MAX_SIDE
@@ -101,22 +103,25 @@ def undistort_image(pixels: np.ndarray, distorted: pycolmap.Camera) -> np.ndarra
 
 
 def check_name(name: str) -> None:
-    """Raises FormatError if an image name leads out of the image folder, on POSIX or on Windows."""
+    """Raises FormatError if an image name leads out of the image folder, on POSIX or on Windows, or cannot be the name of a file."""
+    try:
+        possible = b"\0" not in os.fsencode(name)
+    except UnicodeEncodeError:  # half of a pair of surrogates
+        possible = False
+    if not possible:
+        raise FormatError(f"image name {name!r} cannot be the name of a file")
     for path in (PurePosixPath(name), PureWindowsPath(name)):
         if not path.name or path.anchor or ".." in path.parts:
             raise FormatError(f"image name {name!r} does not stay inside the image folder")
 
 
 def import_pycolmap() -> ModuleType:
-    """pycolmap. Raises SceneError if it is not installed. The handler of SIGTERM stays as it was."""
+    """pycolmap. Raises SceneError if it is not installed, NativeError if it cannot be loaded. The handler of SIGTERM stays as it was."""
     before = None if "pycolmap" in sys.modules else signal.getsignal(signal.SIGTERM)
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise SceneError(f"reading COLMAP models needs the package pycolmap: run {sys.executable} -m pip install pycolmap") from error
+    library = packages.load("pycolmap", "reading COLMAP models")
     if before is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, before)  # the import installs a handler that prints a stack trace
-    return pycolmap
+    return library
 
 
 def _convert(reconstruction: pycolmap.Reconstruction) -> Model:
