@@ -25,6 +25,10 @@ def window() -> bpy.types.Window:
     return bpy.context.window_manager.windows[0]
 
 
+def area(kind: str) -> bpy.types.Area:
+    return next(area for area in window().screen.areas if area.type == kind)
+
+
 def click(x: int, y: int, **modifiers: bool) -> Iterator[float]:
     """Left click."""
     for dx in (-9, -3, 0):
@@ -71,9 +75,8 @@ def until(condition: Callable[[], object], what: str, seconds: float = 30) -> It
 
 def sidebar(tab: str) -> Iterator[float]:
     """Opens the 3D view's sidebar at a tab."""
-    area = next(area for area in window().screen.areas if area.type == "VIEW_3D")
-    area.spaces.active.show_region_ui = True
-    region = next(region for region in area.regions if region.type == "UI")
+    area("VIEW_3D").spaces.active.show_region_ui = True
+    region = next(region for region in area("VIEW_3D").regions if region.type == "UI")
 
     def there() -> bool:  # tabs exist once the sidebar has been drawn
         region.tag_redraw()

@@ -18,7 +18,7 @@ import bpy
 import driver
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-from driver import DATA, OUT, click, drag, key, shot, until
+from driver import DATA, OUT, area, click, drag, key, shot, until
 from mathutils import Vector
 
 PACKAGE = "bl_ext.user_default.svrgs"
@@ -30,10 +30,6 @@ COMPARE_HEADER, COMPARE = (820, 153), (842, 279)
 
 def part(name: str):
     return importlib.import_module(f"{PACKAGE}.{name}")
-
-
-def area(kind: str) -> bpy.types.Area:
-    return next(area for area in driver.window().screen.areas if area.type == kind)
 
 
 def apart(space: bpy.types.SpaceView3D) -> float:
