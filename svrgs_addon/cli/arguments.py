@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..exit_status import printable
 from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions
 from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_of
 from ..outputs import PICTURES
@@ -26,17 +27,13 @@ class Parser(argparse.ArgumentParser):
     """A parser whose errors are one sentence on stderr, and whose help lists the methods if it has the option --method."""
 
     def error(self, message: str):
-        self.exit(2, f"{self.prog}: {message}\n")
+        self.exit(2, f"{self.prog}: {printable(message)}\n")
 
     def format_help(self) -> str:
         if any(action.dest == "method" for action in self._actions):
             self.formatter_class = argparse.RawDescriptionHelpFormatter  # keeps the lines of the list
             self.epilog = method_list(shutil.get_terminal_size().columns - 2)
         return super().format_help()
-
-    def _print_message(self, message: str, file: Any = None):
-        encoding = getattr(file, "encoding", None) or "utf-8"  # of a pipe, it may lack letters such as λ
-        super()._print_message(message.encode(encoding, "replace").decode(encoding), file)
 
 
 def method_list(width: int) -> str:
