@@ -58,7 +58,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         levelled = level(root, photos.cameras) if self.level else ""
         select(context, [splat or root])
         if self.frame:
-            frame(context, list(root.children_recursive))
+            frame(context, [splat or root])
         undistort.begin(photos.warnings)
         if self.photographs:
             self.show_photographs(folder, cameras, photos)
