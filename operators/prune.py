@@ -28,7 +28,9 @@ class SVRGS_OT_prune(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     scene: StringProperty(name="Scene", subtype="FILE_PATH", description="Splat file to prune. Empty: the active splat")
-    colmap: option_property("colmap", name="Dataset", description="COLMAP dataset: photographs and model. Empty: the dataset of the imported cameras")
+    colmap: option_property(
+        "colmap", name="Dataset", description="Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported cameras"
+    )
     images: option_property("images")
     out: StringProperty(name="Output", subtype="FILE_PATH", description="File for the pruned splat, which is also added to the scene. Empty: no file")
     report_folder: StringProperty(name="Report", subtype="DIR_PATH", description="Folder for an HTML report. Empty: no report")
