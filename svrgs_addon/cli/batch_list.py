@@ -95,9 +95,9 @@ def _splats(folder: Path, pattern: str) -> list[Path]:
 
 
 def _dataset(scene: Path) -> Path | None:
-    """The nearest of the three folders above the splat that holds a COLMAP model; None if none does."""
+    """The nearest of the three folders above the splat that holds a COLMAP model or transforms.json; None if none does."""
     for folder in list(scene.absolute().parents)[:3]:
-        if (folder / "sparse").is_dir() or any((folder / f"cameras{suffix}").exists() for suffix in (".bin", ".txt")):
+        if (folder / "sparse").is_dir() or any((folder / name).exists() for name in ("cameras.bin", "cameras.txt", "transforms.json")):
             return folder
     return None
 
