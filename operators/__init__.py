@@ -23,6 +23,7 @@ from . import (
     render_engine,
     scene_cache,
     spatial_mask,
+    train,
     view_properties,
     viewport,
 )
@@ -30,6 +31,7 @@ from . import (
 MODULES = (
     import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
     frame, active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+    train,
 )  # fmt: skip
 
 

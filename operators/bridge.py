@@ -32,6 +32,7 @@ NOTES = "svrgs"  # property of a splat's data-block: types and order of further 
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
 ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
 DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: folder of its dataset, name of the image folder in it
+POINTS = "svrgs_points"  # property of a root: number of sparse points in its dataset
 TYPES = ("MESH", "POINTCLOUD")
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
