@@ -27,6 +27,7 @@ from . import (
     scene_cache,
     spatial_mask,
     splat_transforms,
+    train,
     view_properties,
     viewport,
     viewport_wipe,
@@ -62,6 +63,7 @@ MODULES = (
     frame,
     viewport_wipe,
     open_image,
+    train,
 )
 
 

@@ -94,6 +94,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         context.collection.children.link(collection)
         root, points = root_for(context.object, folder, collection), []
         root[bridge.DATASET], root[bridge.IMAGES] = str(folder), self.images
+        root[bridge.POINTS] = len(photos.points)
         if self.points and len(photos.points):
             points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
         cameras = [_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras]

@@ -67,7 +67,7 @@ class TrainOptions(TuningOptions):
     """Options of `svrgs train`."""
 
     method: str = option(TEXT, "3dgs", "method that prunes while training, see the list below", metavar="NAME")
-    iterations: int = option(COUNT, ITERATIONS, "number of training steps", metavar="N")
+    iterations: int = option(COUNT, ITERATIONS, "number of training steps", metavar="N", in_job=True)
     recovery: int | None = option(
         COUNT, None, "number of recovery steps after the training steps", metavar="N", default_help=f"{RECOVERY} for methods that prune, else 0"
     )
