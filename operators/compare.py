@@ -164,7 +164,7 @@ def _has_camera(cls, context) -> bool:
 
 @persistent
 def _forget_lost_images(*_):
-    """Images that were not packed are not saved with the file. Their figures are removed, too."""
+    """Images may have been deleted. Their figures are removed, too."""
     if any(bridge_images.is_lost(name) for name in (comparison_images.ORIGINAL, comparison_images.PRUNED, comparison_images.WIPE)):
         for scene in bpy.data.scenes:
             scene.svrgs_looking.compare_result = ""

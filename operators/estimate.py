@@ -53,6 +53,7 @@ def sentences(obj: bpy.types.Object) -> list[str]:
         f"{size_text(obj, count)} → about {size_text(obj, kept)}",
         f"{found['invisible']:,} invisible, {found['unseen']:,} outside the {found['views']} sampled photographs" + faint,
         f"About {minutes:.0f} min {speed}" if minutes >= 1 else f"Less than a minute {speed}",
+        *found["notes"],
     ]
 
 

@@ -109,7 +109,7 @@ class Overlay:
             return
         try:
             camera = bridge_graph.region_camera(context.region, context.region_data)
-            sides = viewport_wipe.sides(context.scene, viewport_wipe.shown(bridge_graph.splats_in_view(context)))
+            sides = viewport_wipe.sides(context.scene, viewport_wipe.shown(bridge_graph.splats_in_view(context), settings.overlay_shown))
             self.clouds = {side.name: self.cloud_of(side, settings) for side in sides if side.shown}
             self.close_views(context.region)
             depth = bridge_gpu.scene_depth(context.region.width, context.region.height) if self.clouds else None
@@ -134,7 +134,7 @@ class Overlay:
         if known is not None and known.key == key:
             return known
         placed = bridge_graph.placed([(part.scene, part.matrix) for part in side.shown])
-        values = [part.values(settings.overlay_shown) for part in side.shown]
+        values = [part.values for part in side.shown]
         return Cloud(key, placed, painted(placed.scene, values), settings.overlay_moving)
 
     def view_of(self, region: bpy.types.Region, side: str) -> View:

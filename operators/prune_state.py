@@ -12,7 +12,7 @@ from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.finetune.methods.base import Method
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, edit_guard, estimate, former_methods, goals, job_pictures, job_result
+from . import bridge, camera_match, edit_guard, estimate, former_methods, goals, job_pictures, job_result
 from .job import dataset_of
 from .job_watch import BUSY, WAITING, current
 from .native_check import native_problem
@@ -51,14 +51,14 @@ def sentences(context) -> list[str]:
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
     texts = ["Estimating from some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
-    texts += filter(None, [edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
+    texts += filter(None, [camera_match.sentence(context), edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
     return texts if dataset_of(context)[0] else [*texts, "Choose the dataset of the splat's photographs, or import its cameras in step 1"]
 
 
 def _of_job(job: Job) -> list[str]:
     if job.state in BUSY:
         silent = [f"No sign of life for {job.seconds_silent:.0f} s: Cancel ends the job"] if job.seconds_silent > SILENT_SECONDS else []
-        return [job.facts.get("text") or "Working", *_figures(job.facts), *silent]
+        return [job.facts.get("text") or "Working", *_figures(job.facts), *filter(None, [job.facts.get("note")]), *silent]
     if job.state not in WAITING:
         return ["A finished job was found: load its result, or discard it and prune again"]
     progress = f" at {_progress_share(job.facts):.0%}" if job.facts.get("total") else ""

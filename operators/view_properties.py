@@ -6,7 +6,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.render import color_maps
-from . import bridge, mask_image, overlay, undistort, viewport_wipe
+from . import bridge, camera_match, mask_image, overlay, splat_transforms, undistort, viewport_wipe
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
@@ -25,6 +25,18 @@ def _about(_) -> str:
     return f"{bridge.count(obj):,} Gaussians, SH degree {bridge.sh_degree(obj)}" if bridge.is_splat(obj) else ""
 
 
+def _moved(_) -> int:
+    return splat_transforms.moved_count(bpy.context.object)
+
+
+def _cameras(_) -> str:
+    return camera_match.cameras_of(bpy.context.object)
+
+
+def _roots(_) -> str:
+    return "\n".join(camera_match.roots(bpy.context.scene))
+
+
 def _is_splat(_, obj) -> bool:  # not a lambda below: Blender evaluates annotations where `bridge` is unknown
     return bridge.is_splat(obj)
 
@@ -39,6 +51,9 @@ def _wiping(settings) -> bool:
 
 class SVRGS_PG_view(bpy.types.PropertyGroup):
     about: StringProperty(get=_about, options={"HIDDEN"})  # one line about the active splat; empty if no splat is active
+    moved: IntProperty(get=_moved, options={"HIDDEN"})  # Gaussians of the active splat whose points were moved without their shapes
+    cameras: StringProperty(get=_cameras, options={"HIDDEN"})  # the cameras of the active splat in words; empty if it has none
+    roots: StringProperty(get=_roots, options={"HIDDEN"})  # names of the empties above imported cameras, one a line
     photographs: StringProperty(get=_photographs, options={"HIDDEN"})  # status of undistorting photographs; mostly empty
     background: FloatVectorProperty(
         name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="Colour behind the Gaussians. Black, as in training"

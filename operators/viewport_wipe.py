@@ -6,9 +6,8 @@ SVR-GS (viewport.py). They ask sides() what to draw. The line is a gizmo, which 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import blf
@@ -39,7 +38,7 @@ class Shown:
     key: object  # changes when the Gaussians change
     scene: Scene
     matrix: Matrix  # to Blender's world
-    values: Callable[[str], Any]  # (N,) values of an attribute by name, or None; to be called before Blender draws again
+    values: Any = None  # (N,) values of an attribute that colours show; None: there is none
 
 
 @dataclass(frozen=True)
@@ -55,11 +54,13 @@ class Side:
         return tuple((part.key, tuple(map(tuple, part.matrix))) for part in self.shown)
 
 
-def shown(found: list[tuple[bpy.types.Object, Matrix]]) -> list[Shown]:
-    """Evaluated splats with their matrices, as a viewport shows them."""
-    return [
-        Shown(obj.original.session_uid, scene_cache.number(obj), scene_cache.read(obj), matrix, partial(scene_cache.read_values, obj)) for obj, matrix in found
-    ]
+def shown(found: Iterable[tuple[bpy.types.Object, Matrix]], name: str = "") -> list[Shown]:
+    """Evaluated splats with their matrices, as a viewport shows them. name: of an attribute that their colours show."""
+    parts = []
+    for obj, matrix in found:
+        values = scene_cache.read_values(obj, name) if name else None
+        parts.append(Shown(obj.original.session_uid, scene_cache.number(obj), scene_cache.read(obj), matrix, values))
+    return parts
 
 
 def sides(scene: bpy.types.Scene, found: list[Shown]) -> list[Side]:
@@ -69,7 +70,7 @@ def sides(scene: bpy.types.Scene, found: list[Shown]) -> list[Side]:
     if chosen is None or place is None:
         return [Side("", (0.0, 1.0), found)]
     original, pruned = chosen
-    whole = Shown(_pair[0], ("whole", scene_cache.number(original, whole=True)), scene_cache.read(original, whole=True), place, lambda _: None)
+    whole = Shown(_pair[0], ("whole", scene_cache.number(original, whole=True)), scene_cache.read(original, whole=True), place)
     key = tuple(scene_cache.number(obj, whole=True) for obj in chosen)
     if key not in _pruned:
         _pruned.clear()

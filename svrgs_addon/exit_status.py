@@ -6,6 +6,7 @@ Exit status 0: done. 1: failure of the program or the system. 2: wrong usage or 
 from __future__ import annotations
 
 import json
+import logging
 import math
 import sys
 from collections.abc import Callable
@@ -41,6 +42,7 @@ def answer(work: Callable[[dict], dict]) -> int:
 
     An expected error is printed as {"error": sentence}. Returns the exit status.
     """
+    logging.basicConfig(format="svrgs: %(message)s", level=logging.WARNING)
     request, result = json.load(sys.stdin), {}
 
     def run() -> int:

@@ -97,10 +97,12 @@ def _dataset(scene: Path) -> Path | None:
 
 
 def _output(name: str, scene: Path, folder: Path | None) -> Path:
-    suffix = registry.suffixes(written=True)[0]
-    if folder is not None:
-        return folder / f"{name}{suffix}"
-    out = scene.with_name(f"{scene.stem}{PRUNED}{suffix}")
+    return default_output(scene) if folder is None else folder / f"{name}{registry.suffixes(written=True)[0]}"
+
+
+def default_output(scene: Path, option: str = "--out") -> Path:
+    """SCENE_pruned.ply beside the scene. Raises SceneError if that is a link. option: what names another output, for the sentence."""
+    out = scene.with_name(f"{scene.stem}{PRUNED}{registry.suffixes(written=True)[0]}")
     if out.is_symlink():  # a downloaded dataset must not lead outputs to another place
-        raise SceneError(f"{out}: is a link to {out.readlink()}; name the output with --out")
+        raise SceneError(f"{out}: is a link to {out.readlink()}; name the output with {option}")
     return out

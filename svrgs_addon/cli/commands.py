@@ -87,7 +87,7 @@ def evaluate(words: Words) -> int:
     refuse_unseen(scene, dataset.cameras, str(words.scene))
     lpips, reason = load_lpips(words.lpips_weights)
     result = measure(scene, dataset, split_indices(dataset, words.split), Rasterizer(), lpips)
-    result["bytes"] = words.scene.stat().st_size
+    result |= {"bytes": words.scene.stat().st_size, "notes": list(dataset.notes)}
     return _print(result, words, _figures(result, reason))
 
 

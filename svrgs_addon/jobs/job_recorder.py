@@ -49,6 +49,8 @@ class JobRecorder:
         rows = [row for row in zip(*(old[name] for name in METRICS), strict=True) if row[0] <= run.iteration]
         self._metrics = [",".join(METRICS), *map(_line, rows)]
         self._write_metrics()
+        if run.dataset.notes:
+            self.listener.tell("STATUS", note=" ".join(run.dataset.notes))
 
     def observe(self, progress: loop.Progress):
         run, curves = self.run, self.run.curves

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
 import time
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from ..finetune.model import Model, scene_from_points
 from ..finetune.plan import Plan
 from ..finetune.run import Run
 from ..metrics.evaluate import evaluate, mean_psnr, refuse_unseen, render_options
+from ..metrics.explained import mismatch_of
 from ..native import Rasterizer, RenderOptions
 from ..photographs.dataset import Dataset
 from ..report.prune_report import report_pictures, write_prune_report
@@ -70,6 +72,7 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> d
         refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset)
     with clock.phase("evaluate before"):
         before = measured(source, dataset, job, scene_path)
+        note_mismatch(source, dataset)
         pictures = report_pictures(source, dataset) if job.report else []
     with clock.phase("first cut"):
         model = Model.of(first_cut(source, dataset, plan), copy=False)
@@ -129,6 +132,13 @@ def check_request(dataset: Dataset, plan: Plan):
 def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
     """Raises SceneError if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH coefficients per channel."""
     memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget))
+
+
+def note_mismatch(scene: Scene, dataset: Dataset):
+    """Warns, and notes in the dataset, if the scene explains little of the photographs."""
+    if sentence := mismatch_of(scene, dataset):
+        logging.warning("%s", sentence)
+        dataset.notes = (*dataset.notes, sentence)
 
 
 def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
@@ -253,5 +263,6 @@ def run_facts(run: Run, job: JobContext, clock: Clock) -> dict:
         "nonfinite_gradients": run.nonfinite,
         "densifications_held_back": run.held_back,
         "seed": plan.seed,
+        "notes": list(run.dataset.notes),
         "curves": vars(run.curves),
     }

@@ -6,6 +6,7 @@ Photographs are read on demand, cached up to a memory budget, and can be read ah
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 import threading
 from collections import deque
@@ -34,6 +35,7 @@ MEMORY_BUDGET = 4 * 2**30  # bytes of cached photographs
 READ_AHEAD = 3  # photographs
 READER_THREADS = 2
 MISSING_SHOWN = 3  # names of missing photographs in a message
+LEAST_PRESENT = 1 / 3  # share of the photographs that must be there
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Photo:
 class Dataset:
     """Views in the order of image names, with pinhole cameras for the undistorted and scaled photographs, and sparse points.
 
-    Coordinates are those of the COLMAP world.
+    Views whose photograph is missing are left out; `notes` says so. Coordinates are those of the COLMAP world.
     """
 
     cameras: list[Camera]
@@ -59,6 +61,7 @@ class Dataset:
     photos: list[Photo] = field(default_factory=list)  # one per camera; empty if only cameras were loaded
     background: tuple[float, float, float] = (0, 0, 0)  # display sRGB 0..1, behind transparent pixels
     memory_budget: int = MEMORY_BUDGET  # bytes of cached photographs
+    notes: tuple[str, ...] = ()  # sentences that the user must see: what is missing
     _cache: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -136,7 +139,10 @@ def load_dataset(
     images: name of the image folder in the dataset ("images", "images_4", ...), or a path; default "images". Intrinsics are
     scaled to the size of each photograph. holdout: every holdout-th view in name order is a test view; 0: none. background:
     display sRGB 0..1, behind transparent pixels. cameras_only: no photograph is opened; cameras have the size in the model.
-    need_points: refuse a model without points. memory_budget: bytes of cached photographs. Raises SceneError, FormatError.
+    need_points: refuse a model without points. memory_budget: bytes of cached photographs.
+
+    Views whose photograph is missing are left out and logged as a warning. The others stay test or training views as in the whole
+    dataset. Raises SceneError, FormatError; SceneError also if fewer than LEAST_PRESENT of the photographs are there.
     """
     folder = Path(folder)
     location = find_model(folder)
@@ -145,14 +151,19 @@ def load_dataset(
         raise SceneError(f"{location}: has no view with a pose; run COLMAP's mapper again")
     if need_points and not len(model.points):
         raise SceneError(f"{location}: has no 3-D points to start from; run COLMAP's mapper again")
+    numbers, photos = list(range(len(model.views))), list[Photo]()
+    notes: tuple[str, ...] = ()
     if cameras_only:
         cameras = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views]
-        photos: list[Photo] = []
     else:
-        cameras, photos = _fit_photos(model.views, _image_folder(folder, location, images or "images"))
-    test = [i for i in range(len(cameras)) if holdout and i % holdout == 0]
-    train = [i for i in range(len(cameras)) if not holdout or i % holdout]
-    return Dataset(cameras, model.points, model.point_colors, train, test, photos, background, memory_budget)
+        image_folder = _image_folder(folder, location, images or "images")
+        numbers, notes = _present(model.views, image_folder)
+        cameras, photos = _fit_photos([model.views[i] for i in numbers], image_folder)
+    for note in notes:
+        logging.warning("%s", note)
+    test = [k for k, i in enumerate(numbers) if holdout and i % holdout == 0]
+    train = [k for k, i in enumerate(numbers) if not holdout or i % holdout]
+    return Dataset(cameras, model.points, model.point_colors, train, test, photos, background, memory_budget, notes)
 
 
 def _image_folder(folder: Path, location: Path, images: str) -> Path:
@@ -165,12 +176,26 @@ def _image_folder(folder: Path, location: Path, images: str) -> Path:
     raise SceneError(f"{folder}: has no image folder {images}; give the name or path of the folder with the photographs")
 
 
+def _present(views: list[View], folder: Path) -> tuple[list[int], tuple[str, ...]]:
+    """The numbers of the views whose photograph exists, and a sentence on those that are missing. Raises SceneError if too many are."""
+    found = [i for i, view in enumerate(views) if os.path.isfile(folder / view.name)]
+    missing = [views[i].name for i in sorted(set(range(len(views))) - set(found))]
+    if not missing:
+        return found, ()
+    shown = ", ".join(map(_printable, missing[:MISSING_SHOWN])) + (", ..." if len(missing) > MISSING_SHOWN else "")
+    sentence = f"{folder}: {len(missing)} of {len(views)} photographs are missing: {shown}"
+    if len(found) < LEAST_PRESENT * len(views):
+        raise SceneError(f"{sentence}; at least a third must be there: give the name or path of the folder that holds them")
+    return found, (f"{sentence}; the other {len(found)} are used",)
+
+
+def _printable(name: str) -> str:
+    """The name without control characters, which a terminal would obey."""
+    return "".join(letter if letter.isprintable() else "?" for letter in name)
+
+
 def _fit_photos(views: list[View], folder: Path) -> tuple[list[Camera], list[Photo]]:
     """The pinhole camera of each view at the size of its photograph, and the photographs. Raises SceneError, FormatError."""
-    missing = [view.name for view in views if not os.path.isfile(folder / view.name)]
-    if missing:
-        shown = ", ".join(missing[:MISSING_SHOWN]) + (", ..." if len(missing) > MISSING_SHOWN else "")
-        raise SceneError(f"{folder}: {len(missing)} of {len(views)} photographs are missing: {shown}")
     cameras, photos = [], []
     for view in views:
         path = folder / view.name

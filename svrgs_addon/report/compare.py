@@ -23,7 +23,8 @@ from .prune_report import report_pictures, report_views
 def compare(a: Path, b: Path, dataset: Dataset, out: Path, lpips_weights: Path | None = None) -> dict:
     """Writes index.html and, for each of a few test views, one PNG: A | B | difference | spatial mask of A | spatial mask of B.
 
-    Returns the JSON result: 'a' and 'b' with the keys of `svrgs eval`, 'report' (the page), 'pictures' (the files). Raises SplatError.
+    Returns the JSON result: 'a' and 'b' with the figures of `svrgs eval`, 'report' (the page), 'pictures' (the files), 'notes' of the
+    dataset. Raises SplatError.
     """
     check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)
@@ -39,10 +40,10 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, lpips_weights: Path |
     files = [_save(out, view) for view in pictures]
     page = Report(
         scene=f"{a.name} and {b.name}", before=figures[0], after=figures[1], names=(a.name, b.name),
-        lpips_missing=missing, views=tuple(pictures), versions={"SVR-GS": __version__},
+        lpips_missing=missing, notes=dataset.notes, views=tuple(pictures), versions={"SVR-GS": __version__},
     )  # fmt: skip
     path = write_report(out, page)
-    return {"a": figures[0], "b": figures[1], "report": str(path), "pictures": [str(file) for file in files]}
+    return {"a": figures[0], "b": figures[1], "report": str(path), "pictures": [str(file) for file in files], "notes": list(dataset.notes)}
 
 
 def _save(out: Path, view: View) -> Path:
