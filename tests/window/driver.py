@@ -18,6 +18,7 @@ from pathlib import Path
 import bpy
 
 SIZE = (1280, 1120)
+HEADERS = {title: (825, 97 + 28 * place) for place, title in enumerate(("Scene", "Prune", "Compare", "Export", "View", "Spatial Mask"))}  # all closed
 DATA, OUT = (Path(word) for word in sys.argv[sys.argv.index("--") + 1 :])
 
 
@@ -88,6 +89,16 @@ def sidebar(tab: str) -> Iterator[float]:
 
     yield from until(there, f"the tab {tab}")
     yield 0.5
+
+
+def open_panel(title: str) -> Iterator[float]:
+    """Opens one panel of the sidebar's tab SVR-GS and closes all others: then its buttons are where they are whatever the others show."""
+    yield from click(*HEADERS["Scene"], ctrl=True)  # the others close
+    yield from click(*HEADERS["Scene"])
+    yield 0.5
+    if title != "Scene":
+        yield from click(*HEADERS[title])
+    yield 0.7
 
 
 def shot(name: str):
