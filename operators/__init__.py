@@ -3,6 +3,7 @@
 from . import (
     active_camera,
     apply,
+    bridge_materials,
     command_line,
     compare,
     contribution,
@@ -28,7 +29,7 @@ from . import (
 
 MODULES = (
     import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
-    active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+    active_camera, command_line, scene_cache, bridge_materials, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
 )  # fmt: skip
 
 

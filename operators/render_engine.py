@@ -13,9 +13,9 @@ from bpy.app.handlers import persistent
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.native import Rasterizer
-from ..svrgs_addon.render.composite import composite_while
+from ..svrgs_addon.render.composite import composite, composite_while
 from ..svrgs_addon.render.passes import PASSES, blank, passes
-from . import bridge, bridge_graph, bridge_images
+from . import bridge, bridge_graph, bridge_images, bridge_meshes
 from .bridge_images import working_space
 from .preferences import threads
 from .viewport import Viewport
@@ -68,11 +68,11 @@ class SVRGS_engine(bpy.types.RenderEngine):
         camera = bridge_graph.camera(depsgraph, self.camera_override)
         view = bridge.camera_from_object(camera, scene, bridge.render_size(scene))
         self.show_progress("Finding Gaussians behind meshes", 0.1)
-        hidden_by = placed.hidden_by(bridge_graph.surfaces(depsgraph), view)
+        hidden_by = placed.hidden_by(bridge_meshes.triangles(depsgraph), view)
         self.show_progress(f"Drawing {placed.scene.count:,} Gaussians", 0.2)
         transparent = scene.render.film_transparent
         background = (0.0, 0.0, 0.0) if transparent else tuple(scene.svrgs_looking.background)
-        found = composite_while(lambda: not self.test_break(), Rasterizer(), placed.scene, placed.seen_by(view), background, hidden_by)
+        found = composite_while(lambda: not self.test_break(), Rasterizer(), composite, placed.scene, placed.seen_by(view), background, hidden_by)
         return passes(found, transparent, placed.unit, working_space()) if found is not None else None
 
     def show_progress(self, text: str, progress: float):

@@ -18,9 +18,9 @@ from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.render.composite import composite
 from ..svrgs_addon.render.live_view import LiveView, Picture
-from ..svrgs_addon.render.mesh_depth import Triangles
+from ..svrgs_addon.render.meshes import Triangles
 from ..svrgs_addon.render.passes import linear_rgba
-from . import bridge_gpu, bridge_graph, scene_cache
+from . import bridge_gpu, bridge_graph, bridge_meshes, scene_cache
 from .bridge_images import working_space
 from .preferences import threads
 
@@ -70,7 +70,7 @@ class Viewport:
         self.version += 1
         try:
             self.placed, self.problem = bridge_graph.splats(depsgraph, scene_cache.read), ""
-            self.triangles = bridge_graph.surfaces(depsgraph)
+            self.triangles = bridge_meshes.triangles(depsgraph)
         except SplatError as error:
             self.placed, self.problem = None, str(error)
 
