@@ -1,7 +1,7 @@
 """Loads the native library and calls its functions: structs of the interface, checks of arrays, names, thresholds, threads.
 
 `native/include/svrgs.h` is the manual; names, shapes and units here are the same. Only this module,
-native.py and native_triangles.py import ctypes.
+native.py and native_pictures.py import ctypes.
 """
 
 from __future__ import annotations
@@ -92,6 +92,28 @@ TrianglesStruct = _struct(
     ambient=c.c_double,
 )
 LayersStruct = _struct("LayersStruct", share=c.c_void_p, depth=c.c_void_p, rgba=c.c_void_p)
+ViewStruct = _struct(
+    "ViewStruct",
+    image=c.c_void_p,
+    width=c.c_int32,
+    height=c.c_int32,
+    channels=c.c_int32,
+    along=c.c_int32,
+    turn=c.c_double * 9,
+    focal=c.c_double,
+    cx=c.c_double,
+    cy=c.c_double,
+)
+PanoramaStruct = _struct(
+    "PanoramaStruct",
+    sums=c.c_void_p,
+    width=c.c_int32,
+    height=c.c_int32,
+    latitudes=c.c_void_p,
+    row_weights=c.c_void_p,
+    longitudes=c.c_void_p,
+    column_weights=c.c_void_p,
+)
 MachineStruct = _struct("MachineStruct", fma=c.c_double, read=c.c_double, update=c.c_double)
 
 

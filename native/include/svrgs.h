@@ -280,6 +280,26 @@ typedef struct {
 /* Draws triangles; reads pose, intrinsics and size of the camera. Results do not depend on the number of threads. */
 SVRGS_API int32_t svrgs_draw_triangles(const svrgs_triangles*, const svrgs_camera*, const svrgs_layers*);
 
+/* A perspective view that is a part of a panorama. */
+typedef struct {
+  const float* image; /* (height, width, channels) */
+  int32_t width, height, channels;
+  int32_t along;        /* the channel with values along z, which become values along the ray; -1: none */
+  double turn[9];       /* rotation from the panorama's frame to that of the view, row-major */
+  double focal, cx, cy; /* pixels */
+} svrgs_view;
+
+/* An equirectangular picture. The direction of a pixel is (sin lon cos lat, -sin lat, cos lon cos lat). */
+typedef struct {
+  float* sums; /* (height, width, channels) */
+  int32_t width, height;
+  const double *latitudes, *row_weights;     /* (height,) */
+  const double *longitudes, *column_weights; /* (width,) */
+} svrgs_panorama;
+
+/* Adds row weight times column weight times the view, by cubic interpolation, to all pixels where that is not 0. */
+SVRGS_API int32_t svrgs_add_view(const svrgs_view*, const svrgs_panorama*);
+
 #ifdef __cplusplus
 }
 #endif

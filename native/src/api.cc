@@ -10,6 +10,7 @@
 #include "context.h"
 #include "depth_sort.h"
 #include "machine_speed.h"
+#include "panorama.h"
 #include "pool.h"
 #include "triangles.h"
 
@@ -332,6 +333,17 @@ int32_t svrgs_draw_triangles(const svrgs_triangles* triangles, const svrgs_camer
     check(*triangles);
     check(*camera);
     svrgs::draw_triangles(*triangles, *camera, *layers);
+  });
+}
+
+int32_t svrgs_add_view(const svrgs_view* view, const svrgs_panorama* panorama) {
+  return guarded([&] {
+    require(view && panorama && view->image && panorama->sums, "an argument is missing");
+    require(panorama->latitudes && panorama->row_weights && panorama->longitudes && panorama->column_weights, "an argument is missing");
+    for (const int32_t side : {view->width, view->height, panorama->width, panorama->height})
+      require(side > 0 && side <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
+    require(view->channels > 0 && view->channels <= 64, "a view must have 1 to 64 channels");
+    svrgs::add_view(*view, *panorama);
   });
 }
 

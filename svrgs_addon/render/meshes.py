@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from ..camera import Camera
-from ..native_triangles import draw_triangles
+from ..native_pictures import draw_triangles
 from .textures import Texture
 
 AMBIENT = 0.62  # brightness of a surface at right angles to LIGHT

@@ -45,9 +45,10 @@ def passes(picture: Composite, transparent: bool, unit: float, working_space: Se
     return layers
 
 
-def blank(height: int, width: int) -> dict[str, np.ndarray]:
-    """All passes with zeros, for a picture that could not be drawn."""
-    return {"Combined": np.zeros((height, width, 4), np.float32)} | {name: np.zeros((height, width), np.float32) for name, *_ in PASSES}
+def blank(height: int, width: int, kinds: Sequence = PASSES) -> dict[str, np.ndarray]:
+    """Combined and the passes of these kinds with zeros, for a picture that could not be drawn."""
+    shapes = {name: (height, width) if len(channels) == 1 else (height, width, len(channels)) for name, channels, _ in kinds}
+    return {name: np.zeros(shape, np.float32) for name, shape in {"Combined": (height, width, 4), **shapes}.items()}
 
 
 def _linear(rgb: np.ndarray, alpha: np.ndarray, working_space: Sequence) -> np.ndarray:

@@ -145,12 +145,6 @@ def test_passes_are_saved(tmp_path, stage, room, camera):
     assert names >= {"Combined.R", "Combined.A", "Depth.Z", "Alpha.A", "SpatialMask.X", "Count.X"}
 
 
-def test_panoramas_are_refused_in_one_sentence(room, camera):
-    camera.data.type = "PANO"
-    with pytest.raises(RuntimeError, match="neither perspective nor orthographic"):
-        bpy.ops.render.render()
-
-
 def test_an_object_that_is_no_camera_is_refused_in_one_sentence(stage, bridge, room):
     """Blender takes any object as the scene's camera."""
     stage.camera = bpy.data.objects.new("nothing", None)

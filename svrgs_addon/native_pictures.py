@@ -1,6 +1,6 @@
-"""Triangles drawn by the native library: two layers per pixel, with smooth edges, textures and a fixed light.
+"""Parts of complete pictures, by the native library: opaque triangles, and panoramas of perspective views.
 
-`native/include/svrgs.h` (svrgs_draw_triangles) is the manual; names, shapes and units here are the same.
+`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view) is the manual; names, shapes and units here are the same.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from .camera import Camera
-from .native_library import LayersStruct, TextureStruct, TrianglesStruct, call_library, camera_struct, check
+from .native_library import LayersStruct, PanoramaStruct, TextureStruct, TrianglesStruct, ViewStruct, call_library, camera_struct, check, check_out
 
 VALUES = {"corners": (3, 3), "colors": (3, 3), "light": (3,), "uvs": (3, 2)}  # arrays of a triangle, float32
 
@@ -41,3 +41,24 @@ def _texture(texture) -> c.Structure:
     while (texels := texels + width * height) and (width > 1 or height > 1):
         width, height = (width + 1) // 2, (height + 1) // 2
     return TextureStruct(check(texture.texels, "texels", (texels, 3), np.uint8), texture.width, texture.height, texture.repeat)
+
+
+def add_view(
+    image: np.ndarray, turn: np.ndarray, K: np.ndarray, along: int, sums: np.ndarray, latitudes: np.ndarray, longitudes: np.ndarray,
+    row_weights: np.ndarray, column_weights: np.ndarray,
+):  # fmt: skip
+    """Adds a perspective view, times row and column weights, to the panorama `sums` (H, W, L) float32, by cubic interpolation.
+
+    image: (h, w, L) float32. turn: rotation (3, 3) from the panorama's frame to that of the view. K: (3, 3) with one focal length.
+    along: the channel with values along z, which become values along the ray. latitudes, row_weights: (H,) float64, radians;
+    longitudes, column_weights: (W,). Raises NativeError, and TypeError for arrays of another type or shape.
+    """
+    (height, width, channels), (rows, columns) = image.shape, sums.shape[:2]
+    address = check(image, "image", (height, width, channels), np.float32)
+    view = ViewStruct(address, width, height, channels, along, (c.c_double * 9)(*turn.flat), K[0, 0], K[0, 2], K[1, 2])
+    panorama = PanoramaStruct(
+        check_out(sums, "sums", (rows, columns, channels), np.float32), columns, rows,
+        check(latitudes, "latitudes", (rows,), np.float64), check(row_weights, "row_weights", (rows,), np.float64),
+        check(longitudes, "longitudes", (columns,), np.float64), check(column_weights, "column_weights", (columns,), np.float64),
+    )  # fmt: skip
+    call_library("svrgs_add_view", c.byref(view), c.byref(panorama))
