@@ -22,14 +22,17 @@ from . import (
     prune_state,
     render_engine,
     scene_cache,
+    set_up_rendering,
     spatial_mask,
+    splat_layer,
     view_properties,
     viewport,
 )
 
 MODULES = (
     import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
-    active_camera, command_line, scene_cache, bridge_materials, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+    active_camera, command_line, scene_cache, bridge_materials, view_properties, viewport, overlay, render_engine, splat_layer, set_up_rendering,
+    spatial_mask, contribution, compare,
 )  # fmt: skip
 
 

@@ -52,7 +52,9 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         if problem:
             self.report({"WARNING"}, problem)
         shown = sum(bool(obj.data.background_images) for obj in cameras)
-        self.report({"INFO"}, f"Imported {len(cameras):,} cameras, {shown:,} photographs and {len(photos.points):,} sparse points")
+        found = f"Imported {len(cameras):,} cameras, {shown:,} photographs and {len(photos.points):,} sparse points"
+        width, height = bridge.render_size(context.scene)
+        self.report({"INFO"}, f"{found}. The scene's camera is now '{context.scene.camera.name}', its resolution {width} x {height}")
         return {"FINISHED"}
 
     def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], files: list[Path | None]) -> str:
