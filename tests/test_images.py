@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.files.images import image_size, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
+from svrgs_addon.files.images import image_size, library_path, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
 
 oiio = pytest.importorskip("OpenImageIO")
 
@@ -174,3 +174,8 @@ def test_pixels_that_are_not_numbers_are_refused(tmp_path):
     path = store(tmp_path / "a.exr", np.full((2, 2, 3), np.nan, np.float32))
     with pytest.raises(FormatError, match="not numbers"):
         read_image(path)
+
+
+def test_a_path_is_text_wherever_it_can_be():
+    """The OpenImageIO of some Blenders takes no bytes."""
+    assert library_path("folder/é.png") == "folder/é.png" and library_path("\udcff.png") == b"\xff.png"
