@@ -91,10 +91,10 @@ def test_truncated_binary_models(tmp_path, name):
     data = path.read_bytes()
     for size in range(len(data)):
         path.write_bytes(data[:size])
-        with pytest.raises(FormatError, match=f"{name}.bin is truncated"):
+        with pytest.raises(FormatError, match=f"{name}.bin is incomplete"):
             load_dataset(tmp_path, cameras_only=True)
     path.write_bytes(struct.pack("<Q", 2**60) + data[8:])
-    with pytest.raises(FormatError, match="truncated"):
+    with pytest.raises(FormatError, match="incomplete"):
         load_dataset(tmp_path, cameras_only=True)
 
 

@@ -65,7 +65,7 @@ def _binary_copy(path: Path, copy: Callable[[bytes, int], Record]) -> bytes:
     except (struct.error, ValueError, OverflowError):
         whole = False
     if not whole:
-        raise FormatError(f"{path.name} is truncated or not a COLMAP file; copy the model again")
+        raise FormatError(f"{path.name} is incomplete or not a COLMAP file; copy the model again")
     return b"".join(parts)
 
 
