@@ -15,7 +15,7 @@ from driver import DATA, OUT, click, key, shot, until
 
 PACKAGE = "bl_ext.user_default.svrgs"
 LEFT, RIGHT = 842, 961  # the two buttons of a row
-START, PAUSE, RESUME, APPLY = 296, 416, 397, 281  # heights of these rows where only the panel Prune is open
+START, PAUSE, RESUME, APPLY = 171, 291, 272, 156  # distances of these rows below the header
 VIEW = (400, 700)  # somewhere in the 3D view
 
 
@@ -39,7 +39,7 @@ def load() -> str:
 
 def ask_for_estimate(splat: str, seen: dict):
     estimate = part("operators.estimate")
-    yield from click(LEFT, START)
+    yield from click(LEFT, driver.header_height("Prune") + START)
     yield from until(lambda: "kept" in estimate.of(bpy.data.objects[splat]), "an estimate")
     yield 0.5
     seen["estimate"] = estimate.sentences(bpy.data.objects[splat])
@@ -49,13 +49,13 @@ def ask_for_estimate(splat: str, seen: dict):
 def start_and_pause(seen: dict):
     watch = part("operators.job_watch")
     job = lambda: watch.current(bpy.context)[1]  # noqa: E731
-    yield from click(RIGHT, START)
+    yield from click(RIGHT, driver.header_height("Prune") + START)
     yield from until(job, "a job")
     yield from until(lambda: job().facts.get("iteration", 0) > 1500, "1500 iterations")
     yield 0.3
     seen["running"] = job().facts
     shot("running")
-    yield from click(LEFT, PAUSE)
+    yield from click(LEFT, driver.header_height("Prune") + PAUSE)
     yield from until(lambda: not job().running, "the pause")
     yield 0.5
     seen["paused"] = dict(job().facts)
@@ -64,7 +64,7 @@ def start_and_pause(seen: dict):
 
 def go_on_to_the_result(seen: dict):
     results = part("operators.job_result")
-    yield from click(LEFT, RESUME)
+    yield from click(LEFT, driver.header_height("Prune") + RESUME)
     yield from until(lambda: "pruned" in bpy.context.object.name, "the result", 90)
     yield 0.8
     pruned, kept = bpy.context.object.name, bpy.context.object["svrgs_kept"]
@@ -80,7 +80,7 @@ def apply_fewer_and_undo(pruned: str, seen: dict):
     seen["fewer"] = results.shown_count(bpy.context.object)
     shot("fewer")
     bpy.ops.ed.undo_push(message="Fewer")
-    yield from click(LEFT, APPLY)
+    yield from click(LEFT, driver.header_height("Prune") + APPLY)
     yield from until(lambda: not results.undecided(bpy.data.objects[pruned]), "Apply")
     seen["applied"] = len(bpy.data.objects[pruned].data.attributes["scale"].data)
     yield 0.5
