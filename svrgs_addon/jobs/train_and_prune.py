@@ -20,9 +20,9 @@ from ..finetune.engine import NativeEngine
 from ..finetune.model import Model, scene_from_points
 from ..finetune.plan import Plan
 from ..finetune.run import Run
-from ..metrics.evaluate import evaluate, mean_psnr, refuse_unseen, render_options
+from ..metrics.evaluate import any_in_view, evaluate, mean_psnr, refuse_unseen, render_options
 from ..metrics.explained import mismatch_of
-from ..native import Rasterizer, RenderOptions
+from ..native import Rasterizer, RenderOptions, thresholds
 from ..photographs.dataset import Dataset
 from ..report.prune_report import report_pictures, write_prune_report
 from ..scene import Scene
@@ -44,6 +44,7 @@ def _train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int) -> dic
     check_request(dataset, plan)
     if (plan.target or plan.share) and not plan.prunes:
         raise SceneError(CANNOT_REACH.format(plan.method.name))
+    refuse_unseen_points(dataset)
     clock = Clock()
     refuse_excess("training", len(dataset.points), (sh_degree + 1) ** 2, dataset)
     with clock.phase("initialise"):
@@ -128,6 +129,13 @@ def check_request(dataset: Dataset, plan: Plan):
         raise SceneError(f"method '{method.name}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
     if asked and not method.ranks and not plan.prunes:
         raise SceneError(CANNOT_REACH.format(plan.method.name))
+
+
+def refuse_unseen_points(dataset: Dataset):
+    """Raises SceneError if no training view sees a sparse point: training would end with black pictures."""
+    if not any_in_view(dataset.points, dataset.cameras, [dataset.cameras[i] for i in dataset.train_indices]):
+        count, near = len(dataset.points), thresholds().near
+        raise SceneError(f"no training view sees any of the {count:,} sparse points more than {near:g} in front of it; run COLMAP again, or scale the model up")
 
 
 def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
