@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from .byte_units import size_text
 from .camera import Camera
 from .errors import SceneError
 
@@ -18,6 +19,7 @@ from .errors import SceneError
 READING = 1.3  # bytes per byte of a splat file: its arrays, and copies of some of them during repair
 ROW_FLOATS = 13  # 4-byte values per Gaussian without SH: mean 3, log-scale 3, quaternion 4, opacity logit, existence logit, source row
 SH_MOMENT = 2  # bytes of Adam moments per SH coefficient; other values have moments of their own size, 4 bytes
+STATISTICS = 8  # bytes per Gaussian: the statistics of densification
 ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densification adds
 PROJECTED = 150  # bytes per projected Gaussian
 RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 400  # bytes per pixel of a view: rendering, fine-tuning, metrics
@@ -55,6 +57,11 @@ def growing(count: int, added: int, coefficients: int, cameras: Sequence[Camera]
     return new * added + largest * (count + added) + MEASURED_PIXEL * _pixels(cameras)
 
 
+def checkpoint(count: int, coefficients: int) -> int:
+    """Bytes on disk of a checkpoint of `count` Gaussians. coefficients: SH coefficients per channel."""
+    return (sum(_trained_row(coefficients)) + STATISTICS) * count
+
+
 def _trained_row(coefficients: int) -> tuple[int, int]:
     """Bytes of the parameters and of the Adam moments of one Gaussian with K SH coefficients per channel."""
     other = 4 * ROW_FLOATS
@@ -66,7 +73,7 @@ def shortage(what: str, needed: int) -> str:
     free = available()
     if free is None or needed <= free:
         return ""
-    return f"{what} needs about {_gigabytes(needed)} of memory, but only {_gigabytes(free)} are available"
+    return f"{what} needs about {size_text(needed)} of memory, but only {size_text(free)} are available"
 
 
 def refuse_excess(what: str, needed: int) -> None:
@@ -98,11 +105,6 @@ def peak() -> int | None:
 def _pixels(cameras: Sequence[Camera]) -> int:
     """Number of pixels of the largest view."""
     return max(camera.width * camera.height for camera in cameras)
-
-
-def _gigabytes(value: int) -> str:
-    """Bytes as text in GB, or in MB below 0.1 GB."""
-    return f"{value / 1e9:.1f} GB" if value >= 1e8 else f"{value / 1e6:.1f} MB"
 
 
 def _system_available() -> int | None:

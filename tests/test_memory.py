@@ -24,7 +24,7 @@ from svrgs_addon.finetune.settings import Densify, Phase, Rates
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.photographs.dataset import load_dataset
 
-REFUSED = r"needs about [\d.]+ [GM]B of memory, but only [\d.]+ [GM]B are available"
+REFUSED = r"needs about [\d.]+ [GMk]B of memory, but only [\d.]+ [GMk]B are available"
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from ..byte_units import size_text
 from ..errors import SceneError
 
 try:
@@ -135,7 +136,7 @@ def check_writable(path: str | os.PathLike, needed_bytes: int = 0) -> None:
     except OSError as error:
         raise SceneError(f"{path}: cannot be written into {folder} ({error.strerror or error})") from error
     if free < needed_bytes * FREE_SPACE_MARGIN:
-        raise SceneError(f"{path}: needs {needed_bytes / 1e6:.1f} MB, but only {free / 1e6:.1f} MB are free; free disk space or choose another folder")
+        raise SceneError(f"{path}: needs {size_text(needed_bytes)}, but only {size_text(free)} are free; free disk space or choose another folder")
 
 
 def _check_target(path: str | os.PathLike, target: Path) -> None:
