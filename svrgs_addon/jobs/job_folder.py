@@ -1,6 +1,6 @@
 """The folder of a background job. It is the whole state of the job: a .blend file holds only its path.
 
-    job.json           the request: schema, version, name, number of Gaussians, options
+    job.json           the request: schema, version, name, number of Gaussians, digest_of() the splat, options
     state.json         state of the job, replaced as a whole, at least every HEARTBEAT seconds while the job runs
     scene.ply          the splat at the start of the job; the column svrgs_row holds the row of each Gaussian
     messages.jsonl     stdout of the child process: messages, one JSON object per line (job_main.py)
@@ -9,7 +9,7 @@
     previews/ITERATION.png
     ranking.npz        when each Gaussian was removed, and its last probability (ranking.py)
     recovered.ply.job  checkpoints
-    cancel, pause      flag files: the parent creates them, the child obeys (job_main.py)
+    stop               flag file: the parent creates it, the child obeys (job_main.py)
 
     pruned.ply, kept.npy, score.npy, result.json     the result; result.json is written last
     probability.npy                                  if masks were learned
@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import hashlib
 import io
 import json
 import math
@@ -44,6 +45,7 @@ from ..files.registry import write_scene
 from ..finetune.methods import FORMER_NAMES
 from ..option_kinds import check_mapping
 from ..scene import Scene
+from .disk_room import check_room
 from .options import PruneOptions
 
 SCHEMA = 2
@@ -51,16 +53,17 @@ ROW = "svrgs_row"  # column of scene.ply
 HEARTBEAT = 2.0  # seconds between two writes of state.json
 STALE = 15.0  # seconds: a process that has not renewed its state for so long is gone
 LARGEST_JSON = 1 << 20  # bytes; larger files are not read
-CANCEL, PAUSE = "cancel", "pause"  # flag files
-ENDED = ("paused", "cancelled", "interrupted", "failed", "done")
+STOP = "stop"  # flag file
+FORMER_FLAGS = ("cancel", "pause")  # flag files of earlier versions
+ENDED = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed", "done")  # no process; earlier versions wrote "paused" and "cancelled"
 METRICS = ("iteration", "count", "loss", "psnr")
 FACTS = {  # keys of state.json and of messages that are read, and their types
     "state": str, "text": str, "pid": int, "iteration": int, "total": int, "phase": str, "count": int, "loss": float, "psnr": float,
-    "seconds_left": float,
+    "seconds_left": float, "finishing": bool,
 }  # fmt: skip
 _FILES = (
     "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy",
-    "score.npy", "probability.npy", "result.json", CANCEL, PAUSE, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
+    "score.npy", "probability.npy", "result.json", STOP, *FORMER_FLAGS, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
 )  # fmt: skip
 
 
@@ -77,9 +80,11 @@ class JobFolder:
         _check_options(options)
         if folder.path.exists() and any(folder.path.iterdir()):
             raise SceneError(f"{folder.path}: is not empty; each job needs a folder of its own")
+        check_room(folder.path, scene)
         rows = np.arange(scene.count, dtype=np.uint32)
         write_scene(folder / "scene.ply", replace(scene, attributes={**scene.attributes, ROW: rows}))
-        folder.write_json("job.json", {"schema": SCHEMA, "version": __version__, "name": name, "count": scene.count, "options": options})
+        request = {"schema": SCHEMA, "version": __version__, "name": name, "count": scene.count, "digest": digest_of(scene), "options": options}
+        folder.write_json("job.json", request)
         folder.write_json("state.json", {"state": "new"})
         return folder
 
@@ -104,6 +109,11 @@ class JobFolder:
         given = check_mapping(PruneOptions, self.request()["options"])
         return PruneOptions(**given, scene=self / "scene.ply", out=self / "recovered.ply", resume=True, quiet=True)
 
+    def set_dataset(self, colmap: str):
+        """Writes another folder of the dataset into job.json: it was moved. Raises FormatError, SceneError."""
+        request = self.request()
+        self.write_json("job.json", {**request, "options": {**request["options"], "colmap": colmap}})
+
     def update_schema(self) -> str:
         """Updates a job of schema 1 to the present one. Returns a sentence if the method has another name now, else ''. Raises FormatError."""
         request = self.request()
@@ -116,12 +126,9 @@ class JobFolder:
 
     def refuse_links(self):
         """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file elsewhere."""
-        checkpoints = self / "recovered.ply.job"
-        for folder in (self.path, self / "previews", checkpoints, *checkpoints.glob("[0-9]" * 7)):
-            with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
-                for entry in entries:
-                    if entry.is_symlink():
-                        raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
+        for entry in self._entries():
+            if entry.is_symlink():
+                raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
 
     def check_scene(self):
         """Raises FormatError if scene.ply does not have the number of Gaussians that job.json says."""
@@ -188,14 +195,26 @@ class JobFolder:
         with atomic_write(self / name) as file:
             file.write(json.dumps(value).encode())
 
-    def raise_flag(self, flag: str):
-        """Creates the flag file CANCEL or PAUSE."""
-        (self / flag).touch()
+    def raise_flag(self):
+        """Creates the flag file STOP."""
+        (self / STOP).touch()
 
-    def lower_flags(self):
-        """Removes both flag files."""
-        for flag in (CANCEL, PAUSE):
+    def lower_flag(self):
+        """Removes the flag file, also of earlier versions."""
+        for flag in (STOP, *FORMER_FLAGS):
             (self / flag).unlink(missing_ok=True)
+
+    def checkpoint(self) -> int:
+        """The step of the newest checkpoint; 0 if there is none. Damaged checkpoints count: they are found when the job is resumed."""
+        return max((int(path.name) for path in self._checkpoints() if (path / "manifest.json").is_file()), default=0)
+
+    def size(self) -> int:
+        """Bytes on disk of the files in the folder. Links are not followed."""
+        total = 0
+        for entry in self._entries():
+            with contextlib.suppress(OSError):  # removed meanwhile
+                total += entry.stat(follow_symlinks=False).st_size if entry.is_file(follow_symlinks=False) else 0
+        return total
 
     def discard(self):
         """Removes the files that the job wrote, and the folder if it is empty then. A link is removed, not what it leads to.
@@ -215,6 +234,13 @@ class JobFolder:
         for folder in (self / "recovered.ply.job", self / "previews", self.path):
             with contextlib.suppress(OSError):
                 folder.rmdir()
+
+    def _entries(self) -> Iterator[os.DirEntry]:
+        """Files, folders and links in the folders of the job."""
+        checkpoints = self / "recovered.ply.job"
+        for folder in (self.path, self / "previews", checkpoints, *checkpoints.glob("[0-9]" * 7)):
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
+                yield from entries
 
     def _checkpoints(self) -> Iterator[Path]:
         return (path for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7) if path.is_dir() and not path.is_symlink())
@@ -239,6 +265,14 @@ class JobFolder:
         except (OSError, ValueError, RecursionError):
             return None
         return value if isinstance(value, dict) else None
+
+
+def digest_of(scene: Scene) -> str:
+    """Digest of all Gaussians: of means, scales, rotations, opacities and SH, as stored."""
+    digest = hashlib.sha256()
+    for array in (scene.means, scene.log_scales, scene.quats, scene.opacity_logits, scene.sh):
+        digest.update(array.data)
+    return digest.hexdigest()
 
 
 def facts_of(message: dict) -> dict:
