@@ -2,19 +2,23 @@
 
 from . import (
     active_camera,
+    applied_jobs,
     apply,
     command_line,
     compare,
     contribution,
+    dataset_paths,
     estimate,
     export_ply,
     former_methods,
     import_colmap,
     import_ply,
     job,
+    job_list,
     job_pictures,
     job_result,
     job_watch,
+    orphan_jobs,
     overlay,
     prune,
     prune_settings,
@@ -27,8 +31,9 @@ from . import (
 )
 
 MODULES = (
-    import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, job, apply, prune_state,
-    active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine, spatial_mask, contribution, compare,
+    import_ply, import_colmap, export_ply, prune, prune_settings, former_methods, estimate, job_pictures, job_result, job_watch, dataset_paths, job,
+    applied_jobs, apply, job_list, orphan_jobs, prune_state, active_camera, command_line, scene_cache, view_properties, viewport, overlay, render_engine,
+    spatial_mask, contribution, compare,
 )  # fmt: skip
 
 

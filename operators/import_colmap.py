@@ -15,7 +15,7 @@ from bpy.props import BoolProperty, StringProperty
 from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SplatError
-from . import bridge, undistort
+from . import bridge, dataset_paths, undistort
 from .select import select
 
 DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras
@@ -61,7 +61,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
             undistort.show(obj, file)
         if None not in files:
             return ""
-        undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / "images_undistorted"
+        undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / dataset_paths.UNDISTORTED
         return undistort.start(cameras, folder, self.images, undistorted)
 
     def add_objects(self, context, folder: Path, photos: PosedPhotos) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
@@ -70,7 +70,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
         root, points = root_for(context.object, name, collection), []
-        root[bridge.DATASET], root[bridge.IMAGES] = str(folder), self.images
+        root[bridge.DATASET], root[bridge.IMAGES] = dataset_paths.stored(str(folder)), self.images
         if self.points and len(photos.points):
             points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
         cameras = [_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..svrgs_addon.finetune.methods import METHODS
@@ -12,6 +13,7 @@ from ..svrgs_addon.jobs.options import PruneOptions
 from ..svrgs_addon.option_kinds import options_of
 
 PROPERTY_TYPES = {bool: BoolProperty, int: IntProperty, float: FloatProperty, str: StringProperty, Path: StringProperty}
+RELATIVE_PATH = {"options": {"ANIMATABLE", "PATH_SUPPORTS_BLEND_RELATIVE"}} if bpy.app.version >= (4, 5, 0) else {}  # of properties that take '//'
 UNSET = {int: 0, float: 0.0, str: "", Path: "", bool: False}  # the default of a property whose option has no default
 
 
@@ -27,7 +29,7 @@ def option_property(name: str, /, **overrides):
     if kind.type in (int, float):
         arguments |= {key: value for key, value in (("min", kind.minimum), ("max", kind.maximum)) if value is not None}
     elif kind.type is Path:
-        arguments |= {"subtype": "DIR_PATH"}
+        arguments |= {"subtype": "DIR_PATH", **RELATIVE_PATH}
     if kind.type in (str, Path):
         arguments["default"] = str(arguments["default"])
     if option.default_help and kind.type in (str, Path):

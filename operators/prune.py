@@ -19,6 +19,7 @@ from . import bridge, edit_guard, job_result
 from .option_properties import method_property, option_property
 from .preferences import threads
 from .select import select
+from .visibility import set_hidden
 
 
 class SVRGS_OT_prune(bpy.types.Operator):
@@ -71,7 +72,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
             obj.matrix_basis = source.matrix_basis
         if source is not None:
             job_result.join(source, obj)
-            source.hide_viewport = source.hide_render = True
+            set_hidden(source, True)
         select(context, [obj])
         before, psnr = result["before"], [figures.get("psnr") for figures in (result["before"], result)]
         change = f", {psnr[1] - psnr[0]:+.2f} dB" if None not in psnr else ""  # null if images and photographs are identical

@@ -9,7 +9,7 @@ from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty,
 
 from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
 from . import bridge, former_methods, job_result
-from .option_properties import method_property, option_property
+from .option_properties import RELATIVE_PATH, method_property, option_property
 
 GOALS = [
     ("LAMBDA", "Strength λ_F", "λ_F decides how many Gaussians stay. A higher λ_F keeps fewer"),
@@ -60,7 +60,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     visible_mask: option_property("visible_mask", name="Visible Part Only")
     views_by_loss: option_property("views_by_loss", name="Harder Views More Often")
     folder: StringProperty(
-        name="Job Folder", subtype="DIR_PATH",
+        name="Job Folder", subtype="DIR_PATH", **RELATIVE_PATH,
         description="Folder for the files of jobs. Empty: svrgs_jobs next to the .blend file; for an unsaved file, the extension's own folder",
     )  # fmt: skip
     method_schema: IntProperty(options={"HIDDEN"})  # former_methods.py

@@ -9,6 +9,7 @@ import bpy
 
 from ..svrgs_addon.blender.posed_photos import read_in_child
 from ..svrgs_addon.errors import SplatError
+from . import dataset_paths
 from .job_watch import redraw_panels
 
 INTERVAL = 0.5  # seconds between two looks whether it is done
@@ -64,6 +65,7 @@ def show(obj: bpy.types.Object, file: Path | None):
         return
     background = data.background_images.new()
     background.image = bpy.data.images.load(str(file), check_existing=True)
+    background.image.filepath = dataset_paths.stored(str(file))
     background.frame_method, background.alpha = "STRETCH", 1.0
     data.show_background_images = True
 

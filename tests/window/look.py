@@ -23,7 +23,7 @@ from mathutils import Vector
 
 PACKAGE = "bl_ext.user_default.svrgs"
 VIEW = (400, 600)  # somewhere in the 3D view
-MASK_HEADER, MASK_REFRESH = (825, 900), (880, 268)  # the header below all other panels; the button where they are closed
+MASK_HEADER, MASK_REFRESH = (825, 926), (880, 268)  # the header below all other panels; the button where they are closed
 COMPARE_HEADER, COMPARE = (820, 153), (842, 258)
 
 
