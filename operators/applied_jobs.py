@@ -1,4 +1,4 @@
-"""The files of a job whose result was applied are deleted when the .blend file is saved: from then on the result is in it.
+"""The files of a job are deleted when the .blend file is saved and its result, applied or trained, is in it.
 
 Until then they stay, so that a crash loses nothing. An undo of Apply needs no files: marks and ranks are in the scene. After it, the
 job belongs to its original again. If the file is never saved, the job list shows the job as finished.
@@ -12,36 +12,33 @@ import bpy
 from bpy.app.handlers import persistent
 
 from . import job_result
-from .job import delete_job
 from .job_queue import jobs
-from .job_watch import job_of, owner_of, unlink
-
-_folders: dict[int, str] = {}  # by session_uid of the applied splat: the folder of its job
+from .job_watch import delete_job, in_file, job_of, owner_of, unlink
 
 
 def note(original: bpy.types.Object | None, pruned: bpy.types.Object):
     """After Apply: the original has no job any more. The files go when the file is saved."""
     job = job_of(original)
     if original is not None and job is not None and job.state == "done":
-        _folders[pruned.session_uid] = str(job.folder.path)
+        in_file[pruned.session_uid] = str(job.folder.path)
         unlink(original)
 
 
 def is_applied(folder: str) -> bool:
-    """Whether the result of the job in this folder was applied, and is in the file."""
-    return any(_folders.get(obj.session_uid) == folder for obj in _applied())
+    """Whether the result of the job in this folder is in the file, and its files are deleted when that is saved."""
+    return any(in_file.get(obj.session_uid) == folder for obj in _applied())
 
 
 def _applied() -> list[bpy.types.Object]:
-    """The applied splats in the file that have a job."""
-    return [obj for obj in bpy.data.objects if obj.session_uid in _folders and obj.users_collection and not job_result.undecided(obj)]
+    """The applied and the trained splats in the file that still have a job."""
+    return [obj for obj in bpy.data.objects if obj.session_uid in in_file and obj.users_collection and not job_result.undecided(obj)]
 
 
 @persistent
 def _after_undo(*_):
-    """After a redo of Apply, the original has no job again."""
+    """After a redo, what had the job does not have it again."""
     for obj in _applied():
-        owner = owner_of(_folders[obj.session_uid])
+        owner = owner_of(in_file[obj.session_uid])
         if owner is not None:
             unlink(owner)
 
@@ -52,7 +49,7 @@ def _after_save(path: str = "", *_):
     if not bpy.data.filepath or (path and os.path.abspath(path) != os.path.abspath(bpy.data.filepath)):
         return
     for obj in _applied():
-        job = jobs.get(_folders.pop(obj.session_uid))
+        job = jobs.get(in_file.pop(obj.session_uid))
         if job is not None and job.state == "done":
             try:
                 delete_job(job)
@@ -60,12 +57,7 @@ def _after_save(path: str = "", *_):
                 print(f"SVR-GS: {error}", flush=True)
 
 
-@persistent
-def _after_load(*_):
-    _folders.clear()
-
-
-HANDLERS = {"save_post": _after_save, "load_post": _after_load, "undo_post": _after_undo, "redo_post": _after_undo}
+HANDLERS = {"save_post": _after_save, "undo_post": _after_undo, "redo_post": _after_undo}
 
 
 def register():
@@ -76,4 +68,3 @@ def register():
 def unregister():
     for event, handler in HANDLERS.items():
         getattr(bpy.app.handlers, event).remove(handler)
-    _folders.clear()

@@ -10,9 +10,9 @@ import bpy
 
 from ..svrgs_addon.errors import SplatError
 from . import applied_jobs, bridge, edit_guard, job_result
-from .job import delete_job, file_size
-from .job_watch import is_busy, job_of
+from .job_watch import delete_job, is_busy, job_of
 from .select import select
+from .splat_size import size_text
 
 
 class SVRGS_OT_apply(bpy.types.Operator):
@@ -48,7 +48,7 @@ class SVRGS_OT_apply(bpy.types.Operator):
         applied_jobs.note(original, pruned)
         before = f" of {bridge.count(original):,}" if original is not None else ""
         select(context, [pruned])
-        self.report({"INFO"}, f"Kept {scene.count:,}{before} Gaussians, {file_size(pruned, scene.count)}")
+        self.report({"INFO"}, f"Kept {scene.count:,}{before} Gaussians, {size_text(pruned, scene.count)}")
         return {"FINISHED"}
 
 

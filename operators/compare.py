@@ -30,11 +30,7 @@ class ComparedSplats:
     """The original and the pruned splat of a comparison. Raises SceneError if one is missing."""
 
     def __init__(self, context: bpy.types.Context):
-        settings = context.scene.svrgs_looking
-        original = settings.original or job_result.pair_of(context.object)[0] or context.object
-        if not bridge.is_splat(original):
-            raise SceneError("there is nothing to compare: choose the original splat, or make it the active object")
-        pruned = settings.pruned or pruned_of(original)
+        original, pruned = chosen_pair(context)
         self.scenes = bridge.scene_from_object(original), shown_scene(pruned)
         places = (obj.matrix_world.copy() for obj in (original, pruned))
         self.placed = [bridge_graph.placed([part]) for part in zip(self.scenes, places, strict=True)]
@@ -46,6 +42,15 @@ class ComparedSplats:
         views = [(part.scene, part.seen_by(camera)) for part in self.placed]
         original, pruned = (rounded_to_8_bits(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views)
         return original, pruned
+
+
+def chosen_pair(context: bpy.types.Context) -> tuple[bpy.types.Object, bpy.types.Object]:
+    """(original, pruned): those chosen in the panel, or those that belong to the active object. Raises SceneError if one is missing."""
+    settings = context.scene.svrgs_looking
+    original = settings.original or job_result.pair_of(context.object)[0] or context.object
+    if not bridge.is_splat(original):
+        raise SceneError("there is nothing to compare: choose the original splat, or make it the active object")
+    return original, settings.pruned or pruned_of(original)
 
 
 def shown_scene(pruned: bpy.types.Object) -> Scene:
@@ -71,7 +76,7 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
 class SVRGS_OT_compare(bpy.types.Operator):
     bl_idname = "svrgs.compare"
     bl_label = "Compare"
-    bl_description = "Draw the original and the pruned splat from the camera. Measure both against its photograph, if it has one"
+    bl_description = "Render original and pruned splat from the camera, side by side. Measure both against its photograph, if it has one"
     bl_options = {"REGISTER"}
 
     @classmethod
@@ -159,7 +164,7 @@ def _has_camera(cls, context) -> bool:
 
 @persistent
 def _forget_lost_images(*_):
-    """Images that were not packed are not saved with the file. Their figures are removed, too."""
+    """Images may have been deleted. Their figures are removed, too."""
     if any(bridge_images.is_lost(name) for name in (comparison_images.ORIGINAL, comparison_images.PRUNED, comparison_images.WIPE)):
         for scene in bpy.data.scenes:
             scene.svrgs_looking.compare_result = ""

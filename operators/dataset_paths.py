@@ -17,10 +17,10 @@ from bpy.app.handlers import persistent
 from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.photographs.colmap import find_model
+from ..svrgs_addon.photographs.sources import find_cameras
 from . import bridge
 from .job_watch import FOLDER, folder_of
-from .option_properties import RELATIVE_PATH
+from .option_properties import RELATIVE
 
 UNDISTORTED = "images_undistorted"  # folder of undistorted copies in a dataset
 
@@ -34,7 +34,7 @@ def dataset_of(context) -> tuple[str, str]:
     settings, root = context.scene.svrgs_prune, bridge.root_of(context.object)
     if settings.colmap:
         return absolute(settings.colmap), settings.images
-    return (_dataset(root), settings.images or root.get(bridge.IMAGES, "")) if root is not None else ("", settings.images)
+    return (dataset_of_root(root), settings.images or root.get(bridge.IMAGES, "")) if root is not None else ("", settings.images)
 
 
 def dataset_of_job(context, splat: bpy.types.Object | None) -> str:
@@ -45,8 +45,8 @@ def dataset_of_job(context, splat: bpy.types.Object | None) -> str:
     if splat is None:
         return ""
     root, chosen = bridge.root_of(splat), absolute(context.scene.svrgs_prune.colmap)
-    of_cameras = _dataset(root) if root is not None else ""
-    return of_cameras if os.path.isdir(of_cameras) else chosen
+    of_cameras = dataset_of_root(root) if root is not None else ""
+    return of_cameras if os.path.exists(of_cameras) else chosen
 
 
 def problem(context) -> str:
@@ -54,16 +54,15 @@ def problem(context) -> str:
     folder, _ = dataset_of(context)
     if not folder:
         return "Choose the dataset of the splat's photographs, or import its cameras in step 1"
-    if os.path.isdir(folder):
+    if os.path.exists(folder):
         return ""
-    return f"There is no folder {folder}: choose the dataset again" if context.scene.svrgs_prune.colmap else lost(context)
+    return f"There is no dataset {folder}: choose it again" if context.scene.svrgs_prune.colmap else lost(bridge.root_of(context.object))
 
 
-def lost(context) -> str:
+def lost(root: bpy.types.Object | None) -> str:
     """That the dataset of the imported cameras is not where it was, in a sentence; '' if it is there, or if there is none."""
-    root = bridge.root_of(context.object)
-    folder = _dataset(root) if root is not None else ""
-    if root is None or not folder or os.path.isdir(folder):
+    folder = dataset_of_root(root) if root is not None else ""
+    if root is None or not folder or os.path.exists(folder):
         return ""
     return f"The photographs of '{root.name}' are not in {folder} any more: press Find Dataset in step 1"
 
@@ -73,7 +72,7 @@ def absolute(path: str, library: bpy.types.Library | None = None) -> str:
     return os.path.normpath(bpy.path.abspath(path, library=library)) if path else ""
 
 
-def _dataset(root: bpy.types.Object) -> str:
+def dataset_of_root(root: bpy.types.Object) -> str:
     """The dataset of a root; '' if it has none."""
     return absolute(_text(root.get(bridge.DATASET)), root.library)
 
@@ -144,14 +143,14 @@ class SVRGS_OT_find_dataset(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     directory: StringProperty(
-        name="Dataset", subtype="DIR_PATH", description="Folder of the dataset. It holds the image folder and the sparse model", **RELATIVE_PATH
+        name="Dataset", subtype="DIR_PATH", description="Folder of the dataset. It holds the photographs and their poses", options=RELATIVE
     )
     filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
 
     @classmethod
     def poll(cls, context):
         root = bridge.root_of(context.object)
-        if root is not None and _dataset(root):
+        if root is not None and dataset_of_root(root):
             return True
         cls.poll_message_set("Select a splat or a camera of the dataset first")
         return False
@@ -160,14 +159,14 @@ class SVRGS_OT_find_dataset(bpy.types.Operator):
         root, folder = bridge.root_of(context.object), absolute(self.directory)
         assert root is not None  # see poll
         try:
-            find_model(Path(folder))
+            find_cameras(Path(folder))
             shown, found = find_photographs(root, folder)
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         root[bridge.DATASET] = stored(folder)
         settings = context.scene.svrgs_prune
-        if settings.colmap and not os.path.isdir(absolute(settings.colmap)):
+        if settings.colmap and not os.path.exists(absolute(settings.colmap)):
             settings.colmap = stored(folder)
         self.report({"INFO"} if found == shown else {"WARNING"}, f"Found {found:,} of {shown:,} photographs in {folder}")
         return {"FINISHED"}
@@ -189,7 +188,7 @@ def find_photographs(root: bpy.types.Object, folder: str) -> tuple[int, int]:
                 images[image] = _file_of(image, camera, root, folder)
     found = {image: file for image, file in images.items() if file}
     if images and not found:
-        raise SplatError(f"{folder}: holds none of the {len(images):,} photographs of '{root.name}'; choose the folder with its images and its sparse model")
+        raise SplatError(f"{folder}: holds none of the {len(images):,} photographs of '{root.name}'; choose the folder with its photographs and their poses")
     for image, file in found.items():
         image.filepath = stored(file)
     return len(images), len(found)
@@ -198,7 +197,7 @@ def find_photographs(root: bpy.types.Object, folder: str) -> tuple[int, int]:
 def _file_of(image: bpy.types.Image, camera: bpy.types.Object, root: bpy.types.Object, folder: str) -> str:
     """The file of the image in the folder of the dataset: the first that exists of several; all have the name that it had. '': none."""
     old, name = absolute(image.filepath), camera.data.get(bridge.IMAGE, "")
-    tries = [_beside(old, _dataset(root)), f"{root.get(bridge.IMAGES) or 'images'}/{name}", f"{UNDISTORTED}/{name}.png"]
+    tries = [_beside(old, dataset_of_root(root)), f"{root.get(bridge.IMAGES) or 'images'}/{name}", f"{UNDISTORTED}/{name}.png"]
     tries += [os.path.join(os.path.basename(os.path.dirname(old)), os.path.basename(old)), os.path.basename(old)]
     files = (os.path.normpath(os.path.join(folder, path)) for path in tries if path and os.path.basename(path) == os.path.basename(old))
     return next((file for file in files if os.path.isfile(file)), "")

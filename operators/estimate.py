@@ -12,8 +12,9 @@ from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import write_scene
 from . import bridge
-from .job import JobOperator, file_size, options_of, start_problem
+from .job import JobOperator, options_of, start_problem
 from .job_watch import redraw_panels
+from .splat_size import size_text
 
 MODULE = "svrgs_addon.jobs.estimate"
 INTERVAL = 0.1  # seconds between two looks whether it is done
@@ -45,12 +46,14 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     if "error" in found:
         return [found["error"]]
     kept, count = found["kept"], found["count"]
+    faint = f", {found['faint']:,} dropped first as too faint" if found["faint"] else ""
     minutes, speed = found["seconds"] / 60, f"({found['steps_per_second']:.0f} steps/s)"
     return [
         f"{'At most' if found['at_most'] else 'About'} {kept:,} of {count:,} would stay ({kept / count:.0%})",
-        f"{file_size(obj, count)} → about {file_size(obj, kept)}",
-        f"{found['invisible']:,} are transparent, {found['unseen']:,} are in none of {found['views']} views, {found['faint']:,} are below the first cut",
+        f"{size_text(obj, count)} → about {size_text(obj, kept)}",
+        f"{found['invisible']:,} invisible, {found['unseen']:,} outside the {found['views']} sampled photographs" + faint,
         f"About {minutes:.0f} min {speed}" if minutes >= 1 else f"Less than a minute {speed}",
+        *found["notes"],
     ]
 
 

@@ -1,7 +1,8 @@
-"""Says once, for a file of an earlier version, what its pruning method is called now.
+"""Files of an earlier version: says once what their pruning method is called now, and keeps their goal.
 
 A .blend file stores the method as a number of the menu. Every method has kept its number, so an old file keeps its method; only names
 have changed. `method_schema` of the scene's settings says which names were in use when the method was chosen: 0 is before the change.
+Before schema 2 the default goal was the strength λ_F. A file that stores a method or a strength, but no goal, keeps it.
 """
 
 from __future__ import annotations
@@ -10,9 +11,8 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..svrgs_addon.finetune.methods import FORMER_NAMES, METHODS
-from .option_properties import menu_name
 
-SCHEMA = 1
+SCHEMA = 2
 FORMER_NAME = {present: former for former, present in FORMER_NAMES.items()}
 
 _sentences: dict[int, str] = {}  # by session_uid of a scene whose method is called otherwise now
@@ -34,8 +34,7 @@ def renaming(name: str) -> str:
     former = FORMER_NAME.get(name)
     if former is None:
         return ""
-    on_command_line = f" ('{name}' on the command line)" if METHODS[name].label else ""
-    return f"Method '{former}' of this file is called '{menu_name(METHODS[name])}' now{on_command_line}"
+    return f"Method '{former}' of this file is called '{METHODS[name].label}' now ('{name}' on the command line)"
 
 
 @persistent
@@ -44,10 +43,13 @@ def _after_load(*_):
     _sentences.clear()
     for scene in (scene for scene in bpy.data.scenes if not scene.library):
         settings = scene.svrgs_prune
-        if settings.method_schema >= SCHEMA or not settings.is_property_set("method"):
+        before, has_method = settings.method_schema, settings.is_property_set("method")
+        if before < SCHEMA and not settings.is_property_set("goal") and (has_method or settings.is_property_set("strength")):
+            settings.goal = "LAMBDA"
+        if before >= SCHEMA or not has_method:
             continue
         settings.method_schema = SCHEMA
-        if sentence := renaming(settings.method):
+        if before < 1 and (sentence := renaming(settings.method)):
             _sentences[scene.session_uid] = sentence
     for sentence in dict.fromkeys(_sentences.values()):
         print(f"SVR-GS: {sentence}", flush=True)

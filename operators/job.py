@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import os
 import re
@@ -10,62 +9,29 @@ from pathlib import Path
 
 import bpy
 
-from ..svrgs_addon.byte_units import size_text
-from ..svrgs_addon.errors import FormatError, SplatError
+from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
-from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, dataset_paths, edit_guard, job_queue, job_result
-from .job_queue import jobs
-from .job_watch import JOBS_FOLDER, current, folder_of, is_busy, is_resumable, job_of, link, load_result, start_timer, unlink
+from . import bridge, dataset_paths, edit_guard, goals, job_queue, job_result
+from .job_watch import JOBS_FOLDER, current, delete_job, is_busy, is_resumable, job_of, link, load_result, start_timer
 from .native_check import native_problem
-from .option_properties import menu_name
 from .preferences import PACKAGE, threads
 
 STOP_NOW = "End the process at once, without waiting for a checkpoint. What was learned since the last one is lost"
-BYTES_PER_GAUSSIAN = {0: 68, 1: 104, 2: 164, 3: 248}  # in a file, by SH degree
 
 
 def options_of(context, obj: bpy.types.Object) -> dict:
     """The settings of the panel as the options of a job."""
-    s, total = context.scene.svrgs_prune, bridge.count(obj)
+    s = context.scene.svrgs_prune
     colmap, images = dataset_paths.dataset_of(context)
     options = {
         "colmap": colmap, "images": images, "method": s.method, "iterations": s.iterations, "recovery": s.recovery, "seed": s.seed,
         "threads": threads(context), "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
-    method = METHODS[s.method]
-    if method.lambda_f:
-        options["lambda_f"] = s.lambda_f
-    if method.first_cut:
+    if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
-    targets = {"SHARE": s.share / 100 * total, "COUNT": s.count, "SIZE": s.size * 1e6 / bytes_per_gaussian(obj)}
-    if s.goal in targets:
-        options["target_count"] = min(total, max(1, round(targets[s.goal])))
-    elif s.goal == "DROP":
-        options["max_drop"] = round(s.drop, 4)
-    return options
-
-
-def bytes_per_gaussian(obj: bpy.types.Object) -> int:
-    """Bytes that one Gaussian of the splat takes in a file."""
-    return BYTES_PER_GAUSSIAN[bridge.sh_degree(obj)]
-
-
-def file_size(obj: bpy.types.Object, count: int) -> str:
-    """The size of a file with this many of the splat's Gaussians, as text."""
-    return size_text(count * bytes_per_gaussian(obj))
-
-
-def goal_problem(settings) -> str:
-    """Why the chosen method cannot reach the chosen goal; empty if it can."""
-    method, learns = METHODS[settings.method], settings.iterations > 0
-    name = menu_name(method)
-    if settings.goal == "LAMBDA" and method.ranks and not method.share:
-        return f"'{name}' only ranks the Gaussians: choose a percentage, a count or a size as the goal"
-    if settings.goal == "DROP" and not (method.supports_max_drop and learns):
-        return f"'{name}' cannot prune to a loss in dB: choose another goal or method" if learns else "A loss as the goal needs iterations: set more than 0"
-    return ""
+    return options | goals.options(s, obj)
 
 
 def start_problem(context) -> str:
@@ -82,7 +48,7 @@ def start_problem(context) -> str:
     _, pruned = job_result.pair_of(context.object)
     if job_result.undecided(pruned):
         return "Apply or discard the result first"
-    return dataset_paths.problem(context) or goal_problem(context.scene.svrgs_prune) or native_problem()
+    return dataset_paths.problem(context) or goals.problem(context.scene.svrgs_prune) or native_problem()
 
 
 def new_folder(context, name: str) -> Path:
@@ -206,7 +172,7 @@ class SVRGS_OT_job_resume(CurrentJobOperator):
 class SVRGS_OT_job_discard(CurrentJobOperator):
     bl_idname = "svrgs.job_discard"
     bl_label = "Discard"
-    bl_description = "Delete the job's files: what it has learned, and its result if it has ended. The splat stays as it is. This cannot be undone"
+    bl_description = "Delete the job's files: what it has learned, and its result if it has ended. Splat and cameras stay. This cannot be undone"
 
     @classmethod
     def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
@@ -228,8 +194,8 @@ class SVRGS_OT_job_load(CurrentJobOperator):
         return edit_guard.problem(context, obj) if job.state == "done" else "There is no finished job"
 
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
-        pruned = load_result(context, obj, job)
-        return f"Loaded {bridge.count(pruned):,} of {bridge.count(obj):,} Gaussians"
+        loaded = load_result(context, obj, job)
+        return f"Loaded {bridge.count(loaded):,}{f' of {bridge.count(obj):,}' if bridge.is_splat(obj) else ''} Gaussians"
 
 
 # --- what the buttons of the panel and of the list do
@@ -257,24 +223,14 @@ def stop(job: Job, now: bool = False) -> str:
 def resume(job: Job, dataset: str = "") -> str:
     """Continues the job, or lets it wait. dataset: another place to look for its dataset. Returns a sentence. Raises SplatError, OSError."""
     colmap = job.folder.request()["options"]["colmap"]
-    if not os.path.isdir(colmap):
-        if not os.path.isdir(dataset):
+    if not os.path.exists(colmap):
+        if not os.path.exists(dataset):
             raise SplatError(f"{colmap}: the dataset of this job is not there: with its splat active, find it in step 1 or choose it in step 2, then resume")
         job.folder.set_dataset(dataset)
     waits = job_queue.start(job)
     start_timer()
-    return ". ".join(filter(None, (waits or f"Pruning of '{job.name}' continues", job.renamed)))
-
-
-def delete_job(job: Job):
-    """Deletes the files of a job that has ended or waits, and takes it from its splat. Raises OSError."""
-    job_queue.leave(job)
-    with contextlib.suppress(FormatError):  # the files are gone already
-        job.folder.discard()
-    jobs.pop(str(job.folder.path), None)
-    for obj in bpy.data.objects:
-        if folder_of(obj) == str(job.folder.path):
-            unlink(obj)
+    what = "Training" if job.folder.kind == TRAIN else "Pruning"
+    return ". ".join(filter(None, (waits or f"{what} of '{job.name}' continues", job.renamed)))
 
 
 CLASSES = (

@@ -1,7 +1,7 @@
 """The list of all jobs that this Blender knows: those of the open file, and those in the folders in which jobs are made.
 
-A job without its splat in the file is an orphan. It can be stopped, continued and opened like the others (orphan_jobs.py: if its splat
-comes back).
+The owner of a job is the splat that it prunes, or the root of the cameras from which it trains one. A job without its owner in the
+file is an orphan. It can be stopped, continued and opened like the others (orphan_jobs.py: if its splat comes back).
 
 The folders are read again every SCAN_EVERY seconds while a panel asks. Panels know window_manager.svrgs_job_list by name.
 """
@@ -17,15 +17,15 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.props import PointerProperty, StringProperty
 
-from ..svrgs_addon.byte_units import size_text
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import read_scene
-from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
+from ..svrgs_addon.memory import size_text
 from . import applied_jobs, bridge, dataset_paths, edit_guard, job_queue, job_result
-from .job import JobOperator, delete_job, job_folders, resume, stop, stop_problem
+from .job import JobOperator, job_folders, resume, stop, stop_problem
 from .job_queue import jobs
-from .job_watch import folder_of, is_busy, is_resumable, load_result
+from .job_watch import delete_job, folder_of, is_busy, is_resumable, load_result
 from .select import select
 
 SCAN_EVERY = 3.0  # seconds between two readings of the folders
@@ -84,7 +84,7 @@ def _begun(job: Job) -> float:
 
 
 def owners() -> dict[str, bpy.types.Object]:
-    """The splats in the file that have a job, by its folder."""
+    """The splats and roots in the file that have a job, by its folder."""
     return {folder: obj for obj in bpy.data.objects if obj.users_collection and (folder := folder_of(obj))}
 
 
@@ -92,16 +92,17 @@ def owners() -> dict[str, bpy.types.Object]:
 
 
 def row(job: Job, splat: bpy.types.Object | None) -> dict:
-    """Of a job and its splat in the file: folder, name of the splat, the state in words, size and what is missing, icon, and the buttons that fit."""
+    """Of a job and its owner in the file: folder, name of the splat, the state in words, size and what is missing, icon, and the buttons that fit."""
     folder = str(job.folder.path)
     applied = applied_jobs.is_applied(folder)
     buttons = ["stop"] if is_busy(job) and not stop_problem(job) else ["resume"] if is_resumable(job) else []
     buttons += ["open"] * (job.state == "done" and not applied and not _is_loaded(splat))
     buttons += ["delete"] * (not is_busy(job))
-    where = "" if splat is not None or applied else "its splat is not in this file"
+    missing = "its cameras are" if job.kind == TRAIN else "its splat is"
+    where = "" if splat is not None or applied else f"{missing} not in this file"
     icon = ("PLAY" if not job_queue.is_queued(job) else "SORTTIME") if is_busy(job) else ICONS.get(job.state, "PAUSE")
     loaded = ", its result is in this file" if _is_loaded(splat) else ""
-    state = "Applied: its files are deleted when the file is saved" if applied else state_text(job) + loaded
+    state = "Finished: its files are deleted when the file is saved" if applied else state_text(job) + loaded
     size = ", ".join(filter(None, (size_text(_sizes.get(folder, 0)), where)))
     return {"folder": folder, "name": splat.name if splat is not None else job.name, "state": state, "size": size, "icon": icon, "buttons": buttons}
 
@@ -168,7 +169,7 @@ class SVRGS_OT_listed_job_resume(ListedJobOperator):
 class SVRGS_OT_listed_job_open(ListedJobOperator):
     bl_idname = "svrgs.listed_job_open"
     bl_label = "Open Result"
-    bl_description = "Load the result of this job: beside its splat, or as a new splat if that is not in the file"
+    bl_description = "Load the result of this job: beside its splat, or as a new splat if that is not in the file. Of a training: beside its cameras"
     bl_options = {"REGISTER", "UNDO"}
 
     def work_on(self, context, job: Job) -> str:
@@ -179,11 +180,12 @@ class SVRGS_OT_listed_job_open(ListedJobOperator):
         if problem:
             raise SplatError(problem)
         if splat is not None:
-            pruned = load_result(context, splat, job)
+            loaded = load_result(context, splat, job)
         else:
-            pruned = bridge.object_from_scene(f"{job.name} pruned", read_scene(job.folder / "pruned.ply"), context.collection)
-        select(context, [pruned])
-        return f"Loaded '{pruned.name}' with {bridge.count(pruned):,} Gaussians"
+            name = f"{job.name} {'splat' if job.kind == TRAIN else 'pruned'}"
+            loaded = bridge.object_from_scene(name, read_scene(job.folder.output), context.collection)
+        select(context, [loaded])
+        return f"Loaded '{loaded.name}' with {bridge.count(loaded):,} Gaussians"
 
 
 class ConfirmedDeletion(JobOperator):

@@ -15,18 +15,19 @@ from bpy.app.handlers import persistent
 
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.files.registry import read_scene
+from ..svrgs_addon.geometry.affine import transformed
+from ..svrgs_addon.geometry.moved_points import common_motion
 from ..svrgs_addon.jobs.job_folder import JobFolder
 from ..svrgs_addon.jobs.kept_share import BOUNDARY, lowest, merged, numbered
 from ..svrgs_addon.scene import Scene
 from . import bridge
-from .bridge_graph import REMOVED
+from .bridge_graph import HIDE_MODIFIER, REMOVED
 from .visibility import set_hidden
 
 SCORE, ROW, PROBABILITY = "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes, as is REMOVED
 ORIGINAL, PRUNED = "svrgs_original", "svrgs_pruned"  # properties of objects: the partner
 KEPT = "svrgs_kept"  # property of a pruned splat until Apply: the number of Gaussians that the job kept
 PSNR = "svrgs_psnr"  # property of the pruned splat: dB on the test photographs before and after
-HIDE_MODIFIER = "SVR-GS Removed"  # the modifier that hides marked Gaussians, and its node group
 
 
 def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
@@ -38,9 +39,12 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
         raise SceneError(f"{folder / 'pruned.ply'}: does not belong to this job's other files")
     if bridge.count(obj) != len(kept):
         raise SceneError(f"'{obj.name}' has {bridge.count(obj):,} Gaussians, but {len(kept):,} when the job began: undo the edit, then load the result")
+    motion = common_motion(read_scene(folder / "scene.ply").means, bridge.stored_values(obj, "position"))
+    if motion is None:
+        raise SceneError(f"points of '{obj.name}' were moved since the job began: undo the edit, then load the result")
+    recovered = transformed(recovered, motion)
     _make_room(obj)
-    pruned = bridge.object_from_scene(f"{obj.name} pruned", recovered, obj.users_collection[0], obj.matrix_world)
-    pruned.parent, pruned.matrix_parent_inverse, pruned.matrix_basis = obj.parent, obj.matrix_parent_inverse, obj.matrix_basis
+    pruned = bridge.copy_with(obj, f"{obj.name} pruned", recovered)
     rows = numbered(len(kept))
     for target, chosen in ((obj, slice(None)), (pruned, kept)):
         bridge.set_values(target, SCORE, "FLOAT", score[chosen])
@@ -146,7 +150,8 @@ def shown_gaussians(pruned: bpy.types.Object) -> Scene:
     back = ~bridge.stored_values(original, REMOVED) & (bridge.stored_values(original, SCORE) <= BOUNDARY)
     if not back.any():
         return scene
-    return merged(scene, rows, bridge.scene_from_object(original).select(back), bridge.stored_values(original, ROW)[back])
+    returned = transformed(bridge.scene_from_object(original).select(back), bridge.between(original, pruned))
+    return merged(scene, rows, returned, bridge.stored_values(original, ROW)[back])
 
 
 def unmark(obj: bpy.types.Object):

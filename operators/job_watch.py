@@ -15,10 +15,10 @@ import os
 import bpy
 from bpy.app.handlers import persistent
 
-from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.errors import FormatError, SplatError
+from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, edit_guard, job_pictures, job_queue, job_result
+from . import bridge, edit_guard, job_pictures, job_queue, job_result, train_result
 from .job_queue import jobs
 from .select import in_view_layer
 
@@ -29,6 +29,7 @@ RESUMABLE = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed"
 BUSY = ("new", "starting", "running")
 
 links: dict[int, str] = {}  # by session_uid of a splat, which undo does not change: the folder of its job
+in_file: dict[int, str] = {}  # by session_uid of a splat: the folder of the finished job whose result it is; see applied_jobs.py
 
 
 # --- the job of a splat
@@ -96,6 +97,17 @@ def unlink(obj: bpy.types.Object):
     links.pop(obj.session_uid, None)
 
 
+def delete_job(job: Job):
+    """Deletes the files of a job that has ended or waits, and takes it from its splat or its cameras. Raises OSError."""
+    job_queue.leave(job)
+    with contextlib.suppress(FormatError):  # the files are gone already
+        job.folder.discard()
+    jobs.pop(str(job.folder.path), None)
+    for obj in bpy.data.objects:
+        if folder_of(obj) == str(job.folder.path):
+            unlink(obj)
+
+
 @persistent
 def _after_undo(*_):
     """Gives splats back the jobs that they had before the undo."""
@@ -158,11 +170,16 @@ def _load_if_possible(job: Job):
     with contextlib.suppress(SplatError, OSError):  # the button Load Result reports the error
         load_result(bpy.context, splats[0], job)
         if not bpy.app.background:
-            bpy.ops.ed.undo_push(message="Prune Splat")
+            bpy.ops.ed.undo_push(message="Train Splat" if job.folder.kind == TRAIN else "Prune Splat")
 
 
 def load_result(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
-    """Adds the result of a finished job to the scene."""
+    """Adds the result of a finished job to the scene. obj: the splat that was pruned, or the root of the cameras that a splat was trained from."""
+    if job.folder.kind == TRAIN:
+        trained = train_result.load(context, obj, job.folder)
+        in_file[trained.session_uid] = str(job.folder.path)
+        unlink(obj)
+        return trained
     pruned = job_result.load(context, obj, job.folder)
     result = job.folder.result()
     psnr = [result[side].get("psnr") for side in ("before", "after")]
@@ -187,6 +204,7 @@ def redraw_panels():
 def _after_load(*_):
     """Another file has been opened: only the jobs that run or wait in this Blender stay. All links go, because the splats are others."""
     links.clear()
+    in_file.clear()
     job_queue.forget_ended()
 
 
@@ -205,3 +223,4 @@ def unregister():
         bpy.app.timers.unregister(tick)
     job_queue.forget_all()
     links.clear()
+    in_file.clear()

@@ -12,11 +12,23 @@ from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.finetune.methods.base import Method
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, dataset_paths, edit_guard, estimate, former_methods, job_pictures, job_queue, job_result, orphan_jobs
-from .job import file_size, goal_problem
+from . import (
+    bridge,
+    camera_match,
+    dataset_paths,
+    edit_guard,
+    estimate,
+    former_methods,
+    goals,
+    job_pictures,
+    job_queue,
+    job_result,
+    orphan_jobs,
+)  # fmt: skip
 from .job_watch import current, is_busy, is_resumable
 from .native_check import native_problem
-from .option_properties import lambda_sentence, method_sentence
+from .option_properties import CHOICES, method_sentence
+from .splat_size import size_text
 
 SILENT_SECONDS = 60.0  # after this time without a sign of life, the panel says so
 STOPPED_TEXT = {"queued": "Not started yet", "interrupted": "An interrupted job was found", "failed": "The job failed"}  # others: Stopped
@@ -50,7 +62,7 @@ def sentences(context) -> list[str]:
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
     texts = ["Estimating from some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
-    texts += filter(None, [edit_guard.problem(context, context.object), goal_problem(context.scene.svrgs_prune)])
+    texts += filter(None, [camera_match.sentence(context), edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
     return [*texts, *filter(None, [dataset_paths.problem(context), orphan_jobs.sentence(context), _of_applied(context.object)])]
 
 
@@ -60,19 +72,20 @@ def _of_job(job: Job) -> list[str]:
     if is_busy(job):
         silent = [f"No sign of life for {job.seconds_silent:.0f} s: Stop ends the job"] if job.seconds_silent > SILENT_SECONDS else []
         without = [f"Stop Now does not wait for it. {job.resume_sentence()}"] if job.stopping else []
-        return [job.facts.get("text") or "Working", *_figures(job.facts), *without, *silent]
+        return [job.facts.get("text") or "Working", *_figures(job.facts), *filter(None, [job.facts.get("note")]), *without, *silent]
     if not is_resumable(job):
-        return ["A finished job was found: load its result, or discard it and prune again"]
+        return ["A finished job was found: load its result, or discard it and start again"]
     progress = f" at {job.progress:.0%}" if job.facts.get("total") else ""
     return [STOPPED_TEXT.get(job.state, "Stopped") + progress, *filter(None, [job.facts.get("text")]), job.resume_sentence(), *_figures(job.facts)]
 
 
 def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
-    texts = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {file_size(pruned, count)}"]
+    texts = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {size_text(pruned, count)}"]
     if job_result.PSNR in pruned:
         before, after = pruned[job_result.PSNR]
-        texts.append(f"PSNR {before:.2f} → {after:.2f} dB, {kept:,} recovered")
+        elsewhere = "" if count == kept else "; not measured at this setting"
+        texts.append(f"Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB{elsewhere}")
     return [*texts, f"{count - kept:,} more than were recovered: shown as in the original"] if count > kept else texts
 
 
@@ -140,7 +153,7 @@ def _dataset(_) -> str:
 
 
 def _lost_dataset(_) -> str:
-    return dataset_paths.lost(bpy.context)
+    return dataset_paths.lost(bridge.root_of(bpy.context.object))
 
 
 def _orphan(_) -> str:
@@ -157,24 +170,20 @@ def _method() -> Method:
 
 
 def _method_help(_) -> str:
-    return method_sentence(_method())
+    method, sentence = _method(), method_sentence(_method())
+    return sentence if method.name in CHOICES.values() else f"{method.label}: {sentence}"
 
 
-def _lambda_help(_) -> str:
-    return lambda_sentence(_method())
+def _goal_help(_) -> str:
+    return goals.sentence(bpy.context.scene.svrgs_prune)
+
+
+def _strength_help(_) -> str:
+    return goals.strength_sentence(bpy.context.scene.svrgs_prune)
 
 
 def _method_renamed(_) -> str:
     return former_methods.sentence_of(bpy.context.scene)
-
-
-def _own_strength(_) -> str:
-    method = _method()
-    return f"Keeps {method.share:.0%} of the Gaussians" if method.share else "" if method.ranks else "The method's own weight decides"
-
-
-def _uses_lambda(_) -> bool:
-    return _method().lambda_f > 0
 
 
 def _subject(_) -> str:
@@ -186,7 +195,7 @@ def _subject(_) -> str:
 
 def _size(_) -> str:
     obj = bpy.context.object
-    return f"{bridge.count(obj):,} Gaussians, {file_size(obj, bridge.count(obj))}" if bridge.is_splat(obj) else ""
+    return f"{bridge.count(obj):,} Gaussians, {size_text(obj, bridge.count(obj))}" if bridge.is_splat(obj) else ""
 
 
 def _marked(_) -> int:
@@ -208,10 +217,9 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     orphan: StringProperty(get=_orphan)  # that a job of the active splat was found; else empty
     original: StringProperty(get=_original)  # name of the original of an applied result; empty: none
     method_help: StringProperty(get=_method_help)
-    lambda_help: StringProperty(get=_lambda_help)
+    goal_help: StringProperty(get=_goal_help)
+    strength_help: StringProperty(get=_strength_help)  # empty: the method has no λ_F
     method_renamed: StringProperty(get=_method_renamed)
-    uses_lambda: BoolProperty(get=_uses_lambda)
-    own_strength: StringProperty(get=_own_strength)
     size: StringProperty(get=_size)
     marked: IntProperty(get=_marked)  # Gaussians of the active splat that are marked as removed
 

@@ -84,7 +84,7 @@ def _follow_in(context):
 
 @persistent
 def _after_load(*_):
-    """An image that was not packed is not saved with the file. Its figures are removed, too."""
+    """The image may have been deleted. Its figures are removed, too."""
     if bridge_images.is_lost(mask_image.NAME):
         for scene in bpy.data.scenes:
             scene.svrgs_looking.mask_result = ""

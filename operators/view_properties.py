@@ -6,11 +6,16 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.render import color_maps
-from . import bridge, comparison_images, mask_image, overlay, undistort
+from . import bridge, camera_match, mask_image, overlay, splat_layer, splat_transforms, undistort, viewport_wipe
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
     (VALUES, "Values", "The values of F themselves, for use in materials")
+]
+MESHES = [
+    ("SHOW", "Shown", "Meshes are drawn in their base colours, and hide what is behind them"),
+    ("CUT", "Cut Out", "Meshes are holes with alpha 0, as if all were holdouts. For a picture over another render"),
+    ("SPLIT", "Between", "Gaussians in front of meshes are the picture, those behind them the pass Behind. Another render belongs between the two"),
 ]
 SHOWN = [
     ("COLOR", "Colors", "The colours of the Gaussians"),
@@ -25,6 +30,18 @@ def _about(_) -> str:
     return f"{bridge.count(obj):,} Gaussians, SH degree {bridge.sh_degree(obj)}" if bridge.is_splat(obj) else ""
 
 
+def _moved(_) -> int:
+    return splat_transforms.moved_count(bpy.context.object)
+
+
+def _cameras(_) -> str:
+    return camera_match.cameras_of(bpy.context.object)
+
+
+def _roots(_) -> str:
+    return "\n".join(camera_match.roots(bpy.context.scene))
+
+
 def _is_splat(_, obj) -> bool:  # not a lambda below: Blender evaluates annotations where `bridge` is unknown
     return bridge.is_splat(obj)
 
@@ -33,12 +50,27 @@ def _photographs(_) -> str:
     return undistort.status()
 
 
+def _wiping(settings) -> bool:
+    return viewport_wipe.pair(settings.id_data) is not None
+
+
+def _not_drawn(settings) -> str:
+    return splat_layer.missing(settings.id_data)
+
+
 class SVRGS_PG_view(bpy.types.PropertyGroup):
     about: StringProperty(get=_about, options={"HIDDEN"})  # one line about the active splat; empty if no splat is active
+    moved: IntProperty(get=_moved, options={"HIDDEN"})  # Gaussians of the active splat whose points were moved without their shapes
+    cameras: StringProperty(get=_cameras, options={"HIDDEN"})  # the cameras of the active splat in words; empty if it has none
+    roots: StringProperty(get=_roots, options={"HIDDEN"})  # names of the empties above imported cameras, one a line
     photographs: StringProperty(get=_photographs, options={"HIDDEN"})  # status of undistorting photographs; mostly empty
     background: FloatVectorProperty(
         name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="Colour behind the Gaussians. Black, as in training"
     )
+    meshes: EnumProperty(name="Meshes", items=MESHES, description="What renders of the engine SVR-GS show of meshes")
+
+    layer_of: PointerProperty(type=bpy.types.Scene, options={"HIDDEN"})  # the scene whose splats this scene renders (splat_layer.py)
+    not_drawn: StringProperty(get=_not_drawn, options={"HIDDEN"})  # what keeps renders from showing the splats; empty: nothing
 
     mask_colors: EnumProperty(name="Colors", items=MAPS, update=mask_image.recolor, description="Colours of the spatial mask")
     mask_top: FloatProperty(
@@ -57,8 +89,9 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
         name="Camera", type=bpy.types.Object, poll=lambda _, obj: obj.type == "CAMERA", description="Camera to compare from. Empty: the scene's camera"
     )
     wipe: FloatProperty(
-        name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=comparison_images.redraw, description="Original on the left, pruned on the right"
+        name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=viewport_wipe.moved, description="Original on the left, pruned on the right"
     )
+    wiping: BoolProperty(get=_wiping, options={"HIDDEN"})  # whether Wipe in Viewport is on
     compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned, between
 
     overlay: BoolProperty(name="Draw Splats", default=True, update=overlay.switch, description="Draw splats in Solid and Material Preview viewports")

@@ -26,15 +26,20 @@ class ComparePanel:  # the base of Panel classes, which have a layout
         column.use_property_decorate = False
         for name in ("original", "pruned", "compare_camera"):
             column.prop(settings, name)
-        row = layout.row(align=True)
+        column = layout.column(align=True)
+        column.operator("svrgs.viewport_wipe", icon="ARROW_LEFTRIGHT", text="Wipe in Viewport", depress=settings.wiping)
+        row = column.row(align=True)
         row.operator("svrgs.compare", icon="IMAGE_ALPHA")
         row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
-        image = bpy.data.images.get(WIPE)
-        if image is None or not settings.compare_result:
-            wrapped_label(layout, "Compare draws both from the camera", "INFO")
+        image = bpy.data.images.get(WIPE) if settings.compare_result else None
+        if image is not None or settings.wiping:
+            layout.prop(settings, "wipe", slider=True)
+        if image is None:
+            wrapped_label(layout, "Renders original and pruned side by side", "INFO")
             return
-        draw_image(layout, image)
-        layout.prop(settings, "wipe", slider=True)
+        if not settings.wiping:
+            draw_image(layout, image)
+            layout.operator("svrgs.open_image", icon="WINDOW", text="Open in Image Editor").name = WIPE
         table(layout, json.loads(settings.compare_result))
 
 

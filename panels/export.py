@@ -19,7 +19,7 @@ class SVRGS_PT_export(bpy.types.Panel):
             return
         layout.label(text=f"{context.object.name}: {state.size}")
         if state.marked:
-            wrapped_label(layout, f"{state.marked:,} of them are marked as removed, but would be exported: press Apply first", "INFO")
+            wrapped_label(layout, f"{state.marked:,} hidden Gaussians stay out of the file. Apply deletes them", "INFO")
         layout.operator("svrgs.export_ply", icon="EXPORT")
 
 

@@ -6,9 +6,11 @@ import bpy
 
 from .wrapped_label import wrapped_label
 
-PRESETS = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
-GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # goal -> its property; LAMBDA has a row of its own
-ADVANCED = ("seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder")
+PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
+GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # goal -> its property; the strength has rows of its own
+ADVANCED = (
+    "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder",
+)  # fmt: skip
 ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK"}  # stage -> icon of the first sentence
 
 
@@ -54,6 +56,7 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
     def draw(self, context):
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
+        column.prop(context.scene.svrgs_prune, "method", text="All Methods")
         for name in ADVANCED:
             column.prop(context.scene.svrgs_prune, name)
 
@@ -63,30 +66,28 @@ def draw_settings(layout, context, state):
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(settings, "colmap", placeholder=state.dataset)
-    column.prop(settings, "method")
+    column.prop(settings, "method_choice")
     wrapped_label(column, state.method_help)
     if state.method_renamed:
         wrapped_label(column, state.method_renamed, "INFO")
     column.prop(settings, "goal")
     if settings.goal in GOALS:
         column.prop(settings, GOALS[settings.goal])
-    elif state.uses_lambda:
+    elif settings.goal == "LAMBDA" and state.strength_help:
         draw_strength(column.column(align=True), settings)
-        wrapped_label(column, state.lambda_help)
-    elif state.own_strength:
-        column.label(text=state.own_strength, icon="INFO")
-    column.prop(settings, "iterations")
-    column.prop(settings, "recovery")
+        wrapped_label(column, state.strength_help)
+    wrapped_label(column, state.goal_help)
     row = layout.row(align=True)
     row.operator("svrgs.estimate", icon="VIEWZOOM")
     row.operator("svrgs.job_start", icon="PLAY")
 
 
 def draw_strength(column, settings):
-    column.prop(settings, "strength", slider=True, text=f"λ_F = {settings.lambda_f * 1e4:.3g}e-4")
-    row = column.row(align=True)
-    for value in PRESETS:
-        row.operator("svrgs.set_lambda", text=f"{value * 1e4:g}e-4").value = value
+    column.prop(settings, "amount", slider=True)
+    if settings.method_choice == "PAPER":
+        row = column.row(align=True)
+        for value in PAPER_VALUES:
+            row.operator("svrgs.set_lambda", text=f"{value * 1e4:g}e-4").value = value
 
 
 def draw_progress(layout, _, state):

@@ -4,6 +4,8 @@ import bpy
 
 from .wrapped_label import wrapped_label
 
+ROOTS = 3  # sets of cameras that are offered
+
 
 class SVRGS_PT_scene(bpy.types.Panel):
     bl_label = "1  Scene"
@@ -23,11 +25,31 @@ class SVRGS_PT_scene(bpy.types.Panel):
             wrapped_label(layout, lost, "ERROR")
             layout.operator("svrgs.find_dataset", icon="FILE_FOLDER", text="Find Dataset…")
         about = context.scene.svrgs_looking.about
+        row = layout.row()
+        if about:
+            row.label(text=context.object.name, icon="OUTLINER_OB_POINTCLOUD")
+            layout.label(text=about)
+        else:
+            row.label(text="Select a splat, or import one", icon="INFO")
+        row.operator("svrgs.frame", text="", icon="ZOOM_SELECTED")
         if not about:
-            layout.label(text="Select a splat, or import one", icon="INFO")
             return
-        layout.label(text=context.object.name, icon="OUTLINER_OB_POINTCLOUD")
-        layout.label(text=about)
+        draw_cameras(layout, context.scene.svrgs_looking)
+        moved = context.scene.svrgs_looking.moved
+        if moved:
+            wrapped_label(layout, f"Blender has moved {moved:,} points without their shapes. SVR-GS shows and exports the right shapes", "INFO")
+            layout.operator("svrgs.write_shapes", icon="CHECKMARK")
+
+
+def draw_cameras(layout, looking):
+    """The cameras of the splat, with a button to part from them; or buttons to use those that there are."""
+    if looking.cameras:
+        row = layout.row()
+        row.label(text=looking.cameras, icon="OUTLINER_OB_CAMERA")
+        row.operator("svrgs.part_from_cameras", text="", icon="X")
+        return
+    for name in looking.roots.splitlines()[:ROOTS]:
+        layout.operator("svrgs.use_cameras", text=f"Use Cameras of '{name}'", icon="OUTLINER_OB_CAMERA").root = name
 
 
 def register():

@@ -4,7 +4,7 @@ import json
 
 import bpy
 
-from .wrapped_label import native_library_works, wrapped_label
+from .wrapped_label import native_library_works, sidebar_units, wrapped_label
 
 IMAGE = "SVR-GS Spatial Mask"
 TICKS = 5
@@ -53,10 +53,10 @@ class SVRGS_PT_spatial_mask_image(SpatialMaskPanel, bpy.types.Panel):
     bl_space_type = "IMAGE_EDITOR"
 
 
-def draw_image(layout, image, scale=10.0):
-    """The preview of the image, as wide as the panel allows."""
+def draw_image(layout, image):
+    """The preview of the image, as wide as the sidebar."""
     if image.preview is not None:
-        layout.template_icon(image.preview.icon_id, scale=scale)
+        layout.template_icon(image.preview.icon_id, scale=sidebar_units())
 
 
 def legend(layout, top: float):

@@ -4,6 +4,7 @@ import bpy
 
 CHARACTER_WIDTH = 6.8  # pixels, on average
 SIDEBAR_WIDTH = 300  # pixels, if there is no window to ask
+MARGINS, BUTTON_HEIGHT = 50, 20  # pixels: of the sidebar's tabs and panels; of one row
 
 
 def wrapped_label(layout, sentence: str, icon: str = "NONE"):
@@ -26,6 +27,16 @@ def native_library_works(layout, context) -> bool:
     return not problem
 
 
+def sidebar_units() -> float:
+    """Width of the sidebar's content, in heights of a button."""
+    return max(5.0, (_sidebar_width() - MARGINS) / BUTTON_HEIGHT)
+
+
 def _characters_per_line() -> float:
+    return _sidebar_width() / CHARACTER_WIDTH - 3
+
+
+def _sidebar_width() -> float:
+    """Pixels, without the scale of the interface."""
     region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
-    return (region.width / scale if region is not None and scale else SIDEBAR_WIDTH) / CHARACTER_WIDTH - 3
+    return region.width / scale if region is not None and scale else SIDEBAR_WIDTH

@@ -107,6 +107,35 @@ def test_rigs_and_frames_are_not_looked_at(tmp_path):
     assert len(load_dataset(tmp_path, cameras_only=True).cameras) == 9
 
 
+# --- missing photographs
+
+
+def test_missing_photographs_are_left_out_and_named(tmp_path, caplog):
+    """The others stay test or training views: pictures that were held out before are never trained on."""
+    make_dataset(tmp_path)
+    for name in ("00.png", "03.png", "04.png", "07.png"):
+        (tmp_path / "images" / name).unlink()
+    data = load_dataset(tmp_path)
+    assert [camera.name for camera in data.cameras] == ["01.png", "02.png", "05.png", "06.png", "08.png"]
+    assert (data.test_indices, data.train_indices) == ([4], [0, 1, 2, 3])
+    assert [np.array_equal(data.image(k), photo(i)) for k, i in enumerate((1, 2, 5, 6, 8))] == [True] * 5
+    sentence = f"{tmp_path}/images: 4 of 9 photographs are missing: 00.png, 03.png, 04.png, ...; the other 5 are used"
+    assert data.notes == (sentence,) and caplog.messages == [sentence]
+    centres = np.array([data.cameras[k].position for k in data.train_indices])
+    assert np.isclose(data.extent, 1.1 * np.linalg.norm(centres - centres.mean(0), axis=1).max())
+
+
+def test_control_characters_of_names_are_not_repeated(tmp_path):
+    make_dataset(tmp_path, ["a.png", "b\x1b[31m.png"])
+    (tmp_path / "images/b\x1b[31m.png").unlink()
+    assert "missing: b?[31m.png;" in load_dataset(tmp_path).notes[0]
+
+
+def test_nothing_is_noted_where_nothing_is_missing(tmp_path, caplog):
+    make_dataset(tmp_path)
+    assert load_dataset(tmp_path).notes == () and not caplog.messages
+
+
 # --- scaled photographs
 
 

@@ -15,11 +15,13 @@ from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.photographs.dataset import load_dataset
 
 
-def test_missing_photographs_are_counted_and_named(tmp_path):
+def test_photographs_are_refused_if_fewer_than_a_third_are_there(tmp_path):
     make_dataset(tmp_path)
-    for name in ("01.png", "03.png", "04.png", "07.png"):
-        (tmp_path / "images" / name).unlink()
-    with pytest.raises(SceneError, match=r"4 of 9 photographs are missing: 01\.png, 03\.png, 04\.png, \.\.\."):
+    for i in range(6):
+        (tmp_path / f"images/{i:02}.png").unlink()
+    assert len(load_dataset(tmp_path).cameras) == 3
+    (tmp_path / "images/06.png").unlink()
+    with pytest.raises(SceneError, match=r"images: 7 of 9 photographs are missing: 00\.png, 01\.png, 02\.png, \.\.\.; at least a third must be there: give"):
         load_dataset(tmp_path)
 
 

@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from ..byte_units import size_text
 from ..errors import SceneError
+from ..memory import size_text
 
 try:
     import fcntl

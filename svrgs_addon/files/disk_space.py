@@ -9,8 +9,8 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-from ..byte_units import size_text
 from ..errors import SceneError
+from ..memory import size_text
 
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))  # the disk, the largest file, the quota of the user
 CAN_HOLD = hasattr(os, "posix_fallocate")

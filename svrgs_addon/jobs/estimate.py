@@ -24,6 +24,7 @@ from ..finetune.plan import prune_plan
 from ..finetune.run import Run
 from ..finetune.saliency import saliency
 from ..metrics.evaluate import mean_psnr, refuse_unseen, render_options
+from ..metrics.explained import mismatch_of
 from ..native import Rasterizer
 from ..option_kinds import check_mapping
 from ..photographs.dataset import Dataset
@@ -48,7 +49,7 @@ def estimate(options: PruneOptions) -> dict:
 
     count: Gaussians of the scene; invisible: those with an opacity below 1/255; unseen: those that no rendered view sees; faint: those
     that the first cut removes; kept: roughly how many stay; at_most: whether kept is an upper bound; views: number of rendered views;
-    steps_per_second; seconds: expected time of the run.
+    steps_per_second; seconds: expected time of the run; notes: sentences on the dataset and whether the splat belongs to it.
     """
     native.set_threads(options.threads)
     dataset = dataset_of(options)
@@ -71,6 +72,7 @@ def estimate(options: PruneOptions) -> dict:
         "at_most": bool(options.max_drop),
         "views": views,
         "steps_per_second": rate,
+        "notes": [*dataset.notes, *filter(None, [mismatch_of(scene, dataset)])],
         "seconds": (active * relative_time((1 + share) / 2) + (plan.total - active) * relative_time(share)) / rate,
     }
 

@@ -33,7 +33,8 @@ class Job:
         self.facts: dict = folder.state()
         self.result: dict | None = None
         self.renamed = ""  # set by start(): a sentence if the method of the job has another name now
-        self._name = self._why = ""
+        self._why = ""
+        self._read_request: dict = {}
         self._process: subprocess.Popen | None = None
         self._read = 0  # bytes of messages.jsonl that were read
         self._stopping: float | None = None  # time of stop() or kill(), of time.monotonic()
@@ -63,11 +64,20 @@ class Job:
 
     @property
     def name(self) -> str:
-        """The name of the splat when the job was made."""
-        if not self._name:
+        """The name of the splat, or of the cameras, when the job was made; the folder's name if job.json cannot be read."""
+        return self._request().get("name") or self.folder.path.name
+
+    @property
+    def kind(self) -> str:
+        """PRUNE or TRAIN; '' if job.json cannot be read."""
+        return self._request().get("kind", "")
+
+    def _request(self) -> dict:
+        """job.json, read once; {} if it cannot be read."""
+        if not self._read_request:
             with contextlib.suppress(FormatError):
-                self._name = self.folder.request()["name"]
-        return self._name or self.folder.path.name
+                self._read_request = self.folder.request()
+        return self._read_request
 
     @property
     def progress(self) -> float:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
+import os
 import time
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from ..finetune.model import Model, scene_from_points
 from ..finetune.plan import Plan
 from ..finetune.run import Run
 from ..metrics.evaluate import evaluate, mean_psnr, refuse_unseen, render_options
+from ..metrics.explained import mismatch_of
 from ..native import Rasterizer, RenderOptions
 from ..photographs.dataset import Dataset
 from ..report.prune_report import report_pictures, write_prune_report
@@ -59,7 +62,7 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
     """Prunes a trained scene and recovers its quality. Writes job.out and, if job.report is set, the report. Returns the JSON result.
     Raises SplatError, Cancelled."""
     check_outputs(job)
-    if job.out.resolve() == scene_path.resolve():
+    if os.path.realpath(job.out) == os.path.realpath(scene_path):
         raise SceneError(f"{job.out}: is the input itself, which is never overwritten; choose another output")
     with reserved(job.out), DiskRoom(job.out, job.folder) as room:
         return _prune(scene_path, dataset, plan, job, room)
@@ -75,6 +78,7 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         room.hold_for(source, source.count)
     with clock.phase("evaluate before"):
         before = measured(source, dataset, job, scene_path)
+        note_mismatch(source, dataset)
         pictures = report_pictures(source, dataset) if job.report else []
     with clock.phase("first cut"):
         model = Model.of(first_cut(source, dataset, plan), copy=False)
@@ -134,6 +138,13 @@ def check_request(dataset: Dataset, plan: Plan):
 def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
     """Raises SceneError if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH coefficients per channel."""
     memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget))
+
+
+def note_mismatch(scene: Scene, dataset: Dataset):
+    """Warns, and notes in the dataset, if the scene explains little of the photographs."""
+    if sentence := mismatch_of(scene, dataset):
+        logging.warning("%s", sentence)
+        dataset.notes = (*dataset.notes, sentence)
 
 
 def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
@@ -263,5 +274,6 @@ def run_facts(run: Run, job: JobContext, clock: Clock) -> dict:
         "nonfinite_gradients": run.nonfinite,
         "densifications_held_back": run.held_back,
         "seed": plan.seed,
+        "notes": list(run.dataset.notes),
         "curves": vars(run.curves),
     }

@@ -154,7 +154,7 @@ def splat(tmp_path):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     settings = bpy.context.scene.svrgs_prune
     for name in settings.bl_rna.properties.keys():
-        if name not in ("rna_type", "name", "lambda_f"):
+        if name not in ("rna_type", "name", "lambda_f", "amount", "method_choice"):
             settings.property_unset(name)
     settings.colmap, settings.folder = str(DATA / "tiny"), str(tmp_path / "jobs")
     return bpy.context.object

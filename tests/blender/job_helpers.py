@@ -66,7 +66,7 @@ class Layout:
             if name == "prop":
                 assert words[1] in words[0].bl_rna.properties, words[1]
             self.notes.append((name, *words, *options.values()))
-            return Layout(self.notes) if name in ("row", "column", "box") else SimpleNamespace()
+            return Layout(self.notes) if name in ("row", "column", "box", "grid_flow") else SimpleNamespace()
 
         return draw
 

@@ -171,9 +171,9 @@ def test_a_chosen_dataset_that_does_not_exist_disables_the_buttons(project):
     select_splat()
     bpy.context.scene.svrgs_prune.colmap = "/nowhere"
     for operator in (bpy.ops.svrgs.job_start, bpy.ops.svrgs.estimate):
-        with pytest.raises(RuntimeError, match="There is no folder /nowhere: choose the dataset again"):
+        with pytest.raises(RuntimeError, match="There is no dataset /nowhere: choose it again"):
             operator()
-    assert "There is no folder /nowhere: choose the dataset again" in drawn("prune")
+    assert "There is no dataset /nowhere: choose it again" in drawn("prune")
 
 
 # --- jobs

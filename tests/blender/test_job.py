@@ -230,14 +230,14 @@ def test_without_a_splat_the_buttons_say_what_to_do():
     [
         ({"goal": "SHARE", "share": 10}, 25),
         ({"goal": "COUNT", "count": 70}, 70),
-        ({"goal": "SIZE", "size": 0.0104}, 100),
+        ({"goal": "SIZE", "size": 0.0111}, 100),
         ({"goal": "COUNT", "count": 9999}, 250),
     ],  # fmt: skip
 )
 def test_targets_become_counts(splat, goal, target):
     set_up(goal)
     options = part("operators.job").options_of(bpy.context, splat)
-    assert options["target_count"] == target and options["lambda_f"] == pytest.approx(1e-4)
+    assert options["target_count"] == target and "lambda_f" not in options
 
 
 def test_a_loss_in_db_is_held(splat, watch, results, bridge):
@@ -256,8 +256,8 @@ def test_a_loss_in_db_is_held(splat, watch, results, bridge):
 @pytest.mark.parametrize(
     "options, sentence",
     [
-        ({"goal": "DROP", "method": "opacity"}, "'opacity' cannot prune to a loss"), ({"goal": "DROP", "iterations": 0}, "needs iterations"),
-        ({"goal": "LAMBDA", "method": "pup"}, "'pup' only ranks the Gaussians"),
+        ({"goal": "DROP", "method": "opacity"}, "'Opacity' cannot prune to a loss"), ({"goal": "DROP", "iterations": 0}, "needs iterations"),
+        ({"goal": "LAMBDA", "method": "pup"}, "'PUP 3D-GS' only ranks the Gaussians"),
     ],
 )  # fmt: skip
 def test_a_goal_that_the_method_cannot_reach_is_said(splat, options, sentence):
@@ -268,18 +268,29 @@ def test_a_goal_that_the_method_cannot_reach_is_said(splat, options, sentence):
 
 
 @pytest.mark.parametrize(
-    "method, said", [("pressure", "svrgs.set_lambda"), ("lightgaussian", "Keeps 34%"), ("gns", "Keeps 25%"), ("maskgs", "The method's own weight decides")]
-)
+    "method, said",
+    [("pressure", "λ_F = 1e-4, the default"), ("lightgaussian", "Keeps 34%"), ("gns", "Keeps 25%"), ("maskgs", "The method's own weight decides")],
+)  # fmt: skip
 def test_without_a_target_the_panel_says_what_decides(splat, method, said):
     set_up({"goal": "LAMBDA", "method": method})
-    assert said in drawn("prune") and (method == "pressure" or "svrgs.set_lambda" not in drawn("prune"))
+    assert said in " ".join(drawn("prune").split()) and ("amount" in drawn("prune")) == (method == "pressure")
+    assert "svrgs.set_lambda" not in drawn("prune")
     assert bpy.ops.svrgs.job_start.poll()
+
+
+def test_the_values_of_the_paper_are_offered_for_its_method(splat):
+    set_up({"goal": "LAMBDA", "method": "svr"})
+    assert "svrgs.set_lambda" in drawn("prune")
 
 
 def test_lambda_is_a_number_with_a_logarithmic_slider(splat):
     settings = bpy.context.scene.svrgs_prune
     bpy.ops.svrgs.set_lambda(value=1.25e-4)
     assert settings.lambda_f == pytest.approx(1.25e-4) and settings.strength == pytest.approx(np.log10(1.25e-4))
+    assert settings.goal == "LAMBDA", "whoever sets λ_F wants it to count"
+    for share, value in ((0.0, 1e-5), (0.5, 1e-4), (1.0, 1e-3)):
+        settings.amount = share
+        assert settings.lambda_f == pytest.approx(value) and settings.amount == pytest.approx(share)
     settings.method = "maskgs"
     assert "lambda_f" not in part("operators.job").options_of(bpy.context, splat)
 
@@ -334,6 +345,11 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     bpy.ops.svrgs.job_start()
     follow(watch, lambda: len(bpy.data.objects) == 3)
     assert "125 of 250 Gaussians" in drawn("prune")
+    said = " ".join(drawn("prune").split())
+    assert "Quality at 125 Gaussians: PSNR" in said and "not measured" not in said
+    bpy.context.object.svrgs_share = 20
+    said = " ".join(drawn("prune").split())
+    assert "50 of 250 Gaussians" in said and "Quality at 125 Gaussians: PSNR" in said and "not measured at this setting" in said
     bpy.context.object.svrgs_share = 60
     assert "25 more than were recovered" in drawn("prune")
     bpy.ops.svrgs.apply()
@@ -341,7 +357,7 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "panel, said", [("scene", "Select a splat"), ("compare", "Compare draws"), ("spatial_mask", "Refresh draws"), ("overlay", ""), ("engine", "")]
+    "panel, said", [("scene", "Select a splat"), ("compare", "side by side"), ("spatial_mask", "Refresh draws"), ("overlay", ""), ("engine", "")]
 )
 def test_every_panel_draws_without_anything_in_the_scene(panel, said):
     bpy.context.scene.svrgs_looking.compare_result = bpy.context.scene.svrgs_looking.mask_result = ""

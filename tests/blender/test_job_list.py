@@ -156,7 +156,7 @@ def test_jobs_of_earlier_sessions_are_found_in_the_folders(splat, watch, listed,
     follow(watch, lambda: all(map(ended, watch.jobs.values())))
     assert set(listed()) == {"scene", "beside"}
     assert Path(listed()["beside"]["folder"]).parent == tmp_path / "svrgs_jobs"
-    assert part("svrgs_addon.byte_units").size_text(first.folder.size()) in listed()["scene"]["size"]
+    assert part("svrgs_addon.memory").size_text(first.folder.size()) in listed()["scene"]["size"]
 
 
 def test_a_result_is_opened_beside_its_splat_where_that_is(splat, watch, listed, results):
@@ -292,7 +292,7 @@ def test_the_files_of_an_applied_job_go_when_the_file_is_saved(pruned, watch, li
     names = original.name, result.name
     bpy.ops.svrgs.apply()
     assert job.folder.path.exists(), "a crash now would lose the result"
-    assert listed()["scene"]["state"] == "Applied: its files are deleted when the file is saved"
+    assert listed()["scene"]["state"] == "Finished: its files are deleted when the file is saved"
     assert not bpy.context.window_manager.svrgs_job_list.finished
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
     assert job.folder.path.exists(), "the result is not in this file yet"
