@@ -87,7 +87,8 @@ def test_transforms_json_gives_the_same_cameras(capfd):
     assert len(found[0]) == len(found[1]) == 12
     for a, b in zip(*found, strict=True):
         np.testing.assert_allclose(a.matrix_world, b.matrix_world, atol=1e-6)
-        assert Path(b.data.background_images[0].image.filepath).samefile(a.data.background_images[0].image.filepath)
+        files = [Path(bpy.path.abspath(obj.data.background_images[0].image.filepath)) for obj in (a, b)]
+        assert files[0].samefile(files[1])
     assert f"the cameras are those of {DATA}/nerfstudio/transforms.json" in capfd.readouterr().out
 
 
