@@ -27,12 +27,14 @@ from . import (
     scene_cache,
     spatial_mask,
     splat_transforms,
+    translation,
     view_properties,
     viewport,
     viewport_wipe,
 )
 
 MODULES = (
+    translation,
     import_ply,
     import_colmap,
     export_ply,

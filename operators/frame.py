@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.geometry.bounds import clipping
 from . import bridge
@@ -20,7 +21,7 @@ class SVRGS_OT_frame(bpy.types.Operator):
     def poll(cls, context):
         if _subject(context.object):
             return True
-        cls.poll_message_set("Select a splat, or the cameras of a dataset")
+        cls.poll_message_set(tr("Select a splat, or the cameras of a dataset"))
         return False
 
     def execute(self, context):
