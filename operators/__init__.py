@@ -27,6 +27,7 @@ from . import (
     scene_cache,
     spatial_mask,
     splat_transforms,
+    train,
     translation,
     view_properties,
     viewport,
@@ -64,6 +65,7 @@ MODULES = (
     frame,
     viewport_wipe,
     open_image,
+    train,
 )
 
 

@@ -39,7 +39,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
         "colmap",
         name="Dataset",
         options=RELATIVE,
-        description="COLMAP dataset: photographs and model. Empty: the dataset of the imported cameras",
+        description="Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported cameras",
     )
     images: option_property("images")
     out: StringProperty(

@@ -107,11 +107,11 @@ class Viewport:
         """Draws the newest pictures, and asks for better ones. Returns a line for the user."""
         if not self.shown or self.triangles is None:
             return self.problem or "There is no visible splat: import one"
-        sides = viewport_wipe.sides(context.scene, self.shown)
-        for closed in self.panes.keys() - {side.name for side in sides}:
-            self.panes.pop(closed).live.close()
         try:
             native.set_threads(threads(context))
+            sides = viewport_wipe.sides(context.scene, self.shown)
+            for closed in self.panes.keys() - {side.name for side in sides}:
+                self.panes.pop(closed).live.close()
             texts = [self._draw_side(context, scene, side) for side in sides]
         except (SplatError, NativeError) as error:
             return str(error)

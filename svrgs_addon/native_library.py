@@ -194,8 +194,11 @@ def peaks(level: str) -> dict[str, float]:
 
 
 def set_threads(count: int):
-    """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not depend on it."""
-    library().svrgs_set_threads(c.c_int32(count))
+    """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not depend on it.
+
+    More than 32 threads, or 8 per core, would only slow each other down: a larger count is taken as this one.
+    """
+    library().svrgs_set_threads(c.c_int32(min(count, 2**31 - 1)))
 
 
 def threads() -> int:

@@ -95,3 +95,14 @@ def test_looking_with_the_mouse(drive, tiny, tmp_path):
     (expected,) = (tmp_path / "renders").iterdir()
     rendered, expected = (read_pixels(path).astype(int)[..., :3] for path in (Path(seen["f12"]), expected))
     assert rendered.shape == expected.shape and np.abs(rendered - expected).max() <= 1
+
+
+def test_frame_times_are_printed(drive, tiny, capsys):
+    """Of a Solid viewport that moves, and of the same one without splats; so that a slow-down shows."""
+    seen = drive("frames.py", tiny.folder)
+    with capsys.disabled():
+        for count, times in seen.items():
+            figures = ", ".join(f"{name} {1e3 * times[name]:.0f} ms" for name in ("first", "median", "largest", "without"))
+            print(f"\n{int(count):,} Gaussians: {figures}; level {times['levels']}")
+    assert [int(count) for count in seen] == [196_000, 1_500_000]
+    assert all(times["median"] > 0 and times["levels"] for times in seen.values()), seen

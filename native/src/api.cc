@@ -147,7 +147,7 @@ void svrgs_get_thresholds(svrgs_thresholds* out) {
 }
 
 int32_t svrgs_level_supported(int32_t level) { return supported(level); }
-void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::clamp(threads, 0, 1024)); }
+void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::max(threads, 0)); }
 int32_t svrgs_threads(void) { return svrgs::threads(); }
 
 int32_t svrgs_best_level(void) {

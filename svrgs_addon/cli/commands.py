@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from .. import memory
 from ..errors import Cancelled
-from ..exit_status import STOPPED, plain
+from ..exit_status import STOPPED, plain, printable
 from ..files import registry
 from ..jobs.options import DatasetOptions, PruneOptions, TrainOptions
 from .arguments import options_from
@@ -59,7 +59,7 @@ def prune(words: Words) -> int:
     failed = stopped = False
     for item in items:
         line = {"scene": str(item.scene), "out": str(item.out)}
-        if item.out.exists() and not words.overwrite and item.out.resolve() != item.scene.resolve():
+        if item.out.exists() and not words.overwrite and not batch_list.same_file(item.out, item.scene):
             line["skipped"] = "the output exists"
         else:
             status, result = run_in_child(_of_item(options, item, words.report and words.report / item.name))
@@ -128,7 +128,7 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
     parts = [f"{result['count']:,} Gaussians", f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
     if result.get("lpips") is not None:
         parts.append(f"LPIPS {result['lpips']:.4f}")
-    parts += [f"{result['bytes'] / 1e6:.1f} MB", f"{result['ms_per_frame']:.1f} ms per frame"]
+    parts += [memory.size_text(result["bytes"]), f"{result['ms_per_frame']:.1f} ms per frame"]
     before = result.get("before")
     lines = ([f"before  {_figures(before)}"] if before else []) + [("after   " if before else "") + ", ".join(parts)]
     if before:
@@ -141,5 +141,5 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
 
 
 def _print(result: dict, words: Words, text: str) -> int:
-    print(json.dumps(plain(result)) if words.json else text, flush=True)
+    print(json.dumps(plain(result)) if words.json else "\n".join(map(printable, text.split("\n"))), flush=True)
     return 0

@@ -19,6 +19,8 @@ from ..outputs import OUTPUTS, PICTURES
 from ..photographs.dataset import HOLDOUT, load_cameras_json, load_dataset
 from ..report.pictures import mask_to_rgb, to_uint8
 
+MAX_DIGITS = 20  # of the number of a view; Python refuses to read thousands of digits
+
 
 def render_views(options: argparse.Namespace) -> list[Path]:
     """Renders options.outputs of options.views and returns the files. All masks are 1, and F counts every hit of a ray. Raises SplatError."""
@@ -67,10 +69,11 @@ def choose(cameras: list[Camera], views: str) -> list[Camera]:
     for part in views.split(","):
         if part in by_name:
             chosen.append(by_name[part])
-        elif part.isdecimal() and int(part) < len(cameras):
+        elif part.isdecimal() and len(part) < MAX_DIGITS and int(part) < len(cameras):
             chosen.append(cameras[int(part)])
         else:
-            raise SceneError(f"there is no view '{part}'; views have names such as '{cameras[0].name}' and numbers 0 to {len(cameras) - 1}")
+            shown = part if len(part) < 60 else f"{part[:60]}..."
+            raise SceneError(f"there is no view '{shown}'; views have names such as '{cameras[0].name}' and numbers 0 to {len(cameras) - 1}")
     return chosen
 
 

@@ -40,7 +40,7 @@ def has_right_suffix(path: str | os.PathLike) -> bool:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
     kind = next((name for name, (pattern, _) in KINDS.items() if pattern.match(head)), "")
     if not kind:
-        raise FormatError(f"{path}: cannot be read as an image (it does not begin like a {', '.join(KINDS)} file); export it again")
+        raise FormatError(f"{path}: cannot be read as an image (it begins like no {', '.join(KINDS)} file); export it again")
     suffixes = KINDS[kind][1]
     right = os.path.splitext(os.fspath(path))[1].lower() in suffixes
     if not right and size > MISNAMED_BYTES:
