@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 CATALOGUES = catalogues(ROOT)
 PENDING = {  # files whose texts still have to be translated
     "operators/apply.py", "operators/bridge_graph.py", "operators/estimate.py", "operators/former_methods.py", "operators/goals.py",
-    "operators/import_colmap.py", "operators/job.py", "operators/job_result.py", "operators/prune_state.py", "operators/render_engine.py",
+    "operators/import_colmap.py", "operators/job.py", "operators/job_result.py", "operators/prune_state.py", "operators/render_engine.py", "operators/train.py", "operators/train_result.py",
     "operators/undistort.py", "operators/viewport.py", "panels/engine.py", "panels/prune.py",
 }  # fmt: skip
 SENTENCE = re.compile(r"[^\W\d_]{2,}[,;:.]? [^\W\d_]{2,}")  # two words

@@ -122,7 +122,7 @@ def test_panels_and_reports_show_translated_texts(drawn, splat, room, camera, ca
     bpy.context.scene.svrgs_looking.pruned = room
     bpy.ops.svrgs.compare()
     bpy.context.view_layer.objects.active = splat
-    for panel in ("scene", "spatial_mask", "compare", "export"):
+    for panel in ("scene", "spatial_mask", "compare"):
         assert "⟦" in drawn(panel) and not untranslated(drawn(panel)), panel
     reports = re.findall(r"(?:Info|Warning|Error): (.*)", capfd.readouterr().out)
     assert len(reports) == 2 and not untranslated(" ".join(reports))
