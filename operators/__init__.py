@@ -3,6 +3,7 @@
 from . import (
     active_camera,
     apply,
+    bridge_materials,
     camera_match,
     command_line,
     compare,
@@ -66,6 +67,7 @@ MODULES = (
     viewport_wipe,
     open_image,
     train,
+    bridge_materials,
 )
 
 

@@ -13,6 +13,11 @@ VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
     (VALUES, "Values", "The values of F themselves, for use in materials")
 ]
+MESHES = [
+    ("SHOW", "Shown", "Meshes are drawn in their base colours, and hide what is behind them"),
+    ("CUT", "Cut Out", "Meshes are holes with alpha 0, as if all were holdouts. For a picture over another render"),
+    ("SPLIT", "Between", "Gaussians in front of meshes are the picture, those behind them the pass Behind. Another render belongs between the two"),
+]
 SHOWN = [
     ("COLOR", "Colors", "The colours of the Gaussians"),
     ("contribution", "Contribution", "What each Gaussian adds to the images of the cameras. Run Show Contribution first"),
@@ -61,6 +66,7 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
     background: FloatVectorProperty(
         name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="Colour behind the Gaussians. Black, as in training"
     )
+    meshes: EnumProperty(name="Meshes", items=MESHES, description="What renders of the engine SVR-GS show of meshes")
 
     mask_colors: EnumProperty(name="Colors", items=MAPS, update=mask_image.recolor, description="Colours of the spatial mask")
     mask_top: FloatProperty(
