@@ -80,8 +80,9 @@ def _check(key: tuple, scene: Scene):
 def cameras_of(obj: bpy.types.Object | None) -> str:
     """The cameras that the splat is joined to, in words; empty if there are none."""
     root = bridge.root_of(obj) if bridge.is_splat(obj) else None
-    count = _camera_count(root) if root is not None else 0
-    return tr("{count:,} cameras of '{name}'").format(count=count, name=root.name) if count else ""
+    if root is None or not _camera_count(root):
+        return ""
+    return tr("{count:,} cameras of '{name}'").format(count=_camera_count(root), name=root.name)
 
 
 def roots(scene: bpy.types.Scene) -> list[str]:

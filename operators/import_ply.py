@@ -32,7 +32,9 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
     y_down: BoolProperty(
         name="Turn Upright (Y-Down File)", default=True, description="The file's y axis points down, as in 3DGS files. The object is turned upright"
     )
-    frame: BoolProperty(name="Frame", translation_context=OWN, default=True, description="Turn the 3D viewports to the splat. Gaussians far outside are not counted")
+    frame: BoolProperty(
+        name="Frame", translation_context=OWN, default=True, description="Turn the 3D viewports to the splat. Gaussians far outside are not counted"
+    )
 
     def execute(self, context):
         paths, texts, objects = self.paths(), [], []

@@ -15,9 +15,9 @@ from blender.messages import TRANSLATED, called, catalogues, fields, is_text, me
 ROOT = Path(__file__).resolve().parents[1]
 CATALOGUES = catalogues(ROOT)
 PENDING = {  # files whose texts still have to be translated
-    "operators/apply.py", "operators/bridge_graph.py", "operators/estimate.py", "operators/former_methods.py", "operators/goals.py",
-    "operators/import_colmap.py", "operators/job.py", "operators/job_result.py", "operators/prune_state.py", "operators/render_engine.py", "operators/train.py", "operators/train_result.py",
-    "operators/undistort.py", "operators/viewport.py", "panels/engine.py", "panels/prune.py",
+    "operators/apply.py", "operators/estimate.py",
+    "operators/import_colmap.py", "operators/job.py", "operators/job_result.py", "operators/prune_state.py", "operators/render_engine.py", "operators/train.py",
+    "operators/undistort.py", "panels/engine.py", "panels/prune.py",
 }  # fmt: skip
 SENTENCE = re.compile(r"[^\W\d_]{2,}[,;:.]? [^\W\d_]{2,}")  # two words
 WORD = re.compile(r"[^\W\d_]{3,}")
@@ -25,7 +25,8 @@ NO_TEXT = {  # in English everywhere
     # names of images, objects, modifiers and sockets: scripts and .blend files know data by name
     "SVR-GS Contact Sheet", "SVR-GS Spatial Mask", "SVR-GS Wipe", "SVR-GS Removed", "Base Color", "f'SVR-GS {name}'", "f'{name} (former)'",
     "f'{original.name} pruned'", "f'{source.name} pruned'", "f'{Path(self.scene).stem} pruned'", "f'{obj.name} pruned'", "f'{name} points'",
-    "f'SVR-GS: {sentence}'",  # a line in the console
+    "f'{root.name} splat'",
+    "f'SVR-GS: {renaming(name)}'",  # a line in the console
     "f'. Empty: {option.default_help}'",  # the whole description is in the catalogues
     "Name of the empty above the cameras",  # of a hidden property
 }  # fmt: skip
@@ -49,7 +50,7 @@ def glued(tree: ast.AST) -> Iterator[str]:
         elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Mult):
             if any(is_text(side) and WORD.search(side.value) for side in (node.left, node.right)):
                 yield ast.unparse(node)
-        elif called(node) in TRANSLATED and not isinstance(node.args[0], ast.Constant | ast.Name | ast.Attribute | ast.Subscript | ast.Call):
+        elif called(node) in TRANSLATED and not isinstance(node.args[0], ast.Constant | ast.IfExp | ast.Name | ast.Attribute | ast.Subscript | ast.Call):
             yield ast.unparse(node)
 
 

@@ -38,14 +38,22 @@ def is_text(node: ast.AST) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, str) and bool(node.value)
 
 
+def literals(node: ast.AST) -> Iterator[str]:
+    """A text, or both of `one if … else other`."""
+    if isinstance(node, ast.IfExp):
+        yield from (*literals(node.body), *literals(node.orelse))
+    elif is_text(node):
+        yield node.value
+
+
 def messages(tree: ast.AST) -> Iterator[str]:
     """The texts in tr("…") and n_("…"), and those that are given to a layout or to Blender's undo."""
     for node in ast.walk(tree):
         name = called(node)
-        if name in TRANSLATED and is_text(node.args[0]):
-            yield node.args[0].value
+        if name in TRANSLATED:
+            yield from literals(node.args[0])
         elif name in LAYOUT or name == "undo_push":
-            yield from (word.value.value for word in node.keywords if word.arg in SHOWN and is_text(word.value))
+            yield from (text for word in node.keywords if word.arg in SHOWN for text in literals(word.value))
 
 
 def messages_of(root: Path) -> set[str]:
