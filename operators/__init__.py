@@ -26,7 +26,9 @@ from . import (
     render_engine,
     saved_images,
     scene_cache,
+    set_up_rendering,
     spatial_mask,
+    splat_layer,
     splat_transforms,
     train,
     translation,
@@ -68,6 +70,8 @@ MODULES = (
     open_image,
     train,
     bridge_materials,
+    set_up_rendering,
+    splat_layer,
 )
 
 

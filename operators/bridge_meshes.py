@@ -46,23 +46,19 @@ class _Read:
         return self.meshes[key]
 
 
-def triangles(depsgraph: bpy.types.Depsgraph, meshes: str = "SHOW") -> Triangles:
+def triangles(depsgraph: bpy.types.Depsgraph, cut: bool = False, catchers: bool = False) -> Triangles:
     """All objects that render as surfaces, without splats, in Blender's world.
 
-    meshes: SHOW, as they are; CUT, all as holdouts; SPLIT, as they are, with shadow catchers. Without SPLIT, shadow catchers are left
-    out: they show nothing here, and hide nothing.
+    cut: all as holdouts. catchers: only shadow catchers; without it, shadow catchers are left out: they show nothing and hide nothing.
     """
     parts, read = [], _Read()
     for instance in depsgraph.object_instances:
         obj = instance.object
-        if not instance.show_self or obj.type not in SURFACES or bridge.is_splat(obj) or not obj.visible_camera:
-            continue
-        if obj.is_shadow_catcher and meshes != "SPLIT":
+        if not instance.show_self or obj.type not in SURFACES or bridge.is_splat(obj) or not obj.visible_camera or obj.is_shadow_catcher != catchers:
             continue
         arrays = read.triangles(obj)
         if arrays is not None:
-            holdout = meshes == "CUT" or _is_holdout(instance, depsgraph)
-            parts.append(_placed(arrays, np.array(instance.matrix_world), holdout))
+            parts.append(_placed(arrays, np.array(instance.matrix_world), cut or _is_holdout(instance, depsgraph)))
     return _joined(parts, tuple(picture for _, picture in read.textures.values()))
 
 

@@ -53,7 +53,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
         try:
             native.set_threads(threads(bpy.context))
             whole = self.picture(depsgraph)
-            layers = {name: pixels[rows, columns] for name, pixels in whole.items()} if whole else layers
+            layers |= {name: pixels[rows, columns] for name, pixels in (whole or {}).items()}
         except (SplatError, NativeError) as error:
             problem = str(error)
         finally:
@@ -70,7 +70,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
             raise SceneError("there is no splat to render: import one, and check that its camera icon in the Outliner is on")
         view = bridge_panorama.view_of(bridge_graph.camera(depsgraph, self.camera_override), scene)
         self.show_progress("Reading meshes", 0.1)
-        triangles = bridge_meshes.triangles(depsgraph, meshes)
+        triangles, catchers = bridge_meshes.triangles(depsgraph, cut=meshes == "CUT"), bridge_meshes.triangles(depsgraph, catchers=True)
         self.show_progress(f"Drawing {placed.scene.count:,} Gaussians", 0.2)
         transparent = scene.render.film_transparent or meshes != "SHOW"
         background = (0.0, 0.0, 0.0) if transparent else tuple(scene.svrgs_looking.background)
@@ -78,7 +78,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
         def draw(rasterizer, camera):  # in a thread, which must not use bpy
             local, surface = placed.seen_by(camera), placed.hidden_by(triangles, camera)
             if meshes == "SPLIT":
-                return split(rasterizer, placed.scene, local, surface)
+                return split(rasterizer, placed.scene, local, surface, placed.hidden_by(catchers, camera))
             return composite(rasterizer, placed.scene, local, background, surface)
 
         found = composite_while(lambda: not self.test_break(), Rasterizer(), lambda rasterizer: composite_view(partial(draw, rasterizer), view))
@@ -102,7 +102,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
 
 def kinds(scene: bpy.types.Scene) -> tuple:
     """(name, channels, type) of each pass of the scene except Combined."""
-    return (*PASSES, BEHIND) if scene.svrgs_looking.meshes == "SPLIT" else PASSES
+    return (*PASSES, BEHIND) if scene.svrgs_looking.meshes != "SHOW" else PASSES
 
 
 def region(scene: bpy.types.Scene) -> tuple[slice, slice]:

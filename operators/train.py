@@ -51,7 +51,7 @@ def problem(context) -> str:
 
 class SVRGS_OT_train(JobOperator):
     bl_idname = "svrgs.train"
-    bl_label = "Train Splat from Photographs"
+    bl_label = "Train Splat"
     bl_description = "Train a splat in the background from the photographs and the sparse points of the imported cameras. It is placed with the cameras"
     bl_options = {"REGISTER", "UNDO"}
 

@@ -7,7 +7,7 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.render import color_maps
-from . import bridge, camera_match, mask_image, overlay, splat_transforms, undistort, viewport_wipe
+from . import bridge, camera_match, mask_image, overlay, splat_layer, splat_transforms, undistort, viewport_wipe
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
@@ -57,6 +57,10 @@ def _wiping(settings) -> bool:
     return viewport_wipe.pair(settings.id_data) is not None
 
 
+def _not_drawn(settings) -> str:
+    return splat_layer.missing(settings.id_data)
+
+
 class SVRGS_PG_view(bpy.types.PropertyGroup):
     about: StringProperty(get=_about, options={"HIDDEN"})  # one line about the active splat; empty if no splat is active
     moved: IntProperty(get=_moved, options={"HIDDEN"})  # Gaussians of the active splat whose points were moved without their shapes
@@ -67,6 +71,9 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
         name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="Colour behind the Gaussians. Black, as in training"
     )
     meshes: EnumProperty(name="Meshes", items=MESHES, description="What renders of the engine SVR-GS show of meshes")
+
+    layer_of: PointerProperty(type=bpy.types.Scene, options={"HIDDEN"})  # the scene whose splats this scene renders (splat_layer.py)
+    not_drawn: StringProperty(get=_not_drawn, options={"HIDDEN"})  # what keeps renders from showing the splats; empty: nothing
 
     mask_colors: EnumProperty(name="Colors", items=MAPS, update=mask_image.recolor, description="Colours of the spatial mask")
     mask_top: FloatProperty(

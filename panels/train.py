@@ -22,7 +22,7 @@ class SVRGS_PT_train(bpy.types.Panel):
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(settings, "iterations")
-        column.operator("svrgs.train", icon="PLAY")
+        column.operator("svrgs.train", icon="PLAY", text="Train Splat from Photographs")
         if settings.problem:
             wrapped_label(layout, settings.problem, "INFO")
 

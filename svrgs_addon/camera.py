@@ -10,6 +10,9 @@ import numpy as np
 
 from .errors import SceneError
 
+MAX_PIXELS = 1e9  # of a focal length or principal point
+MAX_DISTANCE = 1e15  # of a camera from the world's origin; nothing farther is rendered
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -31,6 +34,12 @@ class Camera:
         """Camera centre -Rᵀ t in world coordinates, (3,) float64."""
         R, t = self.viewmat[:3, :3], self.viewmat[:3, 3]
         return -R.T @ t
+
+    @property
+    def usable(self) -> bool:
+        """Whether pose and intrinsics are finite and not absurdly large, and both focal lengths are positive."""
+        in_range = (np.abs(self.K) < MAX_PIXELS).all() and (np.abs(self.viewmat) < MAX_DISTANCE).all()
+        return bool(in_range and self.K[0, 0] > 0 and self.K[1, 1] > 0)
 
     @property
     def key(self) -> bytes:

@@ -36,12 +36,12 @@ def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
     except KeyboardInterrupt:
         tell("interrupted")
         return STOPPED
+    except ImportError as error:
+        tell(f"the package {error.name or 'that is needed'} cannot be loaded ({import_reason(error)})")
     except MemoryError as error:
         tell("out of memory" + (f": {printable(str(error))}" if str(error) else ""))
     except (NativeError, OSError) as error:
         tell(printable(str(error)))
-    except ImportError as error:
-        tell(f"the package {error.name or 'that is needed'} cannot be loaded ({import_reason(error)})")
     except RuntimeError as error:
         if "start new thread" not in str(error):
             raise

@@ -9,7 +9,7 @@ import scenes
 from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.files.images import linear_to_srgb
 from svrgs_addon.native import Rasterizer, RenderOptions
-from svrgs_addon.render.composite import FAR, composite, composite_while, split
+from svrgs_addon.render.composite import FAR, ON_CATCHER, composite, composite_while, split
 from svrgs_addon.render.meshes import Surface
 from svrgs_addon.render.passes import linear_rgba, overlay_rgba
 
@@ -109,6 +109,16 @@ def test_a_picture_split_at_a_surface_is_whole_again_without_the_surface(scene):
     assert not parts.behind[:, 48:].any() and parts.behind[:, 8:40, 3].max() > 0.5
     front = composite(Rasterizer(), scene, CAMERA, surface=Surface(slope.depth, np.zeros_like(slope.rgba)))
     np.testing.assert_array_equal(parts.rgb, front.rgb)
+
+
+def test_what_lies_on_a_shadow_catcher_is_behind_it(scene):
+    z = float(np.median(depths(scene)))
+    mesh, catcher = plane(1.5 * z), plane(z)
+    found = split(Rasterizer(), scene, CAMERA, mesh, catcher)
+    np.testing.assert_array_equal(found.rgb, split(Rasterizer(), scene, CAMERA, plane(z * np.float32(1 - ON_CATCHER))).rgb)
+    far = split(Rasterizer(), scene, CAMERA, plane(0.5 * z), catcher)
+    np.testing.assert_array_equal(far.rgb, split(Rasterizer(), scene, CAMERA, plane(0.5 * z)).rgb)
+    assert not split(Rasterizer(), scene, CAMERA).behind.any()
 
 
 def test_behind_a_holdout_a_split_picture_has_nothing(scene):

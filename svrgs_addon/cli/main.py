@@ -23,13 +23,15 @@ def _main(arguments: list[str] | None) -> int:
     terminal.prepare()
     from .. import memory
     from ..exit_status import guarded
+    from ..packages import uninterrupted
     from .arguments import parser
 
     options = parser().parse_args(arguments)
 
     def run() -> int:
         memory.refuse_few_addresses(memory.NUMPY_ADDRESSES if options.command == "info" else memory.PHOTOGRAPH_ADDRESSES)
-        from . import commands
+        with uninterrupted():  # NumPy is imported here
+            from . import commands
 
         return commands.COMMANDS[options.command](options)
 

@@ -83,7 +83,7 @@ def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolma
     """
     _check_aspect(view, width, height)
     if not (np.isfinite(view.camera.params).all() and np.isfinite(view.viewmat).all()):
-        raise SceneError(f"{view.name}: its camera has a focal length or pose that is not usable")
+        raise SceneError(f"{view.name}: its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP again")
     kinds = import_pycolmap().CameraModelId
     if view.camera.model in (kinds.PINHOLE, kinds.SIMPLE_PINHOLE):
         full = Camera(view.viewmat, view.camera.calibration_matrix(), view.camera.width, view.camera.height, view.name)
@@ -160,10 +160,9 @@ def _undistort_camera(model: str, size: tuple[int, int], params: tuple[float, ..
 
 
 def _checked_camera(camera: Camera) -> Camera:
-    """Returns the camera. Raises SceneError if its pose or intrinsics are not finite or a focal length is not positive."""
-    finite = np.isfinite(camera.K).all() and np.isfinite(camera.viewmat).all()
-    if not (finite and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
-        raise SceneError(f"{camera.name}: its camera has a focal length or pose that is not usable")
+    """Returns the camera. Raises SceneError if its pose or intrinsics are not usable."""
+    if not camera.usable:
+        raise SceneError(f"{camera.name}: its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP again")
     return camera
 
 

@@ -21,6 +21,7 @@ from ..scene import Scene
 from .meshes import Surface
 
 FAR = 1e10  # depth of empty pixels, as in Blender's own engines
+ON_CATCHER = 0.03  # share of the distance of a shadow catcher
 POLL_SECONDS = 0.05  # between two calls of wanted()
 PASS_OUTPUTS = tuple(output.name for output in OUTPUTS.values() if output.render_pass)
 
@@ -68,23 +69,27 @@ def composite(rasterizer: Rasterizer, scene: Scene, camera: Camera, background=(
     return _composite(images)
 
 
-def split(rasterizer: Rasterizer, scene: Scene, camera: Camera, surface: Surface | None = None) -> Composite:
+def split(rasterizer: Rasterizer, scene: Scene, camera: Camera, surface: Surface | None = None, catcher: Surface | None = None) -> Composite:
     """Renders the Gaussians in front of surfaces, with transparent ground, and those behind them as Composite.behind.
 
     Another picture of the surfaces, with alpha, belongs between the two: front over surfaces over behind. So front ends at the nearest
     surface of a pixel, even if that has only a part of it: its alpha is in the other picture. Where there is no surface, all Gaussians are
-    in front. Behind holdouts there is nothing. Raises Cancelled.
+    in front. Behind holdouts there is nothing. catcher: shadow catchers; Gaussians that are less than ON_CATCHER in front of them count
+    as behind, because those of the ground on which a shadow falls are on both sides of the catcher. Raises Cancelled.
     """
     whole = composite(rasterizer, scene, camera)
-    if surface is None:
+    limits = [surface.depth] if surface is not None else []
+    limits += [catcher.depth * np.float32(1 - ON_CATCHER)] if catcher is not None else []
+    if not limits:
         return replace(whole, behind=np.zeros((*whole.coverage.shape, 4), np.float32))
-    nothing = Surface(surface.depth, np.zeros_like(surface.rgba))
-    front = composite(rasterizer, scene, camera, surface=nothing)
+    limit = np.minimum.reduce(limits)
+    front = composite(rasterizer, scene, camera, surface=Surface(limit, np.zeros((*limit.shape, 4), np.float32)))
     T = 1 - front.alpha[..., None]  # sums of the whole picture: front + T * behind
     sums = np.concatenate([whole.rgb - front.rgb, (whole.alpha - front.alpha)[..., None]], axis=2)
     behind = np.divide(sums, T, out=np.zeros_like(sums), where=T > 0).clip(0, None)
     behind[..., 3].clip(0, 1, out=behind[..., 3])
-    return replace(front, holes=np.zeros_like(front.holes), behind=behind * (1 - surface.holes)[..., None])
+    holes = surface.holes if surface is not None else np.zeros_like(limit)
+    return replace(front, holes=np.zeros_like(holes), behind=behind * (1 - holes)[..., None])
 
 
 def _over(rasterizer: Rasterizer, scene: Scene, camera: Camera, options: RenderOptions, surface: Surface, limit: np.ndarray) -> dict[str, np.ndarray]:
