@@ -15,9 +15,9 @@ from blender.messages import TRANSLATED, called, catalogues, fields, is_text, me
 ROOT = Path(__file__).resolve().parents[1]
 CATALOGUES = catalogues(ROOT)
 PENDING = {  # files whose texts still have to be translated
-    "operators/apply.py", "operators/estimate.py",
-    "operators/import_colmap.py", "operators/job.py", "operators/job_result.py", "operators/prune_state.py", "operators/render_engine.py", "operators/train.py",
-    "operators/undistort.py", "panels/engine.py", "panels/prune.py",
+    "operators/apply.py",
+    "operators/job.py", "operators/job_result.py", "operators/prune_state.py",
+    "panels/prune.py",
 }  # fmt: skip
 SENTENCE = re.compile(r"[^\W\d_]{2,}[,;:.]? [^\W\d_]{2,}")  # two words
 WORD = re.compile(r"[^\W\d_]{3,}")
@@ -25,9 +25,11 @@ NO_TEXT = {  # in English everywhere
     # names of images, objects, modifiers and sockets: scripts and .blend files know data by name
     "SVR-GS Contact Sheet", "SVR-GS Spatial Mask", "SVR-GS Wipe", "SVR-GS Removed", "Base Color", "f'SVR-GS {name}'", "f'{name} (former)'",
     "f'{original.name} pruned'", "f'{source.name} pruned'", "f'{Path(self.scene).stem} pruned'", "f'{obj.name} pruned'", "f'{name} points'",
-    "f'{root.name} splat'",
+    "f'{root.name} splat'", "f'{scene.name} Splats'", "f'{scene.name} Compositing'", "SVR-GS Splats", "SVR-GS Behind", "SVR-GS In Front",
     "f'SVR-GS: {renaming(name)}'",  # a line in the console
-    "f'. Empty: {option.default_help}'",  # the whole description is in the catalogues
+    # the whole description is in the catalogues
+    "f'. Empty: {option.default_help}'", "f'Number of training steps. {QUICK:,} give a usable splat, {ITERATIONS:,} one as in papers'",
+    "f'visible_{kind}'",  # a name of Blender
     "Name of the empty above the cameras",  # of a hidden property
 }  # fmt: skip
 CODE = {"operators/bridge_gpu.py"}  # shaders and what their constants mean
