@@ -83,7 +83,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         parts = [tr("Imported {cameras:,} cameras and {photographs:,} photographs").format(cameras=len(cameras), photographs=shown)]
         parts += [tr("{count:,} photographs are being undistorted first").format(count=total - done)] if total > done else []
         parts += [tr("{count:,} sparse points, hidden").format(count=len(photos.points))] if self.points else []
-        render, text = context.scene.render, tr("the scene's camera is now '{name}', its resolution {width} x {height}")
+        render, text = context.scene.render, tr("the scene's camera is now '{name}', {width} x {height}")
         return [*parts, text.format(name=context.scene.camera.name, width=render.resolution_x, height=render.resolution_y)]
 
     def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], photos: PosedPhotos):

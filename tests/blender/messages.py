@@ -56,5 +56,19 @@ def messages(tree: ast.AST) -> Iterator[str]:
             yield from (text for word in node.keywords if word.arg in SHOWN for text in literals(word.value))
 
 
+def of_jobs(root: Path) -> set[str]:
+    """What a job says it is doing: the panel translates it where it shows it. Sentences with figures, and errors, stay in English."""
+    found: set[str] = set()
+    for file in [*(root / "svrgs_addon/finetune").rglob("*.py"), *(root / "svrgs_addon/jobs").glob("job_*.py")]:
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            if called(node) in ("tell", "Phase"):
+                found |= {text for word in node.keywords if word.arg in ("text", "label") for text in literals(word.value)}
+            elif isinstance(node, ast.Dict):
+                found |= {text for key, value in zip(node.keys, node.values, strict=True) if is_text(key) and key.value == "text" for text in literals(value)}
+            elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in ("(DECIDE, REMOVE)", "self.facts['text']"):
+                found |= {text for value in getattr(node.value, "elts", [node.value]) for text in literals(value)}
+    return found
+
+
 def messages_of(root: Path) -> set[str]:
     return {text for file in sources(root) for text in messages(ast.parse(file.read_text("utf-8")))}
