@@ -128,7 +128,7 @@ def test_missing_photographs_are_left_out_and_named(tmp_path, caplog):
 def test_control_characters_of_names_are_not_repeated(tmp_path):
     make_dataset(tmp_path, ["a.png", "b\x1b[31m.png"])
     (tmp_path / "images/b\x1b[31m.png").unlink()
-    assert "missing: b?[31m.png;" in load_dataset(tmp_path).notes[0]
+    assert r"missing: b\x1b[31m.png;" in load_dataset(tmp_path).notes[0]
 
 
 def test_nothing_is_noted_where_nothing_is_missing(tmp_path, caplog):
