@@ -19,6 +19,7 @@ from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from ..svrgs_addon.geometry.merge import joined
 from . import bridge, bridge_graph, job_result
 from .splat_transforms import stretch_warning
+from .translation import OWN
 
 
 class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
@@ -39,6 +40,7 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
     )
     space: EnumProperty(
         name="Coordinates",
+        translation_context=OWN,
         description="Coordinates of the file",
         items=[
             ("FILE", "Imported File", "Those of the imported file or of the dataset. What was moved, rotated or scaled since then is moved in the file"),
