@@ -8,7 +8,7 @@ from bpy.app.translations import pgettext_iface as tr
 
 class SVRGS_OT_open_image(bpy.types.Operator):
     bl_idname = "svrgs.open_image"
-    bl_label = "Open In Image Editor"
+    bl_label = "Open in Image Editor"
     bl_description = "Show the picture in its full size in an Image Editor in a new window"
     bl_options = {"REGISTER"}
 

@@ -71,19 +71,20 @@ class SVRGS_engine(bpy.types.RenderEngine):
             raise SceneError(tr("there is no splat to render: import one, and check that its camera icon in the Outliner is on"))
         view = bridge_panorama.view_of(bridge_graph.camera(depsgraph, self.camera_override), scene)
         self.show_progress(tr("Reading meshes"), 0.1)
-        triangles, catchers = bridge_meshes.triangles(depsgraph, cut=meshes == "CUT"), bridge_meshes.triangles(depsgraph, catchers=True)
+        triangles = bridge_meshes.triangles(depsgraph, cut=meshes == "CUT")
+        catchers = bridge_meshes.triangles(depsgraph, catchers=True) if meshes == "SPLIT" else None
         self.show_progress(tr("Drawing {count:,} Gaussians").format(count=placed.scene.count), 0.2)
-        transparent = scene.render.film_transparent or meshes != "SHOW"
-        background = (0.0, 0.0, 0.0) if transparent else tuple(scene.svrgs_looking.background)
+        transparent = scene.render.film_transparent or meshes == "CUT"
+        background = None if transparent else tuple(scene.svrgs_looking.background)
 
         def draw(rasterizer, camera):  # in a thread, which must not use bpy
             local, surface = placed.seen_by(camera), placed.hidden_by(triangles, camera)
             if meshes == "SPLIT":
-                return split(rasterizer, placed.scene, local, surface, placed.hidden_by(catchers, camera))
-            return composite(rasterizer, placed.scene, local, background, surface)
+                return split(rasterizer, placed.scene, local, background, surface, catchers and placed.hidden_by(catchers, camera))
+            return composite(rasterizer, placed.scene, local, background or (0.0, 0.0, 0.0), surface)
 
         found = composite_while(lambda: not self.test_break(), Rasterizer(), lambda rasterizer: composite_view(partial(draw, rasterizer), view))
-        return passes(found, transparent, placed.unit, working_space()) if found is not None else None
+        return passes(found, transparent or meshes == "SPLIT", placed.unit, working_space()) if found is not None else None
 
     def show_progress(self, text: str, progress: float):
         self.update_stats("", text)

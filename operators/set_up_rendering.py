@@ -61,7 +61,6 @@ class SVRGS_OT_set_up_compositing(bpy.types.Operator):
         scene = context.scene
         if scene.render.engine in WITHOUT_MATERIALS:
             scene.render.engine = EEVEE
-        scene.render.film_transparent = True
         layer = splat_layer.add(scene, context.evaluated_depsgraph_get())
         compositor_nodes.insert(scene, layer)
         text = tr("{engine} renders the meshes with a transparent film, the scene '{scene}' renders the splats. The compositor puts them together")

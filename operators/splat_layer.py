@@ -26,11 +26,18 @@ def layer_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
 
 
 def add(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bpy.types.Scene:
-    """Makes the layer of a scene, or sets it right. Other engines do not draw the scene's splats any more."""
-    layer = layer_of(scene) or bpy.data.scenes.new(f"{scene.name} Splats")
-    layer.background_set = scene
-    layer.render.engine, layer.render.film_transparent = "SVRGS", True
+    """Makes the layer of a scene, or sets it right. Other engines do not draw the scene's splats any more.
+
+    Afterwards the scene's film is transparent, as its render belongs between Gaussians. If it was not, the layer's background is opaque.
+    """
+    layer = layer_of(scene)
+    if layer is None:
+        layer = bpy.data.scenes.new(f"{scene.name} Splats")
+        layer.render.film_transparent = scene.render.film_transparent
+        layer.svrgs_looking.background = scene.svrgs_looking.background
+    layer.background_set, layer.render.engine = scene, "SVRGS"
     layer.svrgs_looking.layer_of = scene
+    scene.render.film_transparent = True
     _follow(scene, layer)
     _show_to_other_engines(scene, False, depsgraph)
     return layer
@@ -41,6 +48,7 @@ def remove(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph):
     layer = layer_of(scene)
     if layer is not None:
         compositor_nodes.remove(scene)
+        scene.render.film_transparent = layer.render.film_transparent
         bpy.data.scenes.remove(layer)
         _show_to_other_engines(scene, True, depsgraph)
 

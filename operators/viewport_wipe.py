@@ -103,7 +103,7 @@ def moved(settings, context):
 
 class SVRGS_OT_viewport_wipe(bpy.types.Operator):
     bl_idname = "svrgs.viewport_wipe"
-    bl_label = "Viewport Wipe"
+    bl_label = "Wipe in Viewport"
     bl_description = "Show the original left of a line and the pruned splat right of it, in the whole 3D viewport. Drag the line; press again to end"
     bl_options = {"REGISTER"}
 

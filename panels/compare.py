@@ -28,7 +28,7 @@ class ComparePanel:  # the base of Panel classes, which have a layout
         for name in ("original", "pruned", "compare_camera"):
             column.prop(settings, name)
         column = layout.column(align=True)
-        column.operator("svrgs.viewport_wipe", icon="ARROW_LEFTRIGHT", text="Wipe in Viewport", depress=settings.wiping)
+        column.operator("svrgs.viewport_wipe", icon="ARROW_LEFTRIGHT", depress=settings.wiping)
         row = column.row(align=True)
         row.operator("svrgs.compare", icon="IMAGE_ALPHA")
         row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
@@ -40,7 +40,7 @@ class ComparePanel:  # the base of Panel classes, which have a layout
             return
         if not settings.wiping:
             draw_image(layout, image)
-            layout.operator("svrgs.open_image", icon="WINDOW", text="Open in Image Editor").name = WIPE
+            layout.operator("svrgs.open_image", icon="WINDOW").name = WIPE
         table(layout, json.loads(settings.compare_result))
 
 

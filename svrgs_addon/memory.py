@@ -151,6 +151,13 @@ def size_text(value: float) -> str:
     return f"{value:.0f} bytes"
 
 
+def part_text(part: int, whole: int) -> str:
+    """Two numbers of bytes, the first below the second, as text: '0.1 of 21.7 MB', or '12 bytes of 21.7 MB are missing'."""
+    number, unit = size_text(whole).split()
+    shown = f"{part * float(number) / whole:.1f}" if unit != "bytes" else str(part)
+    return f"{shown} of {number} {unit}" if shown != number else f"{size_text(whole - part)} of {number} {unit} are missing"
+
+
 def _system_available() -> int | None:
     """Available bytes of the whole system; None if it does not report them."""
     try:

@@ -106,6 +106,7 @@ def nothing(work: Path):
 DATA = "--colmap {data}"
 PRUNE = f"prune {{data}}/scene.ply {DATA} --quiet --out {{work}}/o.ply --report {{work}}/report"
 TRAIN = f"train {DATA} --iterations 5 --quiet --out {{work}}/o.ply"
+INFO = "info {data}/scene.ply"
 EVAL = f"eval {{data}}/scene.ply {DATA}"
 RENDER = f"render {{data}}/scene.ply {DATA} --out {{work}}/out"
 COMPARE = f"compare {{data}}/scene.ply {{data}}/scene.ply {DATA} --out {{work}}/out"
@@ -116,7 +117,10 @@ REFUSED = [  # what is broken, the command, what the sentence says
     *((no_model, command, ("holds no COLMAP model",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
     *((no_views, command, ("no view with a pose",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
     *((panorama, command, ("EQUIRECTANGULAR",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
-    *((truncated_splat, command, ("scene.ply", "is truncated")) for command in ("info {data}/scene.ply", PRUNE, EVAL, RENDER, COMPARE)),
+    *(
+        (truncated_splat, command, ("scene.ply is incomplete: ", " kB; copy or export it again"))
+        for command in ("info {data}/scene.ply", PRUNE, EVAL, RENDER, COMPARE)
+    ),
     *((splat_elsewhere, command, ("scene.ply", "none of its Gaussians is near")) for command in (PRUNE, EVAL, COMPARE)),
     *((empty_splat, command, ("scene.ply", "no usable Gaussian")) for command in (PRUNE, EVAL, RENDER, COMPARE)),
     *((broken_photograph, command, ("00.png", "cannot be read as an image")) for command in (PRUNE, EVAL)),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.files.images import image_size, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
+from svrgs_addon.files.images import image_size, library_path, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
 
 oiio = pytest.importorskip("OpenImageIO")
 
@@ -174,3 +177,9 @@ def test_pixels_that_are_not_numbers_are_refused(tmp_path):
     path = store(tmp_path / "a.exr", np.full((2, 2, 3), np.nan, np.float32))
     with pytest.raises(FormatError, match="not numbers"):
         read_image(path)
+
+
+def test_openimageio_gets_bytes_only_for_paths_that_are_not_utf_8():
+    """That of Blender 5.2 takes no bytes."""
+    assert library_path(Path("folder/größe.png")) == "folder/größe.png"
+    assert library_path(os.fsdecode(b"folder/\xff.png")) == b"folder/\xff.png"
