@@ -5,6 +5,7 @@ The check renders a few of the dataset's views, small, in a thread. It starts wh
 
 from __future__ import annotations
 
+import os
 import threading
 
 import bpy
@@ -17,7 +18,7 @@ from ..svrgs_addon.jobs.photo_sample import read_in_child
 from ..svrgs_addon.metrics.explained import fit, mismatch
 from ..svrgs_addon.scene import Scene
 from . import bridge, edit_guard
-from .job import dataset_of
+from .dataset_paths import dataset_of
 from .job_watch import redraw_panels
 from .splat_transforms import selected_splats
 
@@ -50,9 +51,9 @@ def check(context) -> str:
 
 
 def _key(context) -> tuple | None:
-    """What the check depends on; None without a splat or a dataset."""
+    """What the check depends on; None without a splat or a dataset that is there."""
     obj, (folder, images) = context.object, dataset_of(context)
-    return (obj.data.session_uid, bridge.count(obj), folder, images) if bridge.is_splat(obj) and folder else None
+    return (obj.data.session_uid, bridge.count(obj), folder, images) if bridge.is_splat(obj) and os.path.exists(folder) else None
 
 
 def _work() -> float | None:

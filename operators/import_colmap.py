@@ -18,7 +18,7 @@ from bpy.props import BoolProperty, StringProperty
 from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SplatError
-from . import bridge, undistort
+from . import bridge, dataset_paths, undistort
 from .bridge_framing import level
 from .frame import frame
 from .select import select
@@ -91,7 +91,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         for obj, file in zip(cameras, photos.files, strict=True):
             undistort.show(obj, file)
         if photos.distorted:
-            undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / "images_undistorted"
+            undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / dataset_paths.UNDISTORTED
             undistort.start(cameras, folder, self.images, undistorted, photos.distorted)
 
     def add_objects(self, context, folder: Path, photos: PosedPhotos) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
@@ -100,7 +100,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
         root, points = root_for(context.object, folder, collection), []
-        root[bridge.DATASET], root[bridge.IMAGES] = str(folder), self.images
+        root[bridge.DATASET], root[bridge.IMAGES] = dataset_paths.stored(str(folder)), self.images
         root[bridge.POINTS] = len(photos.points)
         if self.points and len(photos.points):
             points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
@@ -130,7 +130,7 @@ def root_for(obj: bpy.types.Object | None, folder: Path, collection: bpy.types.C
     """The root above the object, if it has no cameras of another dataset; a new root in its place if it is a splat without one; else a
     new root with z up."""
     root = bridge.root_of(obj)
-    if root is not None and root.get(bridge.DATASET, str(folder)) == str(folder):
+    if root is not None and dataset_paths.dataset_of_root(root) in ("", dataset_paths.absolute(str(folder))):
         return root
     if root is not None or obj is None or not bridge.is_splat(obj):
         return bridge.new_root(folder.name, collection)

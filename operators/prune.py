@@ -20,12 +20,12 @@ from ..svrgs_addon.cli.batch_list import default_output
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import format_to_write, read_scene, write_scene
 from . import bridge, edit_guard, job_result
-from .option_properties import method_property, option_property
+from .option_properties import RELATIVE, method_property, option_property
 from .preferences import threads
 from .select import select
+from .visibility import set_hidden
 
 BACKGROUND = bpy.app.background
-RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties else set()  # from 5.0 on
 
 
 class SVRGS_OT_prune(bpy.types.Operator):
@@ -87,7 +87,8 @@ class SVRGS_OT_prune(bpy.types.Operator):
             obj = bridge.object_from_scene(f"{Path(self.scene).stem} pruned", pruned, context.collection)
         if source is not None:
             job_result.join(source, obj)
-            source.hide_viewport = source.hide_render = True
+            set_hidden(source, True)
+            set_hidden(obj, False)
         select(context, [obj])
         before, psnr = result["before"], [figures.get("psnr") for figures in (result["before"], result)]
         texts = [tr("Kept {kept:,} of {count:,} Gaussians").format(kept=result["count"], count=before["count"])]

@@ -9,7 +9,7 @@ from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty,
 
 from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
 from . import bridge, former_methods, goals, job_result
-from .option_properties import method_choice_property, method_property, option_property
+from .option_properties import RELATIVE, method_choice_property, method_property, option_property
 from .translation import OWN
 
 WEAKEST, STRONGEST = -5.0, -3.0  # ends of the slider Strength: powers of ten of λ_F
@@ -82,7 +82,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     visible_mask: option_property("visible_mask", name="Visible Part Only")
     views_by_loss: option_property("views_by_loss", name="Harder Views More Often")
     folder: StringProperty(
-        name="Job Folder", subtype="DIR_PATH",
+        name="Job Folder", subtype="DIR_PATH", options=RELATIVE,
         description="Folder for the files of jobs. Empty: svrgs_jobs next to the .blend file; for an unsaved file, the extension's own folder",
     )  # fmt: skip
     method_schema: IntProperty(options={"HIDDEN"})  # former_methods.py

@@ -72,7 +72,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
         view = bridge_panorama.view_of(bridge_graph.camera(depsgraph, self.camera_override), scene)
         self.show_progress(tr("Reading meshes"), 0.1)
         triangles = bridge_meshes.triangles(depsgraph, cut=meshes == "CUT")
-        catchers = bridge_meshes.triangles(depsgraph, catchers=True) if meshes == "SPLIT" else None
+        catchers = bridge_meshes.triangles(depsgraph, catchers=True) if meshes == "SPLIT" else None  # elsewhere they show and hide nothing
         self.show_progress(tr("Drawing {count:,} Gaussians").format(count=placed.scene.count), 0.2)
         transparent = scene.render.film_transparent or meshes == "CUT"
         background = None if transparent else tuple(scene.svrgs_looking.background)
@@ -80,7 +80,8 @@ class SVRGS_engine(bpy.types.RenderEngine):
         def draw(rasterizer, camera):  # in a thread, which must not use bpy
             local, surface = placed.seen_by(camera), placed.hidden_by(triangles, camera)
             if meshes == "SPLIT":
-                return split(rasterizer, placed.scene, local, background, surface, catchers and placed.hidden_by(catchers, camera))
+                catcher = placed.hidden_by(catchers, camera) if catchers is not None else None
+                return split(rasterizer, placed.scene, local, background, surface, catcher)
             return composite(rasterizer, placed.scene, local, background or (0.0, 0.0, 0.0), surface)
 
         found = composite_while(lambda: not self.test_break(), Rasterizer(), lambda rasterizer: composite_view(partial(draw, rasterizer), view))

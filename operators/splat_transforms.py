@@ -15,7 +15,7 @@ from ..svrgs_addon.errors import SceneError, SplatError
 from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from ..svrgs_addon.geometry.merge import joined
 from . import bridge, edit_guard, job_result
-from .job_watch import BUSY, WAITING, job_of
+from .job_watch import is_busy, is_resumable, job_of
 from .select import select
 
 
@@ -34,7 +34,7 @@ def change_problem(context, splats: list[bpy.types.Object]) -> str:
         if job_result.undecided(pruned):
             return tr("Apply or discard the pruning result of '{name}' first").format(name=obj.name)
         job = job_of(obj)
-        if job is not None and job.state in (*BUSY, *WAITING):
+        if job is not None and (is_busy(job) or is_resumable(job)):
             return tr("A pruning job belongs to '{name}': wait for it, or discard it first").format(name=obj.name)
     return ""
 

@@ -14,7 +14,7 @@ from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.errors import SplatError
-from . import bridge
+from . import bridge, dataset_paths
 from .job_watch import redraw_panels
 
 INTERVAL = 0.5  # seconds between two looks whether it is done
@@ -88,6 +88,7 @@ def show(obj: bpy.types.Object, file: Path | None):
         return
     background = data.background_images.new()
     background.image = bpy.data.images.load(str(file), check_existing=True)
+    background.image.filepath = dataset_paths.stored(str(file))
     background.frame_method, background.alpha = "STRETCH", 1.0
     data.show_background_images = True
 

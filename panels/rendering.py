@@ -11,7 +11,6 @@ class SVRGS_PT_rendering(bpy.types.Panel):
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "SVR-GS"
-    bl_options = {"DEFAULT_CLOSED"}
     bl_order = 5
 
     def draw(self, context):

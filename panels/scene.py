@@ -21,6 +21,10 @@ class SVRGS_PT_scene(bpy.types.Panel):
         column.operator("svrgs.import_colmap", icon="OUTLINER_OB_CAMERA", text="Import Cameras")
         if context.scene.svrgs_looking.photographs:
             wrapped_label(layout, context.scene.svrgs_looking.photographs, "INFO")
+        lost = context.window_manager.svrgs_prune_state.lost_dataset
+        if lost:
+            wrapped_label(layout, lost, "ERROR")
+            layout.operator("svrgs.find_dataset", icon="FILE_FOLDER", text="Find Dataset…")
         about = context.scene.svrgs_looking.about
         row = layout.row()
         if about:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -257,7 +259,7 @@ def test_what_a_killed_writer_left_is_removed(tmp_path):
     assert (tmp_path / "b.bin").read_bytes() == b"content" and not (tmp_path / "a.bin").exists()
 
 
-def test_check_writable_says_what_is_wrong(tmp_path):
+def test_check_writable_says_what_is_wrong(tmp_path, monkeypatch):
     (tmp_path / "file").write_bytes(b"")
     cases = {
         tmp_path: "is a folder",
@@ -267,8 +269,10 @@ def test_check_writable_says_what_is_wrong(tmp_path):
     for path, message in cases.items():
         with pytest.raises(SceneError, match=message):
             check_writable(path)
-    with pytest.raises(SceneError, match="are free"):
-        check_writable(tmp_path / "a.ply", needed_bytes=10**18)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=30_000))
+    check_writable(tmp_path / "a.ply", needed_bytes=27_000)
+    with pytest.raises(SceneError, match=r"a.ply: needs 30.8 kB, but only 30.0 kB are free; free disk space or choose another folder"):
+        check_writable(tmp_path / "a.ply", needed_bytes=28_000)
 
 
 def test_check_writable_without_permission(tmp_path, monkeypatch):

@@ -14,11 +14,7 @@ from blender.messages import TRANSLATED, called, catalogues, fields, is_text, me
 
 ROOT = Path(__file__).resolve().parents[1]
 CATALOGUES = catalogues(ROOT)
-PENDING = {  # files whose texts still have to be translated
-    "operators/apply.py",
-    "operators/job.py", "operators/job_result.py", "operators/prune_state.py",
-    "panels/prune.py",
-}  # fmt: skip
+PENDING: set[str] = set()  # files whose texts still have to be translated
 SENTENCE = re.compile(r"[^\W\d_]{2,}[,;:.]? [^\W\d_]{2,}")  # two words
 WORD = re.compile(r"[^\W\d_]{3,}")
 NO_TEXT = {  # in English everywhere
@@ -30,7 +26,8 @@ NO_TEXT = {  # in English everywhere
     # the whole description is in the catalogues
     "f'. Empty: {option.default_help}'", "f'Number of training steps. {QUICK:,} give a usable splat, {ITERATIONS:,} one as in papers'",
     "f'visible_{kind}'", "f'CompositorNode{kind}'",  # names of Blender
-    "Name of the empty above the cameras",  # of a hidden property
+    "Name of the empty above the cameras", "Folder of the job",  # of hidden properties
+    "f'{UNDISTORTED}/{name}.png'",  # a file
 }  # fmt: skip
 CODE = {"operators/bridge_gpu.py"}  # shaders and what their constants mean
 
@@ -52,7 +49,9 @@ def glued(tree: ast.AST) -> Iterator[str]:
         elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Mult):
             if any(is_text(side) and WORD.search(side.value) for side in (node.left, node.right)):
                 yield ast.unparse(node)
-        elif called(node) in TRANSLATED and not isinstance(node.args[0], ast.Constant | ast.IfExp | ast.Name | ast.Attribute | ast.Subscript | ast.Call):
+        elif called(node) in TRANSLATED and not isinstance(
+            node.args[0], ast.Constant | ast.IfExp | ast.BoolOp | ast.Name | ast.Attribute | ast.Subscript | ast.Call
+        ):
             yield ast.unparse(node)
 
 

@@ -72,7 +72,7 @@ def test_pruning_with_the_mouse(drive, tiny):
     seen = drive("prune.py", tiny.folder)
     assert seen["estimate"][0] == "About 100 of 250 would stay (40%)"
     assert seen["running"]["psnr"] > 20 and seen["running"]["total"] == 9000
-    assert seen["paused"]["state"] == "paused" and seen["paused"]["iteration"] > 1500
+    assert seen["stopped"]["state"] == "stopped" and seen["stopped"]["iteration"] > 1500
     assert seen["result"] == ["scene pruned", 100, 100]
     assert seen["fewer"] == seen["applied"] == 50
     assert seen["undone"] == [100, 50]

@@ -213,8 +213,11 @@ def _stored_correctly(path: str | os.PathLike, pixels: np.ndarray) -> bool:
     with open(path, "rb") as file:
         if file.read(len(PNG_BEGIN)) == PNG_BEGIN and not file.read().endswith(PNG_END):
             return False
-    source = _library().ImageInput.open(library_path(path))
+    oiio = _library()
+    source = oiio.ImageInput.open(library_path(path))
     stored = source.read_image("uint8" if pixels.dtype == np.uint8 else "float") if source else None
+    if stored is None:
+        _error_of(source or oiio)  # a message that nobody asks for would be printed when the program ends
     return stored is not None and stored.reshape(-1).tobytes() == pixels.tobytes()
 
 

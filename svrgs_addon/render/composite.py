@@ -87,9 +87,9 @@ def split(
     front = composite(rasterizer, scene, camera, surface=Surface(limit, np.zeros((*limit.shape, 4), np.float32)))
     T = 1 - front.alpha[..., None]  # sums of the whole picture: front + T * behind
     sums = np.concatenate([whole.rgb - front.rgb, (whole.alpha - front.alpha)[..., None]], axis=2)
-    behind = np.divide(sums, T, out=np.zeros_like(sums), where=T > 0).clip(0, (np.inf, np.inf, np.inf, 1)).astype(np.float32)
+    behind = np.divide(sums, T, out=np.zeros_like(sums), where=T > 0).clip(0, np.array((np.inf, np.inf, np.inf, 1), sums.dtype))
     if background is not None:
-        behind += (1 - behind[..., 3:]) * np.float32((*background, 1))
+        behind += (1 - behind[..., 3:]) * np.array((*background, 1), sums.dtype)
     if surface is not None:
         behind *= 1 - surface.holes[..., None]
     return replace(front, holes=np.zeros_like(front.holes), behind=behind)

@@ -65,6 +65,8 @@ def of_jobs(root: Path) -> set[str]:
                 found |= {text for word in node.keywords if word.arg in ("text", "label") for text in literals(word.value)}
             elif isinstance(node, ast.Dict):
                 found |= {text for key, value in zip(node.keys, node.values, strict=True) if is_text(key) and key.value == "text" for text in literals(value)}
+            elif isinstance(node, ast.FunctionDef) and node.name == "resume_point":
+                found |= {text.value for text in ast.walk(node) if is_text(text) and text.value.startswith("Resume")}
             elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in ("(DECIDE, REMOVE)", "self.facts['text']"):
                 found |= {text for value in getattr(node.value, "elts", [node.value]) for text in literals(value)}
     return found

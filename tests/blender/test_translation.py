@@ -10,7 +10,8 @@ from types import SimpleNamespace
 import bpy
 import pytest
 from extension import PACKAGE, part
-from messages import catalogues, messages_of
+from job_helpers import LONG, SHORT, follow, set_up
+from messages import catalogues, messages_of, of_jobs
 
 KINDS = (bpy.types.Operator, bpy.types.Panel, bpy.types.PropertyGroup, bpy.types.AddonPreferences, bpy.types.RenderEngine, bpy.types.FileHandler)
 
@@ -57,7 +58,7 @@ def of_methods() -> set[str]:
 
 
 def test_the_catalogues_hold_exactly_the_texts_that_are_shown(installed):
-    shown = told_to_blender() | of_methods() | messages_of(installed)
+    shown = told_to_blender() | of_methods() | messages_of(installed) | of_jobs(installed)
     assert len(shown) > 300
     for locale, texts in catalogues(installed).items():
         assert not shown - texts.keys(), f"not in {locale}.json"
@@ -122,7 +123,48 @@ def test_panels_and_reports_show_translated_texts(drawn, splat, room, camera, ca
     bpy.context.scene.svrgs_looking.pruned = room
     bpy.ops.svrgs.compare()
     bpy.context.view_layer.objects.active = splat
-    for panel in ("scene", "spatial_mask", "compare"):
+    for panel in ("scene", "spatial_mask", "compare", "export", "rendering"):
         assert "⟦" in drawn(panel) and not untranslated(drawn(panel)), panel
     reports = re.findall(r"(?:Info|Warning|Error): (.*)", capfd.readouterr().out)
     assert len(reports) == 2 and not untranslated(" ".join(reports))
+
+
+def prune_panel(drawn, stage: str) -> str:
+    assert bpy.context.window_manager.svrgs_prune_state.stage == stage
+    shown = drawn("prune")
+    assert "⟦" in shown and not untranslated(shown), stage
+    return shown
+
+
+@pytest.mark.parametrize("goal", ["BALANCED", "SMALL", "SHARE", "COUNT", "SIZE", "DROP", "LAMBDA"])
+@pytest.mark.parametrize("method", ["pressure", "svr", "maskgs", "gns", "opacity"])
+def test_settings_are_translated_for_every_method_and_goal(drawn, splat, method, goal):
+    settings = bpy.context.scene.svrgs_prune
+    settings.method, settings.goal = method, goal
+    prune_panel(drawn, "READY")
+    settings.lambda_f = 3e-4
+    prune_panel(drawn, "READY")
+
+
+def test_jobs_are_translated_from_the_estimate_to_the_result(drawn, splat, watch, capfd):
+    set_up(SHORT)
+    bpy.ops.svrgs.estimate()
+    prune_panel(drawn, "READY")
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    job = watch.current(bpy.context)[1]
+    follow(watch, lambda: job.facts.get("iteration", 0) > 5)
+    prune_panel(drawn, "BUSY")
+    bpy.ops.svrgs.job_stop()
+    prune_panel(drawn, "BUSY")
+    follow(watch, lambda: not job.running)
+    prune_panel(drawn, "WAITING")
+    bpy.ops.svrgs.job_discard()
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: len(bpy.data.objects) == 2)
+    prune_panel(drawn, "RESULT")
+    bpy.ops.svrgs.apply()
+    prune_panel(drawn, "READY")
+    reports = re.findall(r"(?:Info|Warning|Error): (.*)", capfd.readouterr().out)
+    assert len(reports) == 6 and not untranslated(" ".join(reports))
