@@ -35,12 +35,14 @@ from . import (
     splat_layer,
     splat_transforms,
     train,
+    translation,
     view_properties,
     viewport,
     viewport_wipe,
 )
 
 MODULES = (
+    translation,
     import_ply,
     import_colmap,
     export_ply,

@@ -7,6 +7,7 @@ hidden, until it is discarded. Both are ordinary splats from then on. The job's 
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.errors import SplatError
 from . import applied_jobs, bridge, edit_guard, job_result
@@ -28,7 +29,7 @@ class SVRGS_OT_apply(bpy.types.Operator):
     def poll(cls, context):
         _, pruned = job_result.pair_of(context.object)
         undecided = job_result.undecided(pruned)
-        problem = edit_guard.problem(context, pruned) if undecided else "Select a pruned splat that was not applied yet"
+        problem = edit_guard.problem(context, pruned) if undecided else tr("Select a pruned splat that was not applied yet")
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -39,16 +40,17 @@ class SVRGS_OT_apply(bpy.types.Operator):
         try:
             scene = job_result.shown_gaussians(pruned)
             if not scene.count:
-                raise SplatError("no Gaussian would be left: keep more")
+                raise SplatError(tr("no Gaussian would be left: keep more"))
             bridge.replace_gaussians(pruned, scene)
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         job_result.settle(original, pruned)
         applied_jobs.note(original, pruned)
-        before = f" of {bridge.count(original):,}" if original is not None else ""
         select(context, [pruned])
-        self.report({"INFO"}, f"Kept {scene.count:,}{before} Gaussians, {size_text(pruned, scene.count)}")
+        text = tr("Kept {kept:,} Gaussians, {size}") if original is None else tr("Kept {kept:,} of {count:,} Gaussians, {size}")
+        total = bridge.count(original) if original is not None else 0
+        self.report({"INFO"}, text.format(kept=scene.count, count=total, size=size_text(pruned, scene.count)))
         return {"FINISHED"}
 
 
@@ -71,21 +73,22 @@ class SVRGS_OT_discard(bpy.types.Operator):
         original, pruned = job_result.pair_of(context.object)
         if original is not None and pruned is not None and context.mode == "OBJECT":
             return True
-        cls.poll_message_set("Select a splat that was pruned, or its original")
+        cls.poll_message_set(tr("Select a splat that was pruned, or its original"))
         return False
 
     def execute(self, context):
         original, pruned = job_result.pair_of(context.object)
         assert original is not None and pruned is not None  # see poll
         job = job_of(original)
-        problem = "Apply the result first: it still needs the original" if job_result.undecided(pruned) else ""
+        problem = tr("Apply the result first: it still needs the original") if job_result.undecided(pruned) else ""
         if not problem and job is not None and is_busy(job):
-            problem = f"A job is running on '{original.name}': stop it first"
+            problem = tr("A job is running on '{name}': stop it first").format(name=original.name)
         if self.what == "ORIGINAL" and problem:
             self.report({"ERROR"}, problem)
             return {"CANCELLED"}
         deleted, left = (original, pruned) if self.what == "ORIGINAL" else (pruned, original)
-        message = f"Discarded '{deleted.name}' with {bridge.count(deleted):,} Gaussians; '{left.name}' stays"
+        text = tr("Discarded '{deleted}' with {count:,} Gaussians; '{left}' stays")
+        message = text.format(deleted=deleted.name, count=bridge.count(deleted), left=left.name)
         if deleted is original:
             job_result.discard_original(original, pruned)
         else:

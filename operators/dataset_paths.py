@@ -14,6 +14,7 @@ from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.errors import SplatError
@@ -53,10 +54,12 @@ def problem(context) -> str:
     """Why there is no dataset to prune with, and what to do, in a sentence; '' if there is one."""
     folder, _ = dataset_of(context)
     if not folder:
-        return "Choose the dataset of the splat's photographs, or import its cameras in step 1"
+        return tr("Choose the dataset of the splat's photographs, or import its cameras in step 1")
     if os.path.exists(folder):
         return ""
-    return f"There is no dataset {folder}: choose it again" if context.scene.svrgs_prune.colmap else lost(bridge.root_of(context.object))
+    return (
+        tr("There is no dataset {folder}: choose it again").format(folder=folder) if context.scene.svrgs_prune.colmap else lost(bridge.root_of(context.object))
+    )
 
 
 def lost(root: bpy.types.Object | None) -> str:
@@ -64,7 +67,7 @@ def lost(root: bpy.types.Object | None) -> str:
     folder = dataset_of_root(root) if root is not None else ""
     if root is None or not folder or os.path.exists(folder):
         return ""
-    return f"The photographs of '{root.name}' are not in {folder} any more: press Find Dataset in step 1"
+    return tr("The photographs of '{name}' are not in {folder} any more: press Find Dataset in step 1").format(name=root.name, folder=folder)
 
 
 def absolute(path: str, library: bpy.types.Library | None = None) -> str:
@@ -152,7 +155,7 @@ class SVRGS_OT_find_dataset(bpy.types.Operator):
         root = bridge.root_of(context.object)
         if root is not None and dataset_of_root(root):
             return True
-        cls.poll_message_set("Select a splat or a camera of the dataset first")
+        cls.poll_message_set(tr("Select a splat or a camera of the dataset first"))
         return False
 
     def execute(self, context):
@@ -168,7 +171,8 @@ class SVRGS_OT_find_dataset(bpy.types.Operator):
         settings = context.scene.svrgs_prune
         if settings.colmap and not os.path.exists(absolute(settings.colmap)):
             settings.colmap = stored(folder)
-        self.report({"INFO"} if found == shown else {"WARNING"}, f"Found {found:,} of {shown:,} photographs in {folder}")
+        text = tr("Found {found:,} of {count:,} photographs in {folder}")
+        self.report({"INFO"} if found == shown else {"WARNING"}, text.format(found=found, count=shown, folder=folder))
         return {"FINISHED"}
 
     def invoke(self, context, event):
@@ -188,7 +192,8 @@ def find_photographs(root: bpy.types.Object, folder: str) -> tuple[int, int]:
                 images[image] = _file_of(image, camera, root, folder)
     found = {image: file for image, file in images.items() if file}
     if images and not found:
-        raise SplatError(f"{folder}: holds none of the {len(images):,} photographs of '{root.name}'; choose the folder with its photographs and their poses")
+        text = tr("{folder}: holds none of the {count:,} photographs of '{name}'; choose the folder with its photographs and their poses")
+        raise SplatError(text.format(folder=folder, count=len(images), name=root.name))
     for image, file in found.items():
         image.filepath = stored(file)
     return len(images), len(found)

@@ -8,6 +8,8 @@ import re
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.app.translations import pgettext_n as n_
 
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
@@ -18,7 +20,7 @@ from .job_watch import JOBS_FOLDER, current, delete_job, is_busy, is_resumable, 
 from .native_check import native_problem
 from .preferences import PACKAGE, threads
 
-STOP_NOW = "End the process at once, without waiting for a checkpoint. What was learned since the last one is lost"
+STOP_NOW = n_("End the process at once, without waiting for a checkpoint. What was learned since the last one is lost")
 
 
 def options_of(context, obj: bpy.types.Object) -> dict:
@@ -37,17 +39,17 @@ def options_of(context, obj: bpy.types.Object) -> dict:
 def start_problem(context) -> str:
     """Why the active object cannot be pruned now; empty if it can."""
     if not bridge.is_splat(context.object):
-        return "Select a Gaussian splat first"
+        return tr("Select a Gaussian splat first")
     if problem := edit_guard.problem(context, context.object):
         return problem
     job = job_of(context.object)
     if job is not None and is_busy(job):
-        return job_queue.waiting_text(job) or "A job is running on this splat"
+        return job_queue.waiting_text(job) or tr("A job is running on this splat")
     if job is not None and is_resumable(job):
-        return "Resume or discard this splat's job first"
+        return tr("Resume or discard this splat's job first")
     _, pruned = job_result.pair_of(context.object)
     if job_result.undecided(pruned):
-        return "Apply or discard the result first"
+        return tr("Apply or discard the result first")
     return dataset_paths.problem(context) or goals.problem(context.scene.svrgs_prune) or native_problem()
 
 
@@ -98,7 +100,7 @@ class SVRGS_OT_job_start(JobOperator):
         link(obj, str(folder.path))
         waits = job_queue.start(Job(folder))
         start_timer()
-        return waits or f"Pruning {bridge.count(obj):,} Gaussians in the background"
+        return waits or tr("Pruning {count:,} Gaussians in the background").format(count=bridge.count(obj))
 
 
 class SVRGS_OT_set_lambda(bpy.types.Operator):
@@ -125,7 +127,7 @@ class CurrentJobOperator(JobOperator):
     @classmethod
     def poll(cls, context):
         found = current(context)
-        problem = cls.problem(context, *found) if found is not None else "There is no job"
+        problem = cls.problem(context, *found) if found is not None else tr("There is no job")
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -133,7 +135,7 @@ class CurrentJobOperator(JobOperator):
     def work(self, context) -> str:
         found = current(context)
         if found is None:
-            raise SplatError("There is no job")
+            raise SplatError(tr("There is no job"))
         return self.work_on(context, *found)
 
 
@@ -146,7 +148,7 @@ class SVRGS_OT_job_stop(CurrentJobOperator):
 
     @classmethod
     def description(cls, context, properties):
-        return STOP_NOW if properties.now else cls.bl_description
+        return tr(STOP_NOW if properties.now else cls.bl_description)
 
     @classmethod
     def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
@@ -163,7 +165,7 @@ class SVRGS_OT_job_resume(CurrentJobOperator):
 
     @classmethod
     def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
-        return "" if is_resumable(job) else "No job waits to be resumed"
+        return "" if is_resumable(job) else tr("No job waits to be resumed")
 
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
         return resume(job, dataset_paths.dataset_of_job(context, obj))
@@ -176,11 +178,11 @@ class SVRGS_OT_job_discard(CurrentJobOperator):
 
     @classmethod
     def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
-        return "Stop the job first" if is_busy(job) else ""
+        return tr("Stop the job first") if is_busy(job) else ""
 
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
         delete_job(job)
-        return f"Discarded the job of '{obj.name}'"
+        return tr("Discarded the job of '{name}'").format(name=obj.name)
 
 
 class SVRGS_OT_job_load(CurrentJobOperator):
@@ -191,11 +193,13 @@ class SVRGS_OT_job_load(CurrentJobOperator):
 
     @classmethod
     def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
-        return edit_guard.problem(context, obj) if job.state == "done" else "There is no finished job"
+        return edit_guard.problem(context, obj) if job.state == "done" else tr("There is no finished job")
 
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
         loaded = load_result(context, obj, job)
-        return f"Loaded {bridge.count(loaded):,}{f' of {bridge.count(obj):,}' if bridge.is_splat(obj) else ''} Gaussians"
+        if not bridge.is_splat(obj):
+            return tr("Loaded {count:,} Gaussians").format(count=bridge.count(loaded))
+        return tr("Loaded {kept:,} of {count:,} Gaussians").format(kept=bridge.count(loaded), count=bridge.count(obj))
 
 
 # --- what the buttons of the panel and of the list do
@@ -204,20 +208,20 @@ class SVRGS_OT_job_load(CurrentJobOperator):
 def stop_problem(job: Job) -> str:
     """Why the job cannot be stopped, in a sentence; '' if it can."""
     if job.running and job.facts.get("finishing"):
-        return "The result is being measured: the job ends by itself"
-    return "" if is_busy(job) else "No job is running"
+        return tr("The result is being measured: the job ends by itself")
+    return "" if is_busy(job) else tr("No job is running")
 
 
 def stop(job: Job, now: bool = False) -> str:
     """Stops the job, or takes it out of the queue. now: without a checkpoint. Returns what was done, in a sentence."""
     if job_queue.is_queued(job):
         job_queue.leave(job)
-        return f"'{job.name}' does not wait any more: Resume starts it"
+        return tr("'{name}' does not wait any more: Resume starts it").format(name=job.name)
     if now and job.running:
         job.kill()
-        return f"Stopped at once. {job.resume_sentence()}"
+        return ". ".join((tr("Stopped at once"), resume_sentence(job)))
     job.stop()
-    return job.facts["text"]
+    return tr(job.facts["text"])
 
 
 def resume(job: Job, dataset: str = "") -> str:
@@ -225,12 +229,19 @@ def resume(job: Job, dataset: str = "") -> str:
     colmap = job.folder.request()["options"]["colmap"]
     if not os.path.exists(colmap):
         if not os.path.exists(dataset):
-            raise SplatError(f"{colmap}: the dataset of this job is not there: with its splat active, find it in step 1 or choose it in step 2, then resume")
+            text = tr("{folder}: the dataset of this job is not there: with its splat active, find it in step 1 or choose it in step 2, then resume")
+            raise SplatError(text.format(folder=colmap))
         job.folder.set_dataset(dataset)
     waits = job_queue.start(job)
     start_timer()
-    what = "Training" if job.folder.kind == TRAIN else "Pruning"
-    return ". ".join(filter(None, (waits or f"{what} of '{job.name}' continues", job.renamed)))
+    text = tr("Training of '{name}' continues") if job.folder.kind == TRAIN else tr("Pruning of '{name}' continues")
+    return ". ".join(filter(None, (waits or text.format(name=job.name), job.renamed)))
+
+
+def resume_sentence(job: Job) -> str:
+    """From where a job that has not ended well would be continued."""
+    template, values = job.resume_point()
+    return tr(template).format(**values)
 
 
 CLASSES = (

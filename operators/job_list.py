@@ -15,6 +15,8 @@ import time
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
+from bpy.app.translations import pgettext_n as n_
 from bpy.props import PointerProperty, StringProperty
 
 from ..svrgs_addon.errors import SplatError
@@ -29,7 +31,13 @@ from .job_watch import delete_job, folder_of, is_busy, is_resumable, load_result
 from .select import select
 
 SCAN_EVERY = 3.0  # seconds between two readings of the folders
-STATES = {"paused": "Stopped", "cancelled": "Stopped", "stopped": "Stopped", "interrupted": "Interrupted", "failed": "Failed", "queued": "Not started yet"}
+STATES = {  # state -> its words, and those with a progress
+    "paused": (n_("Stopped"), n_("Stopped at {share:.0%}")), "cancelled": (n_("Stopped"), n_("Stopped at {share:.0%}")),
+    "stopped": (n_("Stopped"), n_("Stopped at {share:.0%}")), "interrupted": (n_("Interrupted"), n_("Interrupted at {share:.0%}")),
+    "failed": (n_("Failed"), n_("Failed at {share:.0%}")), "queued": (n_("Not started yet"), n_("Not started yet")),
+    "running": (n_("Running"), n_("Running at {share:.0%}")), "stopping": (n_("Stopping"), n_("Stopping at {share:.0%}")),
+}  # fmt: skip
+UNKNOWN = n_("In an unknown state"), n_("In an unknown state")
 ICONS = {"done": "CHECKMARK", "failed": "ERROR", "interrupted": "ERROR"}  # others: PAUSE, or PLAY while it runs
 
 _read: dict[str, Job] = {}  # by folder: jobs that were found in a folder and have no splat in the file
@@ -98,11 +106,11 @@ def row(job: Job, splat: bpy.types.Object | None) -> dict:
     buttons = ["stop"] if is_busy(job) and not stop_problem(job) else ["resume"] if is_resumable(job) else []
     buttons += ["open"] * (job.state == "done" and not applied and not _is_loaded(splat))
     buttons += ["delete"] * (not is_busy(job))
-    missing = "its cameras are" if job.kind == TRAIN else "its splat is"
-    where = "" if splat is not None or applied else f"{missing} not in this file"
+    missing = tr("its cameras are not in this file") if job.kind == TRAIN else tr("its splat is not in this file")
+    where = "" if splat is not None or applied else missing
     icon = ("PLAY" if not job_queue.is_queued(job) else "SORTTIME") if is_busy(job) else ICONS.get(job.state, "PAUSE")
-    loaded = ", its result is in this file" if _is_loaded(splat) else ""
-    state = "Finished: its files are deleted when the file is saved" if applied else state_text(job) + loaded
+    loaded = tr("its result is in this file") if _is_loaded(splat) else ""
+    state = tr("Finished: its files are deleted when the file is saved") if applied else ", ".join(filter(None, (state_text(job), loaded)))
     size = ", ".join(filter(None, (size_text(_sizes.get(folder, 0)), where)))
     return {"folder": folder, "name": splat.name if splat is not None else job.name, "state": state, "size": size, "icon": icon, "buttons": buttons}
 
@@ -112,12 +120,13 @@ def state_text(job: Job) -> str:
     if job_queue.is_queued(job):
         return job_queue.waiting_text(job)
     if job.state == "done":
-        return "Finished"
-    share = f" at {job.progress:.0%}" if job.facts.get("total") else ""
+        return tr("Finished")
+    state = ("stopping" if job.stopping else "running") if is_busy(job) else job.state
+    text = tr(STATES.get(state, UNKNOWN)[bool(job.facts.get("total"))]).format(share=job.progress)
     if is_busy(job):
-        return ("Stopping" if job.stopping else "Running") + share + ("" if job.running else ", in another Blender")
-    reason = f": {job.facts['text']}" if job.facts.get("text") and job.state == "failed" else ""
-    return STATES.get(job.state, "In an unknown state") + share + reason
+        return text if job.running else ", ".join((text, tr("in another Blender")))
+    reason = job.facts.get("text") if job.state == "failed" else ""
+    return ": ".join((text, tr(reason))) if reason else text
 
 
 def _is_loaded(splat: bpy.types.Object | None, orphan: bool = False) -> bool:
@@ -137,7 +146,7 @@ class ListedJobOperator(JobOperator):
         job = job_in(self.folder)
         if job.state == "missing":
             forget()
-            raise SplatError(f"{self.folder}: holds no job any more")
+            raise SplatError(tr("{folder}: holds no job any more").format(folder=self.folder))
         try:
             return self.work_on(context, job)
         finally:
@@ -162,7 +171,7 @@ class SVRGS_OT_listed_job_resume(ListedJobOperator):
 
     def work_on(self, context, job: Job) -> str:
         if not is_resumable(job):
-            raise SplatError(f"'{job.name}' does not wait to be resumed")
+            raise SplatError(tr("'{name}' does not wait to be resumed").format(name=job.name))
         return resume(job, dataset_paths.dataset_of_job(context, owners().get(self.folder)))
 
 
@@ -174,9 +183,9 @@ class SVRGS_OT_listed_job_open(ListedJobOperator):
 
     def work_on(self, context, job: Job) -> str:
         if job.state != "done":
-            raise SplatError(f"'{job.name}' has no result yet")
+            raise SplatError(tr("'{name}' has no result yet").format(name=job.name))
         splat = owners().get(str(job.folder.path))
-        problem = edit_guard.problem(context, splat) if splat is not None else "Leave Edit Mode first" if context.mode != "OBJECT" else ""
+        problem = edit_guard.problem(context, splat) if splat is not None else tr("Leave Edit Mode first") if context.mode != "OBJECT" else ""
         if problem:
             raise SplatError(problem)
         if splat is not None:
@@ -185,7 +194,7 @@ class SVRGS_OT_listed_job_open(ListedJobOperator):
             name = f"{job.name} {'splat' if job.kind == TRAIN else 'pruned'}"
             loaded = bridge.object_from_scene(name, read_scene(job.folder.output), context.collection)
         select(context, [loaded])
-        return f"Loaded '{loaded.name}' with {bridge.count(loaded):,} Gaussians"
+        return tr("Loaded '{name}' with {count:,} Gaussians").format(name=loaded.name, count=bridge.count(loaded))
 
 
 class ConfirmedDeletion(JobOperator):
@@ -202,9 +211,9 @@ class SVRGS_OT_listed_job_delete(ListedJobOperator, ConfirmedDeletion):
 
     def work_on(self, context, job: Job) -> str:
         if is_busy(job):
-            raise SplatError(f"'{job.name}' runs or waits: stop it first")
+            raise SplatError(tr("'{name}' runs or waits: stop it first").format(name=job.name))
         delete_job(job)
-        return f"Deleted the job of '{job.name}'"
+        return tr("Deleted the job of '{name}'").format(name=job.name)
 
 
 class SVRGS_OT_delete_finished_jobs(ConfirmedDeletion):
@@ -220,7 +229,7 @@ class SVRGS_OT_delete_finished_jobs(ConfirmedDeletion):
         for job in finished:
             delete_job(job)
         forget()
-        return f"Deleted {len(finished):,} jobs, {size_text(size)}"
+        return tr("Deleted {count:,} jobs, {size}").format(count=len(finished), size=size_text(size))
 
 
 def finished_jobs(context) -> tuple[list[Job], int]:
@@ -241,7 +250,7 @@ def _rows(_) -> str:
 
 def _finished(_) -> str:
     found, size = finished_jobs(bpy.context)
-    return f"Delete {len(found):,} Finished, {size_text(size)}" if found else ""
+    return tr("Delete {count:,} Finished, {size}").format(count=len(found), size=size_text(size)) if found else ""
 
 
 class SVRGS_PG_job_list(bpy.types.PropertyGroup):

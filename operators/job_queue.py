@@ -5,6 +5,8 @@ Each Blender has a queue of its own. A job that waits when Blender ends is found
 
 from __future__ import annotations
 
+from bpy.app.translations import pgettext_iface as tr
+
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.jobs.job_process import Job
 
@@ -37,7 +39,7 @@ def is_queued(job: Job) -> bool:
 def waiting_text(job: Job) -> str:
     """What a job in the queue waits for, in a sentence; '' for others."""
     first = running()
-    return f"Waiting for '{first.name}'" if is_queued(job) and first is not None else ""
+    return tr("Waiting for '{name}'").format(name=first.name) if is_queued(job) and first is not None else ""
 
 
 def leave(job: Job):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.files.registry import read_scene
@@ -36,12 +37,13 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
     probability = folder.probability()
     recovered = read_scene(folder / "pruned.ply")
     if recovered.count != kept.sum():
-        raise SceneError(f"{folder / 'pruned.ply'}: does not belong to this job's other files")
+        raise SceneError(tr("{file}: does not belong to this job's other files").format(file=folder / "pruned.ply"))
     if bridge.count(obj) != len(kept):
-        raise SceneError(f"'{obj.name}' has {bridge.count(obj):,} Gaussians, but {len(kept):,} when the job began: undo the edit, then load the result")
+        text = tr("'{name}' has {now:,} Gaussians, but {before:,} when the job began: undo the edit, then load the result")
+        raise SceneError(text.format(name=obj.name, now=bridge.count(obj), before=len(kept)))
     motion = common_motion(read_scene(folder / "scene.ply").means, bridge.stored_values(obj, "position"))
     if motion is None:
-        raise SceneError(f"points of '{obj.name}' were moved since the job began: undo the edit, then load the result")
+        raise SceneError(tr("points of '{name}' were moved since the job began: undo the edit, then load the result").format(name=obj.name))
     recovered = transformed(recovered, motion)
     _make_room(obj)
     pruned = bridge.copy_with(obj, f"{obj.name} pruned", recovered)

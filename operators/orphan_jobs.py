@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.errors import FormatError, SplatError
 from ..svrgs_addon.jobs.job_folder import digest_of
@@ -38,7 +39,7 @@ def orphan_of(context, obj: bpy.types.Object | None) -> Job | None:
 def sentence(context) -> str:
     """That a job of the active splat was found; '' if none was."""
     job = orphan_of(context, context.object)
-    return f"A job of this splat was found: {state_text(job)}" if job is not None else ""
+    return tr("A job of this splat was found: {state}").format(state=state_text(job)) if job is not None else ""
 
 
 def _made_of(job: Job) -> tuple[int, str]:
@@ -89,7 +90,7 @@ class SVRGS_OT_adopt_job(JobOperator):
     def poll(cls, context):
         if orphan_of(context, context.object) is not None:
             return True
-        cls.poll_message_set("No job of this splat was found")
+        cls.poll_message_set(tr("No job of this splat was found"))
         return False
 
     def work(self, context) -> str:
@@ -97,11 +98,11 @@ class SVRGS_OT_adopt_job(JobOperator):
         _digests.pop(obj.data.session_uid, None)
         job = orphan_of(context, obj)
         if job is None:
-            raise SplatError("No job of this splat was found")
+            raise SplatError(tr("No job of this splat was found"))
         link(obj, str(job.folder.path))
         jobs.setdefault(str(job.folder.path), job)
         start_timer()
-        return f"'{obj.name}' has its job again: {state_text(job)}"
+        return tr("'{name}' has its job again: {state}").format(name=obj.name, state=state_text(job))
 
 
 HANDLERS = {"depsgraph_update_post": _after_update, "undo_post": _forget_all, "redo_post": _forget_all, "load_post": _forget_all}

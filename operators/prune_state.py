@@ -6,6 +6,8 @@ All properties are read-only. They are worked out whenever a panel is drawn, and
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.app.translations import pgettext_n as n_
 from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.errors import SplatError
@@ -25,13 +27,19 @@ from . import (
     job_result,
     orphan_jobs,
 )  # fmt: skip
+from .job import resume_sentence
 from .job_watch import current, is_busy, is_resumable
 from .native_check import native_problem
 from .option_properties import CHOICES, method_sentence
 from .splat_size import size_text
 
 SILENT_SECONDS = 60.0  # after this time without a sign of life, the panel says so
-STOPPED_TEXT = {"queued": "Not started yet", "interrupted": "An interrupted job was found", "failed": "The job failed"}  # others: Stopped
+STOPPED_TEXT = {  # state -> what the panel says, and that with a progress; others: STOPPED
+    "queued": (n_("Not started yet"), n_("Not started yet")),
+    "interrupted": (n_("An interrupted job was found"), n_("An interrupted job was found at {share:.0%}")),
+    "failed": (n_("The job failed"), n_("The job failed at {share:.0%}")),
+}
+STOPPED = n_("Stopped"), n_("Stopped at {share:.0%}")
 
 
 def stage(context) -> str:
@@ -56,37 +64,41 @@ def sentences(context) -> list[str]:
     original, pruned = job_result.pair_of(context.object)
     if pruned is not None and job_result.undecided(pruned):
         return _of_result(original, pruned)
-    return _of_ready(context) if bridge.is_splat(context.object) else ["Select a splat, or import one in step 1"]
+    return _of_ready(context) if bridge.is_splat(context.object) else [tr("Select a splat, or import one in step 1")]
 
 
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
-    texts = ["Estimating from some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
+    texts = [tr("Estimating from some views …")] if found.get("busy") else estimate.sentences(context.object) if found else []
     texts += filter(None, [camera_match.sentence(context), edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
     return [*texts, *filter(None, [dataset_paths.problem(context), orphan_jobs.sentence(context), _of_applied(context.object)])]
 
 
 def _of_job(job: Job) -> list[str]:
     if job_queue.is_queued(job):
-        return [f"{job_queue.waiting_text(job)}: one job runs at a time"]
+        return [tr("{waiting}: one job runs at a time").format(waiting=job_queue.waiting_text(job))]
     if is_busy(job):
-        silent = [f"No sign of life for {job.seconds_silent:.0f} s: Stop ends the job"] if job.seconds_silent > SILENT_SECONDS else []
-        without = [f"Stop Now does not wait for it. {job.resume_sentence()}"] if job.stopping else []
-        return [job.facts.get("text") or "Working", *_figures(job.facts), *filter(None, [job.facts.get("note")]), *without, *silent]
+        without = [". ".join((tr("Stop Now does not wait for it"), resume_sentence(job)))] if job.stopping else []
+        texts = [tr(job.facts.get("text") or n_("Working")), *_figures(job.facts), *filter(None, [job.facts.get("note")]), *without]
+        silent = tr("No sign of life for {seconds:.0f} s: Stop ends the job").format(seconds=job.seconds_silent)
+        return [*texts, silent] if job.seconds_silent > SILENT_SECONDS else texts
     if not is_resumable(job):
-        return ["A finished job was found: load its result, or discard it and start again"]
-    progress = f" at {job.progress:.0%}" if job.facts.get("total") else ""
-    return [STOPPED_TEXT.get(job.state, "Stopped") + progress, *filter(None, [job.facts.get("text")]), job.resume_sentence(), *_figures(job.facts)]
+        return [tr("A finished job was found: load its result, or discard it and start again")]
+    state = tr(STOPPED_TEXT.get(job.state, STOPPED)[bool(job.facts.get("total"))]).format(share=job.progress)
+    return [state, *map(tr, filter(None, [job.facts.get("text")])), resume_sentence(job), *_figures(job.facts)]
 
 
 def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
-    texts = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {size_text(pruned, count)}"]
+    text = tr("{kept:,} of {count:,} Gaussians, {size}") if original else tr("{kept:,} Gaussians, {size}")
+    texts = [text.format(kept=count, count=bridge.count(original) if original else 0, size=size_text(pruned, count))]
     if job_result.PSNR in pruned:
         before, after = pruned[job_result.PSNR]
-        elsewhere = "" if count == kept else "; not measured at this setting"
-        texts.append(f"Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB{elsewhere}")
-    return [*texts, f"{count - kept:,} more than were recovered: shown as in the original"] if count > kept else texts
+        text = tr("Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB")
+        if count != kept:
+            text = tr("Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB; not measured at this setting")
+        texts.append(text.format(kept=kept, before=before, after=after))
+    return [*texts, tr("{count:,} more than were recovered: shown as in the original").format(count=count - kept)] if count > kept else texts
 
 
 def _of_applied(obj: bpy.types.Object) -> str:
@@ -94,23 +106,27 @@ def _of_applied(obj: bpy.types.Object) -> str:
     original, pruned = job_result.pair_of(obj)
     if original is None or pruned is None:
         return ""
-    other, text = (original, "Pruned from") if obj == pruned else (pruned, "Pruned to")
-    return f"{text} '{other.name}', {bridge.count(other):,} Gaussians" + (", which is hidden" if other.hide_get() and other.hide_render else "")
+    other = original if obj == pruned else pruned
+    text = tr("Pruned from '{name}', {count:,} Gaussians") if other == original else tr("Pruned to '{name}', {count:,} Gaussians")
+    hidden = tr("which is hidden") if other.hide_get() and other.hide_render else ""
+    return ", ".join(filter(None, (text.format(name=other.name, count=bridge.count(other)), hidden)))
 
 
 def _figures(facts: dict) -> list[str]:
     if not facts.get("count"):
         return []
-    return [f"{facts['count']:,} Gaussians" + (f", PSNR {facts['psnr']:.2f} dB" if facts.get("psnr") else "")]
+    text = tr("{count:,} Gaussians, PSNR {psnr:.2f} dB") if facts.get("psnr") else tr("{count:,} Gaussians")
+    return [text.format(count=facts["count"], psnr=facts.get("psnr"))]
 
 
 def _time_left_text(job: Job) -> str:
     if job_queue.is_queued(job):
-        return "Waiting"
+        return tr("Waiting")
     if not job.facts.get("total"):
-        return "Starting"
+        return tr("Starting")
     left = job.facts.get("seconds_left", 0)
-    return f"{job.progress:.0%}, " + (f"{left / 60:.0f} min left" if left >= 90 else f"{left:.0f} s left")
+    text = tr("{share:.0%}, {minutes:.0f} min left") if left >= 90 else tr("{share:.0%}, {seconds:.0f} s left")
+    return text.format(share=job.progress, minutes=left / 60, seconds=left)
 
 
 # --- getters of the properties
@@ -170,8 +186,8 @@ def _method() -> Method:
 
 
 def _method_help(_) -> str:
-    method, sentence = _method(), method_sentence(_method())
-    return sentence if method.name in CHOICES.values() else f"{method.label}: {sentence}"
+    method, sentence = _method(), tr(method_sentence(_method()))
+    return sentence if method.name in CHOICES.values() else f"{tr(method.label)}: {sentence}"
 
 
 def _goal_help(_) -> str:
@@ -195,7 +211,9 @@ def _subject(_) -> str:
 
 def _size(_) -> str:
     obj = bpy.context.object
-    return f"{bridge.count(obj):,} Gaussians, {size_text(obj, bridge.count(obj))}" if bridge.is_splat(obj) else ""
+    if not bridge.is_splat(obj):
+        return ""
+    return tr("{kept:,} Gaussians, {size}").format(kept=bridge.count(obj), size=size_text(obj, bridge.count(obj)))
 
 
 def _marked(_) -> int:

@@ -7,6 +7,7 @@ Progress, stop and resume are those of every job (job.py); the panel of step 2 s
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.jobs.job_folder import JobFolder
@@ -36,16 +37,16 @@ def problem(context) -> str:
     """Why no splat can be trained now; empty if it can."""
     root = root_to_train(context)
     if root is None:
-        return "Import cameras first, and select one of them"
+        return tr("Import cameras first, and select one of them")
     job = job_of(root)
     if job is not None and is_busy(job):
-        return job_queue.waiting_text(job) or "A job is running on these cameras"
+        return job_queue.waiting_text(job) or tr("A job is running on these cameras")
     if job is not None and is_resumable(job):
-        return "Resume or discard the job of these cameras first"
+        return tr("Resume or discard the job of these cameras first")
     if context.mode != "OBJECT":
-        return "Leave Edit Mode first"
+        return tr("Leave Edit Mode first")
     if root.get(bridge.POINTS) == 0:
-        return "The dataset has no sparse points to start from: run COLMAP's mapper again, or export the sparse points with the cameras"
+        return tr("The dataset has no sparse points to start from: run COLMAP's mapper again, or export the sparse points with the cameras")
     return dataset_paths.lost(root) or native_problem()
 
 
@@ -73,7 +74,7 @@ class SVRGS_OT_train(JobOperator):
         link(root, str(folder.path))
         waits = job_queue.start(Job(folder))
         start_timer()
-        return waits or f"Training a splat from the photographs of '{root.name}' in the background"
+        return waits or tr("Training a splat from the photographs of '{name}' in the background").format(name=root.name)
 
 
 def _about(_) -> str:
@@ -83,7 +84,8 @@ def _about(_) -> str:
         return ""
     photographs = sum(obj.type == "CAMERA" and bridge.SIZE in obj.data for obj in root.children_recursive)
     points = root.get(bridge.POINTS)
-    return f"'{root.name}': {photographs:,} photographs" + (f", {points:,} sparse points" if points is not None else "")
+    text = tr("'{name}': {photographs:,} photographs") if points is None else tr("'{name}': {photographs:,} photographs, {points:,} sparse points")
+    return text.format(name=root.name, photographs=photographs, points=points)
 
 
 def _problem(_) -> str:

@@ -36,7 +36,7 @@ class SVRGS_PT_jobs(bpy.types.Panel):
 def draw_job(column, job: dict):
     """One job: name and buttons, state, size."""
     head = column.row()
-    head.label(text=job["name"], icon=job["icon"])
+    head.label(text=job["name"], icon=job["icon"], translate=False)
     buttons = head.row(align=True)
     buttons.alignment = "RIGHT"
     for name in job["buttons"]:

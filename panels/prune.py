@@ -25,7 +25,7 @@ class SVRGS_PT_prune(bpy.types.Panel):
         state = context.window_manager.svrgs_prune_state
         stage = state.stage
         if stage not in ("BROKEN", "NOTHING", "READY"):
-            self.layout.label(text=state.subject, icon="OUTLINER_OB_POINTCLOUD")
+            self.layout.label(text=state.subject, icon="OUTLINER_OB_POINTCLOUD", translate=False)
         draw = {"READY": draw_settings, "BUSY": draw_progress, "RESULT": draw_share}.get(stage)
         if draw is not None:
             draw(self.layout, context, state)

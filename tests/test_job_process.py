@@ -74,7 +74,7 @@ def test_stop_saves_a_checkpoint_and_resume_goes_on_there(tiny, tmp_path, jobs):
     follow(job)
     assert job.state == job.folder.state()["state"] == "stopped" and not job.stopping
     saved = job.folder.checkpoint()
-    assert saved > 200 and job.resume_sentence() == f"Resume continues at {saved / 20_000:.0%}"
+    assert saved > 200 and job.resume_point() == ("Resume continues at {share:.0%}", {"share": saved / 20_000})
     job.start()
     assert not (job.folder / "stop").exists()
     heard = follow(job, at_work)
@@ -88,7 +88,7 @@ def test_stop_while_the_job_is_still_reading(tiny, tmp_path, jobs):
     follow(job, lambda job: job.state == "running")
     job.stop()
     follow(job, seconds=2)
-    assert job.state == "stopped" and job.resume_sentence() == "Resume starts it from the beginning"
+    assert job.state == "stopped" and job.resume_point() == ("Resume starts it from the beginning", {})
 
 
 def test_a_job_that_gives_no_sign_of_life_is_killed_and_says_from_where_it_goes_on(tiny, tmp_path, jobs, monkeypatch):
@@ -102,7 +102,7 @@ def test_a_job_that_gives_no_sign_of_life_is_killed_and_says_from_where_it_goes_
     job.stop()
     follow(job, seconds=20)
     assert job.state == "stopped" and job.facts["text"] == "It gave no sign of life and was ended"
-    assert job.resume_sentence() == "Resume starts it from the beginning: no checkpoint was saved"
+    assert job.resume_point() == ("Resume starts it from the beginning: no checkpoint was saved", {})
 
 
 def test_a_job_that_is_slow_to_save_is_not_killed(tiny, tmp_path, jobs, monkeypatch):

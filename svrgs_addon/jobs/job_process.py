@@ -85,13 +85,16 @@ class Job:
         total = self.facts.get("total", 1)
         return max(0, min(self.facts.get("iteration", 0), total)) / max(1, total)
 
-    def resume_sentence(self) -> str:
-        """From where a job that has not ended well would be continued."""
-        saved, total = self.folder.checkpoint(), self.facts.get("total", 0)
+    def resume_point(self) -> tuple[str, dict]:
+        """From where a job that has not ended well would be continued: a sentence with named fields, and their values."""
+        saved, total, done = self.folder.checkpoint(), self.facts.get("total", 0), self.facts.get("iteration", 0)
         if not saved:
-            return "Resume starts it from the beginning" + ": no checkpoint was saved" * (self.facts.get("iteration", 0) > 0)
-        place = f"{saved / total:.0%}" if total else f"step {saved:,}"
-        return f"Resume continues at {place}" + (": the steps after it were not saved" if saved < self.facts.get("iteration", 0) else "")
+            return ("Resume starts it from the beginning: no checkpoint was saved" if done > 0 else "Resume starts it from the beginning"), {}
+        if total:
+            text = "Resume continues at {share:.0%}: the steps after it were not saved" if saved < done else "Resume continues at {share:.0%}"
+            return text, {"share": saved / total}
+        text = "Resume continues at step {step:,}: the steps after it were not saved" if saved < done else "Resume continues at step {step:,}"
+        return text, {"step": saved}
 
     def refresh(self):
         """Reads the state of a job that another Blender started or continued, at most every REFRESH_EVERY seconds."""
