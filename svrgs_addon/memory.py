@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # importing NumPy needs memory
 READING = 1.3  # bytes per byte of a splat file: its arrays, and copies of some of them during repair
 ROW_FLOATS = 13  # 4-byte values per Gaussian without SH: mean 3, log-scale 3, quaternion 4, opacity logit, existence logit, source row
 SH_MOMENT = 2  # bytes of Adam moments per SH coefficient; other values have moments of their own size, 4 bytes
+STATISTICS = 8  # bytes per Gaussian: the statistics of densification
 ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densification adds
 PROJECTED = 150  # bytes per projected Gaussian
 RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 100  # bytes per pixel of a view: rendering, fine-tuning, metrics
@@ -78,6 +79,11 @@ def growing(count: int, added: int, coefficients: int, cameras: Sequence[Camera]
     (row, moments), largest = _trained_row(coefficients), 4 * 3 * coefficients
     new = (1 + ADDED_COPIES) * row + moments + PROJECTED
     return new * added + largest * (count + added) + MEASURED_PIXEL * _pixels(cameras)
+
+
+def checkpoint(count: int, coefficients: int) -> int:
+    """Bytes on disk of a checkpoint of `count` Gaussians. coefficients: SH coefficients per channel."""
+    return (sum(_trained_row(coefficients)) + STATISTICS) * count
 
 
 def _trained_row(coefficients: int) -> tuple[int, int]:

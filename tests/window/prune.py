@@ -1,4 +1,4 @@
-"""Estimate, prune, pause, go on, look at fewer, apply and undo, with the mouse. Writes what it saw to OUT/seen.json."""
+"""Estimate, prune, stop, go on, look at fewer, apply and undo, with the mouse. Writes what it saw to OUT/seen.json."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from driver import DATA, OUT, click, key, shot, until
 
 PACKAGE = "bl_ext.user_default.svrgs"
 LEFT, RIGHT = 842, 961  # the two buttons of a row
-START, PAUSE, RESUME, APPLY = 171, 291, 272, 156  # distances of these rows below the header
+START, STOP, RESUME, APPLY = 171, 291, 298, 156  # distances of these rows below the header
 VIEW = (400, 700)  # somewhere in the 3D view
 
 
@@ -46,7 +46,7 @@ def ask_for_estimate(splat: str, seen: dict):
     shot("estimate")
 
 
-def start_and_pause(seen: dict):
+def start_and_stop(seen: dict):
     watch = part("operators.job_watch")
     job = lambda: watch.current(bpy.context)[1]  # noqa: E731
     yield from click(RIGHT, driver.header_height("Prune") + START)
@@ -55,11 +55,11 @@ def start_and_pause(seen: dict):
     yield 0.3
     seen["running"] = job().facts
     shot("running")
-    yield from click(LEFT, driver.header_height("Prune") + PAUSE)
-    yield from until(lambda: not job().running, "the pause")
+    yield from click(LEFT, driver.header_height("Prune") + STOP)
+    yield from until(lambda: not job().running, "the stop")
     yield 0.5
-    seen["paused"] = dict(job().facts)
-    shot("paused")
+    seen["stopped"] = dict(job().facts)
+    shot("stopped")
 
 
 def go_on_to_the_result(seen: dict):
@@ -96,12 +96,12 @@ def delete_and_undo(splat: str, pruned: str, seen: dict):
     yield from until(lambda: pruned not in bpy.context.scene.objects, "the key Delete")
     yield 0.5
     original = bpy.data.objects[splat]
-    seen["deleted"] = [original.hide_viewport, results.PRUNED in original, "removed" in original.data.attributes]
+    seen["deleted"] = [original.hide_get(), results.PRUNED in original, "removed" in original.data.attributes]
     yield from key("Z", *VIEW, ctrl=True)
     yield from until(lambda: pruned in bpy.context.scene.objects, "the undoing of Delete")
     yield 0.5
     pair = bpy.data.objects[splat], bpy.data.objects[pruned]
-    seen["back"] = [results.pair_of(pair[0]) == results.pair_of(pair[1]) == pair, pair[0].hide_viewport, results.shown_count(pair[1])]
+    seen["back"] = [results.pair_of(pair[0]) == results.pair_of(pair[1]) == pair, pair[0].hide_get(), results.shown_count(pair[1])]
 
 
 def steps():
@@ -109,7 +109,7 @@ def steps():
     yield from driver.sidebar("SVR-GS")
     yield from driver.open_panel("Prune")
     yield from ask_for_estimate(splat, seen)
-    yield from start_and_pause(seen)
+    yield from start_and_stop(seen)
     pruned = yield from go_on_to_the_result(seen)
     yield from apply_fewer_and_undo(pruned, seen)
     yield from delete_and_undo(splat, pruned, seen)
