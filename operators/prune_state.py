@@ -69,7 +69,7 @@ def sentences(context) -> list[str]:
 
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
-    texts = [tr("Estimating from some views …")] if found.get("busy") else estimate.sentences(context.object) if found else []
+    texts: list[str] = [tr("Estimating from some views …")] if found.get("busy") else estimate.sentences(context.object) if found else []
     texts += filter(None, [camera_match.sentence(context), edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
     return [*texts, *filter(None, [dataset_paths.problem(context), orphan_jobs.sentence(context), _of_applied(context.object)])]
 
