@@ -123,17 +123,17 @@ def test_panels_and_reports_show_translated_texts(drawn, splat, room, camera, ca
     bpy.context.scene.svrgs_looking.pruned = room
     bpy.ops.svrgs.compare()
     bpy.context.view_layer.objects.active = splat
+    bpy.context.scene.render.engine, bpy.context.scene.view_settings.view_transform = "BLENDER_WORKBENCH", "AgX"
     for panel in ("scene", "spatial_mask", "compare", "export", "rendering"):
         assert "⟦" in drawn(panel) and not untranslated(drawn(panel)), panel
     reports = re.findall(r"(?:Info|Warning|Error): (.*)", capfd.readouterr().out)
     assert len(reports) == 2 and not untranslated(" ".join(reports))
 
 
-def prune_panel(drawn, stage: str) -> str:
+def check_panels(drawn, stage: str):
     assert bpy.context.window_manager.svrgs_prune_state.stage == stage
-    shown = drawn("prune")
-    assert "⟦" in shown and not untranslated(shown), stage
-    return shown
+    for panel in ("prune", "jobs"):
+        assert "⟦" in drawn(panel) and not untranslated(drawn(panel)), (panel, stage)
 
 
 @pytest.mark.parametrize("goal", ["BALANCED", "SMALL", "SHARE", "COUNT", "SIZE", "DROP", "LAMBDA"])
@@ -141,30 +141,30 @@ def prune_panel(drawn, stage: str) -> str:
 def test_settings_are_translated_for_every_method_and_goal(drawn, splat, method, goal):
     settings = bpy.context.scene.svrgs_prune
     settings.method, settings.goal = method, goal
-    prune_panel(drawn, "READY")
+    check_panels(drawn, "READY")
     settings.lambda_f = 3e-4
-    prune_panel(drawn, "READY")
+    check_panels(drawn, "READY")
 
 
 def test_jobs_are_translated_from_the_estimate_to_the_result(drawn, splat, watch, capfd):
     set_up(SHORT)
     bpy.ops.svrgs.estimate()
-    prune_panel(drawn, "READY")
+    check_panels(drawn, "READY")
     set_up(LONG)
     bpy.ops.svrgs.job_start()
     job = watch.current(bpy.context)[1]
     follow(watch, lambda: job.facts.get("iteration", 0) > 5)
-    prune_panel(drawn, "BUSY")
+    check_panels(drawn, "BUSY")
     bpy.ops.svrgs.job_stop()
-    prune_panel(drawn, "BUSY")
+    check_panels(drawn, "BUSY")
     follow(watch, lambda: not job.running)
-    prune_panel(drawn, "WAITING")
+    check_panels(drawn, "WAITING")
     bpy.ops.svrgs.job_discard()
     set_up(SHORT)
     bpy.ops.svrgs.job_start()
     follow(watch, lambda: len(bpy.data.objects) == 2)
-    prune_panel(drawn, "RESULT")
+    check_panels(drawn, "RESULT")
     bpy.ops.svrgs.apply()
-    prune_panel(drawn, "READY")
+    check_panels(drawn, "READY")
     reports = re.findall(r"(?:Info|Warning|Error): (.*)", capfd.readouterr().out)
     assert len(reports) == 6 and not untranslated(" ".join(reports))
