@@ -1,4 +1,4 @@
-"""Estimates how many Gaussians would stay and how long pruning takes. A child process does the work; Blender stays usable."""
+"""Estimates how many Gaussians would stay, how good the result would be and how long pruning takes. A child process does the work; Blender stays usable."""
 
 from __future__ import annotations
 
@@ -51,16 +51,25 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     return [
         f"{'At most' if found['at_most'] else 'About'} {kept:,} of {count:,} would stay ({kept / count:.0%})",
         f"{size_text(obj, count)} → about {size_text(obj, kept)}",
+        quality(found),
         f"{found['invisible']:,} invisible, {found['unseen']:,} outside the {found['views']} sampled photographs" + faint,
         f"About {minutes:.0f} min {speed}" if minutes >= 1 else f"Less than a minute {speed}",
         *found["notes"],
     ]
 
 
+def quality(found: dict) -> str:
+    """The PSNRs of an estimate in words."""
+    before, removed, after = (found[f"psnr_{name}"] for name in ("before", "removed", "after"))
+    if after is None:
+        return f"PSNR now {before:.1f} dB; after pruning: not foreseen for this method or goal"
+    return f"PSNR about {after:.1f} dB after pruning (now {before:.1f} dB; without recovery about {removed:.1f} dB)"
+
+
 class SVRGS_OT_estimate(JobOperator):
     bl_idname = "svrgs.estimate"
     bl_label = "Estimate"
-    bl_description = "Estimate within seconds how many Gaussians would stay and how long pruning would take"
+    bl_description = "Estimate within seconds how many Gaussians would stay, how good the result would be and how long pruning would take"
 
     @classmethod
     def poll(cls, context):
