@@ -3,6 +3,7 @@
 from . import (
     active_camera,
     apply,
+    bridge_materials,
     camera_match,
     command_line,
     compare,
@@ -25,8 +26,11 @@ from . import (
     render_engine,
     saved_images,
     scene_cache,
+    set_up_rendering,
     spatial_mask,
+    splat_layer,
     splat_transforms,
+    train,
     view_properties,
     viewport,
     viewport_wipe,
@@ -62,6 +66,10 @@ MODULES = (
     frame,
     viewport_wipe,
     open_image,
+    train,
+    bridge_materials,
+    set_up_rendering,
+    splat_layer,
 )
 
 

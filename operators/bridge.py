@@ -35,6 +35,7 @@ Y_DOWN = "svrgs_y_down"  # property of a splat without a root: whether its impor
 SAME_PLACE = 1e-6  # difference between matrices in float32 that means nothing
 ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
 DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: folder of its dataset, name of the image folder in it
+POINTS = "svrgs_points"  # property of a root: number of sparse points in its dataset
 TYPES = ("MESH", "POINTCLOUD")
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down

@@ -1,4 +1,4 @@
-"""Where a viewport has to look: boxes around the mass of splats, and around the cameras and sparse points of a dataset."""
+"""Where a viewport has to look, and how a dataset is levelled."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
+from mathutils import Matrix, Quaternion, Vector
 
 from ..svrgs_addon.blender.attribute_layout import BASE, POSITION
 from ..svrgs_addon.camera import Camera
@@ -17,13 +17,33 @@ from .bridge_graph import REMOVED
 
 SENSOR = 72.0  # millimetres: the longer side of a viewport, in Blender
 UNTURNED = 1e-6  # largest difference of a matrix that counts as none
+NEARER = 0.8  # distance of a view over the distance of the camera whose photograph it shows
 SAID = 0.5  # degrees: a smaller turn is not worth a word
 
 
+def photographed_view(obj: bpy.types.Object, scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> tuple[Vector, float, Quaternion] | None:
+    """Centre, distance and rotation of a view that shows what the camera `obj` shows of the objects, with the horizon level.
+
+    Its eye is a little in front of the camera, so that the camera itself is not in the picture. None if the camera shows none of them.
+    """
+    camera = bridge.camera_from_object(obj, scene)
+    parts = list(_points(objects))
+    depth = bounds.median_depth(camera, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True))) if parts else None
+    if depth is None:
+        return None
+    forward = Vector(camera.viewmat[2, :3])
+    return Vector(camera.position) + depth * forward, NEARER * depth, forward.to_track_quat("-Z", "Y")
+
+
 def sphere_of(objects: list[bpy.types.Object]) -> tuple[Vector, float] | None:
-    """Centre and radius, in Blender's world, of the mass of the splats among the objects; without one, of the cameras and points."""
-    splats = [obj for obj in objects if bridge.is_splat(obj)]
-    found = list(_splat_corners(splats)) or list(_dataset_corners(objects))
+    """Centre and radius, in Blender's world, of the mass of the splats among the objects; without a splat, of their cameras and points.
+
+    None if there is nothing of the kind.
+    """
+    boxes = (bounds.robust_box(points, weights) for points, weights in _points(objects))
+    found = [bounds.corners(box, np.eye(4)) for box in boxes if box is not None]
+    if not any(map(bridge.is_splat, objects)):
+        found += [np.array([obj.matrix_world.translation], np.float64) for obj in objects if obj.type == "CAMERA"]
     if not found:
         return None
     centre, radius = bounds.sphere_around(np.concatenate(found))
@@ -51,23 +71,22 @@ def level(root: bpy.types.Object, cameras: list[Camera]) -> str:
     return f"levelled, by a turn of {angle:.3g}°" if angle >= SAID else ""
 
 
-def _splat_corners(splats: list[bpy.types.Object]) -> Iterator[np.ndarray]:
-    """Corners (8, 3) of the robust box of each splat, in Blender's world. Gaussians marked as removed do not count."""
+def _points(objects: list[bpy.types.Object]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Means (N, 3) in Blender's world and opacities (N,) of each splat; without a splat, the points of each mesh, and ones.
+
+    Gaussians marked as removed have the opacity 0.
+    """
+    splats = [obj for obj in objects if bridge.is_splat(obj)]
     for obj in splats:
         opacities, removed = bridge.stored_values(obj, BASE)[:, 3], bridge.values(obj, REMOVED)
-        box = bounds.robust_box(bridge.stored_values(obj, POSITION), opacities if removed is None else opacities * ~removed)
-        if box is not None:
-            yield bounds.corners(box, obj.matrix_world)
-
-
-def _dataset_corners(objects: list[bpy.types.Object]) -> Iterator[np.ndarray]:
-    """Corners of the robust boxes of all sparse points, and the places of all cameras, in Blender's world."""
-    for obj in objects:
-        if obj.type == "CAMERA":
-            yield np.array(obj.matrix_world.translation, np.float64)[None]
-        elif obj.type == "MESH" and len(obj.data.vertices):
+        yield _in_world(obj, bridge.stored_values(obj, POSITION)), opacities if removed is None else opacities * ~removed
+    for obj in () if splats else objects:
+        if obj.type == "MESH":
             points = np.empty(3 * len(obj.data.vertices), np.float32)
             obj.data.vertices.foreach_get("co", points)
-            box = bounds.robust_box(points.reshape(-1, 3))
-            if box is not None:
-                yield bounds.corners(box, obj.matrix_world)
+            yield _in_world(obj, points.reshape(-1, 3)), np.ones(len(points) // 3, np.float32)
+
+
+def _in_world(obj: bpy.types.Object, points: np.ndarray) -> np.ndarray:
+    matrix = np.array(obj.matrix_world, np.float32)
+    return points @ matrix[:3, :3].T + matrix[:3, 3]

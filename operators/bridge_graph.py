@@ -1,4 +1,4 @@
-"""Blender's dependency graph -> the parts of a picture: the Gaussians of all splats, and the meshes that hide them.
+"""Blender's dependency graph -> the Gaussians of all splats, and cameras.
 
 One splat alone is drawn in its own coordinates, by a camera that is moved there. Several splats, or one that is stretched or
 mirrored, are transformed into world coordinates.
@@ -7,7 +7,7 @@ mirrored, are transformed into world coordinates.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -16,15 +16,12 @@ from mathutils import Matrix
 from ..svrgs_addon.blender.lens import camera_of_projection
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
-from ..svrgs_addon.files.images import linear_to_srgb
 from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from ..svrgs_addon.geometry.merge import merged
-from ..svrgs_addon.render.mesh_depth import Surface, Triangles, surface
+from ..svrgs_addon.render.meshes import Surface, Triangles, surface
 from ..svrgs_addon.scene import Scene
 from . import bridge
 
-SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
-PLAIN = (0.8, 0.8, 0.8)  # linear colour of a mesh without a material
 REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn
 HIDE_MODIFIER = "SVR-GS Removed"  # the modifier that hides marked Gaussians, and its node group
 
@@ -49,10 +46,8 @@ class PlacedScene:
 
     def hidden_by(self, triangles: Triangles, camera: Camera) -> Surface | None:
         """The triangles as the camera (in Blender's world) sees them; depths in units of the scene. None if there are none."""
-        if not len(triangles.corners):
-            return None
         found = surface(triangles, camera)
-        return replace(found, depth=found.depth / np.float32(self.unit))
+        return found and found.scaled(1 / self.unit)
 
 
 def visible_scene(obj: bpy.types.Object) -> Scene:
@@ -113,15 +108,6 @@ def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:
     return PlacedScene(merged([transformed(scene, np.array(matrix)) for scene, matrix in scenes]), Matrix())
 
 
-def surfaces(depsgraph: bpy.types.Depsgraph) -> Triangles:
-    """The triangles of all objects that render as surfaces, without splats, in Blender's world."""
-    parts = [_triangles(i.object, np.array(i.matrix_world)) for i in _instances(depsgraph) if i.object.type in SURFACES and not bridge.is_splat(i.object)]
-    parts = [(corners, colors) for corners, colors in parts if len(corners)]
-    if not parts:
-        return Triangles(np.empty((0, 3, 3)), np.empty((0, 3)))
-    return Triangles(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-
-
 def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = None) -> bpy.types.Object:
     """The evaluated camera of the render. Raises SceneError."""
     obj = override or depsgraph.scene.camera
@@ -137,28 +123,3 @@ def region_camera(region: bpy.types.Region, view: bpy.types.RegionView3D) -> Cam
 
 def _instances(depsgraph: bpy.types.Depsgraph) -> Iterator:
     return (instance for instance in depsgraph.object_instances if instance.show_self)
-
-
-def _triangles(obj: bpy.types.Object, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    mesh = obj.to_mesh()
-    if mesh is None or not len(mesh.polygons):
-        return np.empty((0, 3, 3)), np.empty((0, 3))
-    mesh.calc_loop_triangles()
-    points, corners, slots = np.empty(len(mesh.vertices) * 3, np.float32), *(np.empty(len(mesh.loop_triangles) * n, np.int32) for n in (3, 1))
-    mesh.vertices.foreach_get("co", points)
-    mesh.loop_triangles.foreach_get("vertices", corners)
-    mesh.loop_triangles.foreach_get("material_index", slots)
-    colors = linear_to_srgb(np.array([_color(slot.material) for slot in obj.material_slots] or [PLAIN], np.float32))
-    obj.to_mesh_clear()
-    world = points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
-    return world[corners.reshape(-1, 3)], colors[np.minimum(slots, len(colors) - 1)]
-
-
-def _color(material: bpy.types.Material | None) -> tuple[float, float, float]:
-    """The material's base colour, linear."""
-    if material is None:
-        return PLAIN
-    has_nodes = material.node_tree is not None and (bpy.app.version >= (5, 0, 0) or material.use_nodes)
-    nodes = material.node_tree.nodes if has_nodes else ()
-    shader = next((node for node in nodes if node.type == "BSDF_PRINCIPLED" and not node.inputs["Base Color"].is_linked), None)
-    return tuple(shader.inputs["Base Color"].default_value if shader else material.diffuse_color)[:3]

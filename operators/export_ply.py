@@ -110,7 +110,8 @@ def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
         return parts
     if any(modifier.show_viewport and modifier.name != bridge_graph.HIDE_MODIFIER for modifier in obj.modifiers):
         raise SceneError(f"Blender does not apply the modifiers of '{obj.name}' in Edit Mode or while it is hidden: show it, or export All Stored")
-    return [(bridge_graph.visible_scene(obj), obj.matrix_world)]
+    scene = bridge.scene_from_object(obj) if obj.mode == "EDIT" else bridge_graph.visible_scene(obj)
+    return [(scene, obj.matrix_world)]
 
 
 def menu(self, context):

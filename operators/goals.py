@@ -25,9 +25,9 @@ class Preset(NamedTuple):
 
 
 PRESETS = {
-    "LIGHT": Preset(0.25, 0.5, "Removes only what the photographs hardly need"),
+    "LIGHT": Preset(0.1, 0.5, "Removes only what the photographs hardly need"),
     "BALANCED": Preset(1.0, 0.25, "Much smaller, with almost no visible loss"),
-    "SMALL": Preset(4.0, 0.17, "As small as still held up when measured, with a slight loss"),
+    "SMALL": Preset(10.0, 0.17, "As small as still held up when measured, with a slight loss"),
 }
 
 ITEMS = [  # the numbers are stored in .blend files

@@ -1,4 +1,4 @@
-"""File > Import > COLMAP Cameras: cameras with their photographs, and the sparse points.
+"""File > Import > Cameras and Photographs: cameras with their photographs, and the sparse points.
 
 Cameras and points become children of an empty, the root, together with the splat that is active. The root takes the place of the
 splat, so moving the root moves all. It is turned until the photographs stand upright; the numbers of splat and cameras stay.
@@ -28,11 +28,13 @@ CLIP_END = 100  # in extents of all cameras
 
 class SVRGS_OT_import_colmap(bpy.types.Operator):
     bl_idname = "svrgs.import_colmap"
-    bl_label = "Import COLMAP Cameras"
-    bl_description = "Import the cameras, photographs and sparse points of a COLMAP dataset. They are placed with the active splat"
+    bl_label = "Import Cameras"
+    bl_description = "Import the cameras, photographs and sparse points of a dataset of COLMAP or transforms.json. They are placed with the active splat"
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
-    directory: StringProperty(name="Dataset", subtype="DIR_PATH", description="Folder of the dataset. It holds the image folder and the sparse model")
+    directory: StringProperty(
+        name="Dataset", subtype="DIR_PATH", description="Folder of the dataset. It holds the photographs, and a COLMAP model or transforms.json"
+    )
     filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
     images: StringProperty(name="Images", description="Name of the image folder in the dataset, such as images_4. Empty: images")
     photographs: BoolProperty(name="Photographs", default=True, description="Show each photograph as the background of its camera")
@@ -59,7 +61,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         splat = active if bridge.root_of(active) == root else None
         select(context, [splat or root])
         if self.frame:
-            frame(context, list(root.children_recursive))
+            frame(context, [splat or root])
         undistort.begin(photos.warnings)
         if self.photographs:
             self.show_photographs(folder, cameras, photos)
@@ -92,6 +94,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         context.collection.children.link(collection)
         root, points = root_for(context.object, folder, collection), []
         root[bridge.DATASET], root[bridge.IMAGES] = str(folder), self.images
+        root[bridge.POINTS] = len(photos.points)
         if self.points and len(photos.points):
             points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
         cameras = [_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras]
@@ -140,7 +143,7 @@ def _camera(camera: Camera, extent: float, collection: bpy.types.Collection) -> 
 
 
 def menu(self, context):
-    self.layout.operator(SVRGS_OT_import_colmap.bl_idname, text="COLMAP Cameras (folder)")
+    self.layout.operator(SVRGS_OT_import_colmap.bl_idname, text="Cameras and Photographs (COLMAP, transforms.json)")
 
 
 def register():

@@ -11,7 +11,7 @@ import bpy
 
 from ..svrgs_addon.errors import FormatError, SplatError
 from ..svrgs_addon.finetune.methods import METHODS
-from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
 from . import bridge, edit_guard, goals
 from .job_watch import BUSY, JOBS_FOLDER, WAITING, current, job_of, jobs, link, load_result, start_timer, unlink
@@ -168,13 +168,14 @@ class SVRGS_OT_job_resume(CurrentJobOperator):
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
         job.start()
         start_timer()
-        return ". ".join(filter(None, (f"Pruning of '{obj.name}' continues", job.renamed)))
+        what = "Training" if job.folder.kind == TRAIN else "Pruning"
+        return ". ".join(filter(None, (f"{what} of '{obj.name}' continues", job.renamed)))
 
 
 class SVRGS_OT_job_discard(CurrentJobOperator):
     bl_idname = "svrgs.job_discard"
     bl_label = "Discard"
-    bl_description = "Delete the job's files. The splat stays as it is"
+    bl_description = "Delete the job's files. Splat and cameras stay as they are"
     states, poll_message = (*WAITING, "done"), "There is no stopped or finished job"
 
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
@@ -200,8 +201,8 @@ class SVRGS_OT_job_load(CurrentJobOperator):
         return not problem
 
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
-        pruned = load_result(context, obj, job)
-        return f"Loaded {bridge.count(pruned):,} of {bridge.count(obj):,} Gaussians"
+        loaded = load_result(context, obj, job)
+        return f"Loaded {bridge.count(loaded):,}{f' of {bridge.count(obj):,}' if bridge.is_splat(obj) else ''} Gaussians"
 
 
 def delete_job(obj: bpy.types.Object):

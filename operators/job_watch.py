@@ -16,9 +16,9 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, edit_guard, job_pictures, job_result
+from . import bridge, edit_guard, job_pictures, job_result, train_result
 from .select import in_view_layer
 
 FOLDER = "svrgs_job"  # property of a splat
@@ -147,11 +147,15 @@ def _load_if_possible(job: Job):
     with contextlib.suppress(SplatError, OSError):  # the button Load Result reports the error
         load_result(bpy.context, splats[0], job)
         if not bpy.app.background:
-            bpy.ops.ed.undo_push(message="Prune Splat")
+            bpy.ops.ed.undo_push(message="Train Splat" if job.folder.kind == TRAIN else "Prune Splat")
 
 
 def load_result(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
-    """Adds the result of a finished job to the scene."""
+    """Adds the result of a finished job to the scene. obj: the splat that was pruned, or the root of the cameras that a splat was trained from."""
+    if job.folder.kind == TRAIN:
+        trained = train_result.load(context, obj, job.folder)
+        unlink(obj)
+        return trained
     pruned = job_result.load(context, obj, job.folder)
     result = job.folder.result()
     psnr = [result[side].get("psnr") for side in ("before", "after")]

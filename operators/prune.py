@@ -38,7 +38,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
         "colmap",
         name="Dataset",
         options=RELATIVE,
-        description="COLMAP dataset: photographs and model. Empty: the dataset of the imported cameras",
+        description="Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported cameras",
     )
     images: option_property("images")
     out: StringProperty(
@@ -80,12 +80,10 @@ class SVRGS_OT_prune(bpy.types.Operator):
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        name = source.name if source else Path(self.scene).stem
-        obj = bridge.object_from_scene(f"{name} pruned", pruned, context.collection, source.matrix_world if source else bridge.AXES)
-        root = bridge.root_of(source)
-        if source is not None and root is not None:
-            bridge.parent_to_root(obj, root)
-            obj.matrix_basis = source.matrix_basis
+        if source is not None:
+            obj = bridge.copy_with(source, f"{source.name} pruned", pruned)
+        else:
+            obj = bridge.object_from_scene(f"{Path(self.scene).stem} pruned", pruned, context.collection)
         if source is not None:
             job_result.join(source, obj)
             source.hide_viewport = source.hide_render = True

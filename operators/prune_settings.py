@@ -42,7 +42,9 @@ def _share_changed(obj, context):
 
 
 class SVRGS_PG_prune(bpy.types.PropertyGroup):
-    colmap: option_property("colmap", name="Dataset", description="COLMAP dataset: photographs and model. Empty: the dataset of the imported cameras")
+    colmap: option_property(
+        "colmap", name="Dataset", description="Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported cameras"
+    )
     images: option_property("images")
     goal: EnumProperty(name="Goal", items=goals.ITEMS, default="BALANCED", description="What decides how many Gaussians stay")
     strength: FloatProperty(

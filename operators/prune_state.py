@@ -60,7 +60,7 @@ def _of_job(job: Job) -> list[str]:
         silent = [f"No sign of life for {job.seconds_silent:.0f} s: Cancel ends the job"] if job.seconds_silent > SILENT_SECONDS else []
         return [job.facts.get("text") or "Working", *_figures(job.facts), *filter(None, [job.facts.get("note")]), *silent]
     if job.state not in WAITING:
-        return ["A finished job was found: load its result, or discard it and prune again"]
+        return ["A finished job was found: load its result, or discard it and start again"]
     progress = f" at {_progress_share(job.facts):.0%}" if job.facts.get("total") else ""
     return [WAITING_TEXT[job.state] + progress, *filter(None, [job.facts.get("text")]), *_figures(job.facts)]
 

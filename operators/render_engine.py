@@ -7,15 +7,18 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import bpy
 from bpy.app.handlers import persistent
 
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.native import Rasterizer
-from ..svrgs_addon.render.composite import composite_while
-from ..svrgs_addon.render.passes import PASSES, blank, passes
-from . import bridge, bridge_graph, bridge_images
+from ..svrgs_addon.render.composite import composite, composite_while, split
+from ..svrgs_addon.render.panorama import composite_view
+from ..svrgs_addon.render.passes import BEHIND, PASSES, blank, passes
+from . import bridge, bridge_graph, bridge_images, bridge_meshes, bridge_panorama
 from .bridge_images import working_space
 from .preferences import threads
 from .viewport import Viewport
@@ -40,17 +43,17 @@ class SVRGS_engine(bpy.types.RenderEngine):
 
     def update_render_passes(self, scene=None, renderlayer=None):
         self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
-        for name, channels, kind in PASSES:
+        for name, channels, kind in kinds(scene):
             self.register_pass(scene, renderlayer, name, len(channels), channels, kind)
 
     def render(self, depsgraph):
         rows, columns = region(depsgraph.scene)
         width, height = columns.stop - columns.start, rows.stop - rows.start
-        layers, problem = blank(height, width), ""
+        layers, problem = blank(height, width, kinds(depsgraph.scene)), ""
         try:
             native.set_threads(threads(bpy.context))
             whole = self.picture(depsgraph)
-            layers = {name: pixels[rows, columns] for name, pixels in whole.items()} if whole else layers
+            layers |= {name: pixels[rows, columns] for name, pixels in (whole or {}).items()}
         except (SplatError, NativeError) as error:
             problem = str(error)
         finally:
@@ -60,19 +63,25 @@ class SVRGS_engine(bpy.types.RenderEngine):
 
     def picture(self, depsgraph) -> dict | None:
         """The passes of the whole image, rows from the top; None if the user has stopped the render."""
-        scene = depsgraph.scene
+        scene, meshes = depsgraph.scene, depsgraph.scene.svrgs_looking.meshes
         self.show_progress("Reading splats", 0.0)
         placed = bridge_graph.splats(depsgraph)
         if placed is None:
             raise SceneError("there is no splat to render: import one, and check that its camera icon in the Outliner is on")
-        camera = bridge_graph.camera(depsgraph, self.camera_override)
-        view = bridge.camera_from_object(camera, scene, bridge.render_size(scene))
-        self.show_progress("Finding Gaussians behind meshes", 0.1)
-        hidden_by = placed.hidden_by(bridge_graph.surfaces(depsgraph), view)
+        view = bridge_panorama.view_of(bridge_graph.camera(depsgraph, self.camera_override), scene)
+        self.show_progress("Reading meshes", 0.1)
+        triangles, catchers = bridge_meshes.triangles(depsgraph, cut=meshes == "CUT"), bridge_meshes.triangles(depsgraph, catchers=True)
         self.show_progress(f"Drawing {placed.scene.count:,} Gaussians", 0.2)
-        transparent = scene.render.film_transparent
+        transparent = scene.render.film_transparent or meshes != "SHOW"
         background = (0.0, 0.0, 0.0) if transparent else tuple(scene.svrgs_looking.background)
-        found = composite_while(lambda: not self.test_break(), Rasterizer(), placed.scene, placed.seen_by(view), background, hidden_by)
+
+        def draw(rasterizer, camera):  # in a thread, which must not use bpy
+            local, surface = placed.seen_by(camera), placed.hidden_by(triangles, camera)
+            if meshes == "SPLIT":
+                return split(rasterizer, placed.scene, local, surface, placed.hidden_by(catchers, camera))
+            return composite(rasterizer, placed.scene, local, background, surface)
+
+        found = composite_while(lambda: not self.test_break(), Rasterizer(), lambda rasterizer: composite_view(partial(draw, rasterizer), view))
         return passes(found, transparent, placed.unit, working_space()) if found is not None else None
 
     def show_progress(self, text: str, progress: float):
@@ -81,13 +90,19 @@ class SVRGS_engine(bpy.types.RenderEngine):
 
     def hand_in(self, layers: dict, width: int, height: int):
         """Gives Blender the passes (H, W) or (H, W, channels) as the result."""
-        for name, channels, _ in PASSES:
-            self.add_pass(name, len(channels), channels)
+        for name, channels, _ in (*PASSES, BEHIND):
+            if name in layers:
+                self.add_pass(name, len(channels), channels)
         result = self.begin_result(0, 0, width, height)
         for name, pixels in layers.items():
             result.layers[0].passes[name].rect.foreach_set(bridge_images.flattened(pixels))
         self.end_result(result)
         self.update_progress(1.0)
+
+
+def kinds(scene: bpy.types.Scene) -> tuple:
+    """(name, channels, type) of each pass of the scene except Combined."""
+    return (*PASSES, BEHIND) if scene.svrgs_looking.meshes != "SHOW" else PASSES
 
 
 def region(scene: bpy.types.Scene) -> tuple[slice, slice]:

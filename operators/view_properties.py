@@ -6,11 +6,16 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.render import color_maps
-from . import bridge, camera_match, mask_image, overlay, splat_transforms, undistort, viewport_wipe
+from . import bridge, camera_match, mask_image, overlay, splat_layer, splat_transforms, undistort, viewport_wipe
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
     (VALUES, "Values", "The values of F themselves, for use in materials")
+]
+MESHES = [
+    ("SHOW", "Shown", "Meshes are drawn in their base colours, and hide what is behind them"),
+    ("CUT", "Cut Out", "Meshes are holes with alpha 0, as if all were holdouts. For a picture over another render"),
+    ("SPLIT", "Between", "Gaussians in front of meshes are the picture, those behind them the pass Behind. Another render belongs between the two"),
 ]
 SHOWN = [
     ("COLOR", "Colors", "The colours of the Gaussians"),
@@ -49,6 +54,10 @@ def _wiping(settings) -> bool:
     return viewport_wipe.pair(settings.id_data) is not None
 
 
+def _not_drawn(settings) -> str:
+    return splat_layer.missing(settings.id_data)
+
+
 class SVRGS_PG_view(bpy.types.PropertyGroup):
     about: StringProperty(get=_about, options={"HIDDEN"})  # one line about the active splat; empty if no splat is active
     moved: IntProperty(get=_moved, options={"HIDDEN"})  # Gaussians of the active splat whose points were moved without their shapes
@@ -58,6 +67,10 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
     background: FloatVectorProperty(
         name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="Colour behind the Gaussians. Black, as in training"
     )
+    meshes: EnumProperty(name="Meshes", items=MESHES, description="What renders of the engine SVR-GS show of meshes")
+
+    layer_of: PointerProperty(type=bpy.types.Scene, options={"HIDDEN"})  # the scene whose splats this scene renders (splat_layer.py)
+    not_drawn: StringProperty(get=_not_drawn, options={"HIDDEN"})  # what keeps renders from showing the splats; empty: nothing
 
     mask_colors: EnumProperty(name="Colors", items=MAPS, update=mask_image.recolor, description="Colours of the spatial mask")
     mask_top: FloatProperty(

@@ -17,9 +17,9 @@ from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.render.composite import composite
 from ..svrgs_addon.render.live_view import LiveView, Picture
-from ..svrgs_addon.render.mesh_depth import Triangles
+from ..svrgs_addon.render.meshes import Triangles
 from ..svrgs_addon.render.passes import linear_rgba
-from . import bridge_gpu, bridge_graph, scene_cache, viewport_wipe
+from . import bridge_gpu, bridge_graph, bridge_meshes, scene_cache, viewport_wipe
 from .bridge_images import working_space
 from .preferences import threads
 
@@ -99,7 +99,7 @@ class Viewport:
         self.version += 1
         try:
             self.shown, self.problem = [part for found in bridge_graph.placed_splats(depsgraph) for part in viewport_wipe.shown([found])], ""
-            self.triangles = bridge_graph.surfaces(depsgraph)
+            self.triangles = bridge_meshes.triangles(depsgraph)
         except SplatError as error:
             self.shown, self.problem = [], str(error)
 
@@ -107,11 +107,11 @@ class Viewport:
         """Draws the newest pictures, and asks for better ones. Returns a line for the user."""
         if not self.shown or self.triangles is None:
             return self.problem or "There is no visible splat: import one"
-        sides = viewport_wipe.sides(context.scene, self.shown)
-        for closed in self.panes.keys() - {side.name for side in sides}:
-            self.panes.pop(closed).live.close()
         try:
             native.set_threads(threads(context))
+            sides = viewport_wipe.sides(context.scene, self.shown)
+            for closed in self.panes.keys() - {side.name for side in sides}:
+                self.panes.pop(closed).live.close()
             texts = [self._draw_side(context, scene, side) for side in sides]
         except (SplatError, NativeError) as error:
             return str(error)

@@ -2,7 +2,8 @@
 
 import bpy
 
-from .wrapped_label import native_library_works, wrapped_label
+from .rendering import draw_standard
+from .wrapped_label import native_library_works
 
 ENGINE = "SVRGS"
 EXCLUDED = {"VIEWLAYER_PT_filter", "VIEWLAYER_PT_layer_passes", "RENDER_PT_simplify"}
@@ -26,8 +27,8 @@ class SVRGS_PT_engine(bpy.types.Panel):
         layout.use_property_split = True
         layout.prop(context.scene.svrgs_looking, "background")
         layout.prop(context.scene.render, "film_transparent", text="Transparent")
-        if context.scene.view_settings.view_transform != "Standard":
-            wrapped_label(layout, "Choose the view transform Standard to see the colours of the training", "INFO")
+        layout.prop(context.scene.svrgs_looking, "meshes")
+        draw_standard(layout, context.scene)
 
 
 def shared_panels():

@@ -18,15 +18,18 @@ class SVRGS_PT_scene(bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("svrgs.import_ply", icon="IMPORT", text="Import Splat")
         column.operator("svrgs.import_colmap", icon="OUTLINER_OB_CAMERA", text="Import Cameras")
-        column.operator("svrgs.frame", icon="ZOOM_SELECTED")
         if context.scene.svrgs_looking.photographs:
             wrapped_label(layout, context.scene.svrgs_looking.photographs, "INFO")
         about = context.scene.svrgs_looking.about
+        row = layout.row()
+        if about:
+            row.label(text=context.object.name, icon="OUTLINER_OB_POINTCLOUD")
+            layout.label(text=about)
+        else:
+            row.label(text="Select a splat, or import one", icon="INFO")
+        row.operator("svrgs.frame", text="", icon="ZOOM_SELECTED")
         if not about:
-            layout.label(text="Select a splat, or import one", icon="INFO")
             return
-        layout.label(text=context.object.name, icon="OUTLINER_OB_POINTCLOUD")
-        layout.label(text=about)
         draw_cameras(layout, context.scene.svrgs_looking)
         moved = context.scene.svrgs_looking.moved
         if moved:

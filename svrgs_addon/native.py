@@ -20,7 +20,6 @@ from .native_library import (
     LOSS_IMAGES,
     PARAMETERS,
     AdamStruct,
-    CameraStruct,
     GradsStruct,
     ImageGradsStruct,
     ImagesStruct,
@@ -31,6 +30,7 @@ from .native_library import (
     UpdateStruct,
     WorkStruct,
     best_level,
+    camera_struct,
     check,
     check_out,
     levels,
@@ -141,7 +141,7 @@ class Rasterizer:
             limit,
         )
         self._shape = (camera.height, camera.width, arrays.sh_coefficients)
-        _call("svrgs_forward", self._context, c.byref(arrays), c.byref(_camera(camera, options.background)), c.byref(native), c.byref(pointers))
+        _call("svrgs_forward", self._context, c.byref(arrays), c.byref(camera_struct(camera, options.background)), c.byref(native), c.byref(pointers))
         return images
 
     def visible(self) -> np.ndarray:
@@ -345,21 +345,6 @@ def _image_shape(name: str, height: int, width: int) -> tuple:
     if name not in IMAGES and name not in COUNTS:
         raise ValueError(f"output {name!r} is unknown; one of {', '.join((*IMAGES, *COUNTS))}")
     return (height, width, 3) if IMAGES.get(name) else (height, width)
-
-
-def _camera(camera: Camera, background) -> c.Structure:
-    K = camera.K
-    return CameraStruct(
-        (c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()),
-        K[0, 0],
-        K[1, 1],
-        K[0, 2],
-        K[1, 2],
-        camera.width,
-        camera.height,
-        camera.orthographic,
-        (c.c_double * 3)(*background),
-    )
 
 
 def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, np.ndarray]:

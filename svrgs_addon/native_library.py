@@ -1,6 +1,7 @@
 """Loads the native library and calls its functions: structs of the interface, checks of arrays, names, thresholds, threads.
 
-`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Only this module and native.py import ctypes.
+`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Only this module,
+native.py and native_pictures.py import ctypes.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
+from .camera import Camera
 from .errors import Cancelled, NativeError
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 10
+INTERFACE_VERSION = 11
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 GRADS = (*PARAMETERS, "masks", "means2d")
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # images whose gradients backward() accepts
@@ -71,6 +73,43 @@ AdamStruct = _struct("AdamStruct", lr=c.c_void_p, beta1=c.c_double, beta2=c.c_do
 TrainedStruct = _struct("TrainedStruct", param=_real, moments=c.c_void_p, lr=c.c_void_p)
 UpdateStruct = _struct("UpdateStruct", adam=AdamStruct, **{name: TrainedStruct for name in PARAMETERS})
 WorkStruct = _struct("WorkStruct", **{name: c.c_int64 for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")})
+TextureStruct = _struct("TextureStruct", texels=c.c_void_p, width=c.c_int32, height=c.c_int32, repeat=c.c_int32)
+TrianglesStruct = _struct(
+    "TrianglesStruct",
+    count=c.c_int64,
+    corners=c.c_void_p,
+    colors=c.c_void_p,
+    light=c.c_void_p,
+    uvs=c.c_void_p,
+    textures=c.c_void_p,
+    holdout=c.c_void_p,
+    texture=c.c_void_p,
+    texture_count=c.c_int32,
+    ambient=c.c_double,
+)
+LayersStruct = _struct("LayersStruct", share=c.c_void_p, depth=c.c_void_p, rgba=c.c_void_p)
+ViewStruct = _struct(
+    "ViewStruct",
+    image=c.c_void_p,
+    width=c.c_int32,
+    height=c.c_int32,
+    channels=c.c_int32,
+    along=c.c_int32,
+    turn=c.c_double * 9,
+    focal=c.c_double,
+    cx=c.c_double,
+    cy=c.c_double,
+)
+PanoramaStruct = _struct(
+    "PanoramaStruct",
+    sums=c.c_void_p,
+    width=c.c_int32,
+    height=c.c_int32,
+    latitudes=c.c_void_p,
+    row_weights=c.c_void_p,
+    longitudes=c.c_void_p,
+    column_weights=c.c_void_p,
+)
 MachineStruct = _struct("MachineStruct", fma=c.c_double, read=c.c_double, update=c.c_double)
 
 
@@ -113,6 +152,22 @@ def check_out(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
     if not array.flags.writeable:
         raise TypeError(f"{name} is read-only")
     return address
+
+
+def camera_struct(camera: Camera, background=(0.0, 0.0, 0.0)) -> c.Structure:
+    """The struct of a camera. background: display sRGB."""
+    K = camera.K
+    return CameraStruct(
+        (c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()),
+        K[0, 0],
+        K[1, 1],
+        K[0, 2],
+        K[1, 2],
+        camera.width,
+        camera.height,
+        camera.orthographic,
+        (c.c_double * 3)(*background),
+    )
 
 
 class Thresholds(NamedTuple):
@@ -194,8 +249,11 @@ def peaks(level: str) -> dict[str, float]:
 
 
 def set_threads(count: int):
-    """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not depend on it."""
-    library().svrgs_set_threads(c.c_int32(count))
+    """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not depend on it.
+
+    More than 32 threads, or 8 per core, would only slow each other down: a larger count is taken as this one.
+    """
+    library().svrgs_set_threads(c.c_int32(min(count, 2**31 - 1)))
 
 
 def threads() -> int:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svrgs_addon.geometry.bounds import clipping, corners, robust_box, sphere_around, viewing_distance
+from svrgs_addon.camera import Camera
+from svrgs_addon.geometry.bounds import clipping, corners, median_depth, robust_box, sphere_around, viewing_distance
 
 
 def test_outliers_do_not_widen_the_box():
@@ -13,27 +14,43 @@ def test_outliers_do_not_widen_the_box():
     points[:100] *= 1e6
     points[100] = np.nan
     points[101, 1] = np.inf
-    box = robust_box(points)
-    assert np.abs(box - [[-0.97] * 3, [0.97] * 3]).max() < 0.05
+    assert np.abs(robust_box(points) - [[-1] * 3, [1] * 3]).max() < 0.05
+
+
+def test_a_background_all_around_does_not_either():
+    rng = np.random.default_rng(3)
+    sky = rng.normal(size=(3000, 3))
+    sky *= 60 / np.linalg.norm(sky, axis=1, keepdims=True)
+    assert np.abs(robust_box(np.concatenate([rng.uniform(-1, 1, (7000, 3)), sky]))).max() < 3
 
 
 def test_what_is_faint_counts_little():
     rng = np.random.default_rng(1)
     points = np.concatenate([rng.uniform(-1, 1, (500, 3)), rng.uniform(50, 60, (500, 3))])
     weights = np.r_[np.ones(500), np.full(500, 0.01)]
-    assert robust_box(points, weights)[1].max() < 1 < 50 < robust_box(points)[1].min()
+    assert robust_box(points, weights)[1].max() < 1.2 and 20 < robust_box(points)[1].min()
     assert robust_box(points, np.zeros(1000)) is None and robust_box(np.empty((0, 3))) is None
 
 
 def test_quantiles_are_those_of_equal_weights():
     points = np.random.default_rng(2).normal(size=(2000, 3))
-    assert np.allclose(robust_box(points), np.quantile(points, (0.02, 0.98), axis=0), atol=0.02)
+    low, high = np.quantile(points, (0.2, 0.8), axis=0)
+    assert np.allclose(robust_box(points).mean(axis=0), (low + high) / 2, atol=5e-3)
+    assert np.allclose(np.ptp(robust_box(points), axis=0), (high - low) / 0.6, atol=5e-3)
     assert np.array_equal(robust_box(points[:1]), np.repeat(points[:1], 2, axis=0))
 
 
 def test_many_points_are_sampled_over_the_whole_list():
     points = np.linspace(0, 1, 3 * 1_000_003).reshape(-1, 3)
-    assert np.allclose(robust_box(points), np.quantile(points, (0.02, 0.98), axis=0), atol=1e-4)
+    assert np.allclose(robust_box(points), [[0] * 3, [1] * 3], atol=1e-4)
+
+
+def test_the_median_depth_is_of_what_the_camera_shows():
+    points = np.array([[0, 0, 2], [0, 0, 3], [0.1, 0, 7], [0, 0, -5], [90, 0, 3], [0, 0, np.nan], [0, 0, 100]])
+    camera = Camera(np.eye(4), np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]), 64, 48)
+    assert median_depth(camera, points[:6]) == 3
+    assert median_depth(camera, points, np.r_[1, 1, 1, 1, 1, 1, 1e6]) == pytest.approx(100, abs=1)
+    assert median_depth(camera, points[3:5]) is None and median_depth(camera, points, np.zeros(7)) is None
 
 
 def test_the_sphere_holds_the_turned_box():

@@ -82,6 +82,23 @@ def same_stems(work: Path):
     tiny_dataset.write_colmap(work / "data/sparse/0", cameras, np.zeros((0, 3)))
 
 
+def link_loop(work: Path):
+    (work / "data/loop").symlink_to("pool")
+    (work / "data/pool").symlink_to("loop")
+
+
+def far_view(work: Path):
+    first, *rest = tiny_dataset.views()
+    viewmat = first.viewmat.copy()
+    viewmat[0, 3] = 1e38
+    tiny_dataset.write_colmap(work / "data/sparse/0", [replace(first, viewmat=viewmat), *rest], np.zeros((9, 3)))
+
+
+def huge_focal_length(work: Path):
+    views = [replace(view, K=view.K * 1e30) for view in tiny_dataset.views()]
+    tiny_dataset.write_colmap(work / "data/sparse/0", views, np.zeros((9, 3)))
+
+
 def nothing(work: Path):
     pass
 
@@ -108,6 +125,11 @@ REFUSED = [  # what is broken, the command, what the sentence says
     (one_view, f"{EVAL} --split train", ("no train views",)),
     (one_view, f"{RENDER} --views train", ("no train views",)),
     (no_points, TRAIN, ("no 3-D points",)),
+    *(
+        (damage, command, ("00.png", "focal length or pose that is not usable"))
+        for damage in (far_view, huge_focal_length)
+        for command in (TRAIN, EVAL, RENDER)
+    ),
     (same_stems, RENDER, ("'a.jpg' and 'a.png'", "same files")),
     *((nothing, f"{command} --lpips-weights {{work}}/no.pt", ("--lpips-weights", "no.pt")) for command in (PRUNE, TRAIN, EVAL, COMPARE)),
     (nothing, f"{PRUNE} --method dropout", ("method 'dropout' is unknown", "svr, ")),
@@ -127,6 +149,13 @@ REFUSED = [  # what is broken, the command, what the sentence says
     (nothing, f"{PRUNE} --engine cuda", ("--engine",)),
     (nothing, f"{RENDER} --views 00,99", ("there is no view '99'", "0 to 11")),
     (nothing, f"{RENDER} --views \N{SUPERSCRIPT TWO}", ("there is no view",)),
+    (nothing, f"{RENDER} --views {'9' * 5000}", ("there is no view '9999999", "...'")),
+    (nothing, f"{EVAL} --holdout {'9' * 5000}", ("--holdout", "999...' is not a whole number")),
+    (nothing, f"{PRUNE} --image-memory 1e300", ("--image-memory", "0 to 1,000,000")),
+    (nothing, f"{PRUNE} --lambda-m 1e300", ("--lambda-m", "0 to 1,000,000")),
+    (nothing, f"{EVAL} --image-memory 1", ("--image-memory",)),
+    (link_loop, f"prune {{data}}/scene.ply {DATA} --out {{data}}/loop", ("loop", "Too many levels of symbolic links")),
+    (link_loop, "prune {data} --out {data}/loop", ("loop", "Too many levels of symbolic links")),
     (nothing, f"{RENDER} --outputs rgb,normals", ("output 'normals' is unknown",)),
     (nothing, f"{RENDER} --format gif", ("--format",)),
     (nothing, f"{RENDER} --background 0,0,2", ("--background",)),

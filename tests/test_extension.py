@@ -44,10 +44,13 @@ def extension_zip(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def data(tiny, tmp_path_factory) -> Path:
     """tiny/: a dataset and its splat; renders/: what `svrgs render` makes of them; varied/: cameras of other shapes; distorted/: a lens
-    with distortion; z_up/, rolled/: the cameras of tiny/ in other directions, without photographs. NAME.npz: the cameras."""
+    with distortion; z_up/, rolled/: the cameras of tiny/ in other directions, without photographs; nerfstudio/: tiny/ as
+    transforms.json. NAME.npz: the cameras."""
     import scenes
     from svrgs_addon.cli.main import main as run_svrgs
     from svrgs_addon.files.images import write_image
+    from svrgs_addon.photographs.colmap import read_model
+    from transforms_dataset import write_transforms
 
     folder = tmp_path_factory.mktemp("data")
     (folder / "tiny").symlink_to(tiny.folder)
@@ -59,6 +62,9 @@ def data(tiny, tmp_path_factory) -> Path:
     write_colmap(folder / "distorted/sparse/0", tiny.cameras[:2], tiny.truth.means, distortion=(0.1, 0.01, 0.0, 0.0))
     (folder / "distorted/images").symlink_to(tiny.folder / "images")
     write_colmap(folder / "z_up/sparse/0", [view.moved(turn(np.pi / 2, "x")) for view in tiny.cameras], tiny.truth.means)
+    (folder / "nerfstudio").mkdir()
+    (folder / "nerfstudio/images").symlink_to(tiny.folder / "images")
+    write_transforms(folder / "nerfstudio", read_model(tiny.folder / "sparse/0"))
     rolled = [replace(view, viewmat=turn(2.1 * i, "z") @ view.viewmat) for i, view in enumerate(tiny.cameras)]
     write_colmap(folder / "rolled/sparse/0", rolled, tiny.truth.means)
     for name, cameras in {"tiny": tiny.cameras, "varied": sorted(views, key=lambda view: view.name)}.items():

@@ -19,7 +19,7 @@ ALL_FILES = [path for folder in (*LAYERS, "tests", "benchmarks", "examples", "to
 NATIVE_FILES = [path for pattern in ("*.h", "*.cc") for path in sorted((ROOT / "native").rglob(pattern))]
 BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "bl_ui"}
 HEAVY = {"torch", "pycolmap", "OpenImageIO", "scipy", "bpy"}
-NATIVE = ("native.py", "native_library.py")
+NATIVE = ("native.py", "native_library.py", "native_pictures.py")
 MAX_FILE, MAX_FUNCTION = 400, 40  # lines
 
 
@@ -64,7 +64,7 @@ def test_imports(file):
         assert layer > 0 or top not in BLENDER, f"only operators and panels may import {top}"
         assert relative or top not in LAYERS, f"{module} must be imported relatively: the extension's package has another name"
         assert top not in LAYERS[layer + 1 :], f"{module} is above"
-        assert top != "ctypes" or file.name in NATIVE, f"only {' and '.join(NATIVE)} call the native library"
+        assert top != "ctypes" or file.name in NATIVE, f"only {', '.join(NATIVE)} call the native library"
         assert layer < 2 or not relative or module.startswith("panels"), "panels know operators and properties by name"
         assert layer == 0 or top != "numpy" or file.name.startswith("bridge"), "only bridge*.py turn Blender's data into arrays"
     if layer == 0 and file.name != "torch_engine.py":

@@ -300,6 +300,13 @@ def test_reader_keeps_what_is_stored_and_repair_is_counted(tmp_path):
     assert clean.opacity_logits[0] == 10 and clean.log_scales[1, 2] == -30
 
 
+def test_logits_beyond_all_reason_are_clamped_too():
+    """They say 0 or 1 as infinite ones do, and arithmetic on them would overflow in the middle of a job."""
+    logits = np.array([1e38, -1e30, 40, -9, 0], np.float32)
+    clean, clamped = clamp_extremes(replace(make_scene(5, 0), opacity_logits=logits))
+    assert clamped == 2 and clean.opacity_logits.tolist() == [10, -10, 40, -9, 0]
+
+
 def test_a_healthy_scene_is_left_alone():
     scene = make_scene(5, 0)
     assert drop_nonfinite(scene) == (scene, 0) and clamp_extremes(scene) == (scene, 0)

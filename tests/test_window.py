@@ -95,3 +95,24 @@ def test_looking_with_the_mouse(drive, tiny, tmp_path):
     (expected,) = (tmp_path / "renders").iterdir()
     rendered, expected = (read_pixels(path).astype(int)[..., :3] for path in (Path(seen["f12"]), expected))
     assert rendered.shape == expected.shape and np.abs(rendered - expected).max() <= 1
+
+
+def test_splats_as_objects_with_keys(drive, tiny):
+    seen = drive("objects.py", tiny.folder)
+    before, applied, joined = (read_pixels(Path(seen["out"]) / f"{name}.png").astype(int)[..., :3] for name in ("before", "applied", "joined"))
+    assert before.std() > 10 and np.abs(before - applied).max() <= 1 and np.abs(before - joined).max() <= 1
+    assert (seen["moved"], seen["joined"]) == (250, 500)
+    assert "another capture" not in seen["own"] and seen["parted"]
+    assert seen["reloaded"]["photo"] == [64, 48] and seen["reloaded"]["mask"] > 0 and "moved/dataset" in seen["reloaded"]["dataset"]
+    assert seen["after_new"] == [True, True], "a job goes on after File > New, and is known"
+
+
+def test_frame_times_are_printed(drive, tiny, capsys):
+    """Of a Solid viewport that moves, and of the same one without splats; so that a slow-down shows."""
+    seen = drive("frames.py", tiny.folder)
+    with capsys.disabled():
+        for count, times in seen.items():
+            figures = ", ".join(f"{name} {1e3 * times[name]:.0f} ms" for name in ("first", "median", "largest", "without"))
+            print(f"\n{int(count):,} Gaussians: {figures}; level {times['levels']}")
+    assert [int(count) for count in seen] == [196_000, 1_500_000]
+    assert all(times["median"] > 0 and times["levels"] for times in seen.values()), seen

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 10
+#define SVRGS_INTERFACE_VERSION 11
 
 typedef void real; /* float or double, by the context's level */
 
@@ -143,7 +143,7 @@ SVRGS_API void svrgs_get_thresholds(svrgs_thresholds*);
 
 SVRGS_API int32_t svrgs_best_level(void); /* the fastest float level this processor runs */
 SVRGS_API int32_t svrgs_level_supported(int32_t level);
-SVRGS_API void svrgs_set_threads(int32_t threads); /* 0: one per core; results do not depend on it */
+SVRGS_API void svrgs_set_threads(int32_t threads); /* 0: one per core; more than 8 per core and 32 are not taken; results do not depend on it */
 SVRGS_API int32_t svrgs_threads(void);
 
 SVRGS_API int32_t svrgs_context_create(int32_t level, svrgs_context** out);
@@ -245,6 +245,60 @@ SVRGS_API int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_
 
 /* order (count,): rows of means (count, 3) from the farthest along `axis` to the nearest; ties keep their order; NaN may be anywhere. */
 SVRGS_API int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3], uint32_t* order);
+
+/* A picture on triangles: 3 bytes a texel, display sRGB, rows from v = 0 on. Levels lie one after the other down to 1 x 1, each with half the
+   sides of the one before, rounded up. */
+typedef struct {
+  const uint8_t* texels;
+  int32_t width, height; /* of the first level */
+  int32_t repeat;        /* outside 0..1: 1 repeats the picture, 0 its border */
+} svrgs_texture;
+
+/* Opaque triangles. The colour at a point is color * texture * max(0, ambient + light), with -light on the side that is seen counter to
+   (corner 1 - corner 0) x (corner 2 - corner 0); values of corners are interpolated. */
+typedef struct {
+  int64_t count;                /* M */
+  const float* corners;         /* (M, 3, 3) world: triangle, corner, coordinate */
+  const float* colors;          /* (M, 3, 3) linear */
+  const float* light;           /* (M, 3) */
+  const float* uvs;             /* (M, 3, 2); optional without textures */
+  const int32_t* textures;      /* (M,) index of the texture, -1: none; optional: none has one */
+  const uint8_t* holdout;       /* (M,) 1: shows nothing, and hides what is behind */
+  const svrgs_texture* texture; /* (texture_count,) */
+  int32_t texture_count;
+  double ambient;
+} svrgs_triangles;
+
+/* Each pixel has 8 samples. Where their depths differ by more than 1 % they are split at the largest gap: layer 0 is the nearer part, layer 1
+   the farther one or what no triangle covers. */
+typedef struct {
+  float* share; /* (H, W) of the pixel that layer 0 has; 1: there is no layer 1 */
+  float* depth; /* (2, H, W) mean camera z of the samples; infinite where there is no triangle */
+  float* rgba;  /* (2, H, W, 4) display sRGB times alpha; alpha: share of the layer's samples that show a triangle, not a holdout */
+} svrgs_layers;
+
+/* Draws triangles; reads pose, intrinsics and size of the camera. Results do not depend on the number of threads. */
+SVRGS_API int32_t svrgs_draw_triangles(const svrgs_triangles*, const svrgs_camera*, const svrgs_layers*);
+
+/* A perspective view that is a part of a panorama. */
+typedef struct {
+  const float* image; /* (height, width, channels) */
+  int32_t width, height, channels;
+  int32_t along;        /* the channel with values along z, which become values along the ray; -1: none */
+  double turn[9];       /* rotation from the panorama's frame to that of the view, row-major */
+  double focal, cx, cy; /* pixels */
+} svrgs_view;
+
+/* An equirectangular picture. The direction of a pixel is (sin lon cos lat, -sin lat, cos lon cos lat). */
+typedef struct {
+  float* sums; /* (height, width, channels) */
+  int32_t width, height;
+  const double *latitudes, *row_weights;     /* (height,) */
+  const double *longitudes, *column_weights; /* (width,) */
+} svrgs_panorama;
+
+/* Adds row weight times column weight times the view, by cubic interpolation, to all pixels where that is not 0. */
+SVRGS_API int32_t svrgs_add_view(const svrgs_view*, const svrgs_panorama*);
 
 #ifdef __cplusplus
 }

@@ -10,7 +10,9 @@
 #include "context.h"
 #include "depth_sort.h"
 #include "machine_speed.h"
+#include "panorama.h"
 #include "pool.h"
+#include "triangles.h"
 
 struct svrgs_context {
   svrgs::Context context;
@@ -86,7 +88,7 @@ void check(const svrgs_camera& c) {
   for (const double v : c.viewmat) finite = finite && std::isfinite(v);
   for (const double v : c.background) finite = finite && std::isfinite(v);
   require(finite, "the camera has a value that is not finite");
-  require(c.fx > 0 && c.fy > 0 && c.fx < 1e9 && c.fy < 1e9, "focal lengths must be positive");
+  require(c.fx > 0 && c.fy > 0 && c.fx < 1e9 && c.fy < 1e9, "focal lengths must be above 0 and below 1e9 pixels");
   require(c.orthographic == 0 || c.orthographic == 1, "orthographic must be 0 or 1");
 }
 
@@ -94,6 +96,20 @@ void check(const svrgs_options& o, const svrgs_scene& s) {
   require(o.sh_degree >= 0 && o.sh_degree <= 3 && (o.sh_degree + 1) * (o.sh_degree + 1) <= s.sh_coefficients, "sh_degree is not stored in the scene");
   require(o.mask_kind >= 0 && o.mask_kind < SVRGS_MASK_KINDS, "mask_kind is unknown");
   require(o.mask_kind != SVRGS_MASK_A || o.eps_a > 0, "eps_a must be positive");
+}
+
+void check(const svrgs_triangles& t) {
+  require(t.count >= 0 && t.count < kMaxCount, "there are too many triangles");
+  require(t.count == 0 || (t.corners && t.colors && t.light && t.holdout), "an array of triangles is missing");
+  require(!t.textures || t.uvs, "textured triangles need texture coordinates");
+  require(t.texture_count >= 0 && (t.texture_count == 0 || t.texture), "an array of textures is missing");
+  for (int32_t k = 0; k < t.texture_count; ++k) {
+    const svrgs_texture& texture = t.texture[k];
+    require(texture.texels && texture.width > 0 && texture.height > 0 && texture.width <= svrgs::kMaxSide && texture.height <= svrgs::kMaxSide,
+            "sides of textures must be 1 to 32768 texels");
+  }
+  for (int64_t i = 0; t.textures && i < t.count; ++i)
+    require(t.textures[i] >= -1 && t.textures[i] < t.texture_count, "a triangle has a texture that is missing");
 }
 
 // For functions that walk a view's lists again: they do not apply depth limits.
@@ -147,7 +163,7 @@ void svrgs_get_thresholds(svrgs_thresholds* out) {
 }
 
 int32_t svrgs_level_supported(int32_t level) { return supported(level); }
-void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::clamp(threads, 0, 1024)); }
+void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::max(threads, 0)); }
 int32_t svrgs_threads(void) { return svrgs::threads(); }
 
 int32_t svrgs_best_level(void) {
@@ -308,6 +324,26 @@ int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3
     svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
       for (int64_t i = begin; i < end; ++i) order[i] = sorted[i].place;
     });
+  });
+}
+
+int32_t svrgs_draw_triangles(const svrgs_triangles* triangles, const svrgs_camera* camera, const svrgs_layers* layers) {
+  return guarded([&] {
+    require(triangles && camera && layers && layers->share && layers->depth && layers->rgba, "an argument is missing");
+    check(*triangles);
+    check(*camera);
+    svrgs::draw_triangles(*triangles, *camera, *layers);
+  });
+}
+
+int32_t svrgs_add_view(const svrgs_view* view, const svrgs_panorama* panorama) {
+  return guarded([&] {
+    require(view && panorama && view->image && panorama->sums, "an argument is missing");
+    require(panorama->latitudes && panorama->row_weights && panorama->longitudes && panorama->column_weights, "an argument is missing");
+    for (const int32_t side : {view->width, view->height, panorama->width, panorama->height})
+      require(side > 0 && side <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
+    require(view->channels > 0 && view->channels <= 64, "a view must have 1 to 64 channels");
+    svrgs::add_view(*view, *panorama);
   });
 }
 

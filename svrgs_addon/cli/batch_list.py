@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,11 +46,16 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
 
 def _refuse_inputs_as_outputs(items: list[Item]) -> None:
     """Raises SceneError if the output of one scene is another scene of the list. (prune() refuses the scene itself.)"""
-    scenes = {item.scene.resolve(): item for item in items}
+    scenes = {os.path.realpath(item.scene): item for item in items}
     for item in items:
-        other = scenes.get(item.out.resolve(), item)
+        other = scenes.get(os.path.realpath(item.out), item)
         if other is not item:
             raise SceneError(f"{other.scene}: is both a scene to prune and the output of {item.scene}; leave one out, or choose another folder with --out")
+
+
+def same_file(a: Path, b: Path) -> bool:
+    """Whether both paths lead to the same place, which need not exist. A loop of links leads nowhere."""
+    return os.path.realpath(a) == os.path.realpath(b)
 
 
 def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
@@ -57,13 +63,13 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
         raise SceneError(f"{path}: there is no such file or folder")
     if not path.is_dir():
         return [(path.stem, path)]
-    outputs = out and out.resolve()
-    if path.resolve() == outputs:
+    if out and same_file(path, out):
         raise SceneError(f"{path}: is the folder of both scenes and outputs; choose another folder for the outputs")
     own = _splat_in(path)
     if own:
         return [(path.name, own)]
-    below = [(folder.name, splat) for folder in sorted(path.iterdir()) if folder.is_dir() and folder.resolve() != outputs and (splat := _splat_in(folder))]
+    folders = [folder for folder in sorted(path.iterdir()) if folder.is_dir() and not (out and same_file(folder, out))]
+    below = [(folder.name, splat) for folder in folders if (splat := _splat_in(folder))]
     if not below:
         raise SceneError(f"{path}: holds no splat: neither a {' or '.join(registry.suffixes())} file nor folders with one")
     return below
@@ -89,9 +95,9 @@ def _splats(folder: Path, pattern: str) -> list[Path]:
 
 
 def _dataset(scene: Path) -> Path | None:
-    """The nearest of the three folders above the splat that holds a COLMAP model; None if none does."""
+    """The nearest of the three folders above the splat that holds a COLMAP model or transforms.json; None if none does."""
     for folder in list(scene.absolute().parents)[:3]:
-        if (folder / "sparse").is_dir() or any((folder / f"cameras{suffix}").exists() for suffix in (".bin", ".txt")):
+        if (folder / "sparse").is_dir() or any((folder / name).exists() for name in ("cameras.bin", "cameras.txt", "transforms.json")):
             return folder
     return None
 

@@ -3,7 +3,7 @@
 stdout: messages, one JSON object per line: STATUS {state, text}, PROGRESS {iteration, total, phase, count, loss, psnr,
 seconds_left}, PREVIEW {path}, DONE {result}, ERROR {text}.
 
-The main thread prunes. A second thread looks for the flag files every 0.05 s and renews state.json every 2 s. Three things end the job:
+The main thread prunes or trains. A second thread looks for the flag files every 0.05 s and renews state.json every 2 s. Three things end the job:
 
 - The flag file `cancel`: the second thread ends the process at once, whatever the main thread does. The last checkpoint stays.
 - The flag file `pause`: the job saves a checkpoint and ends as "paused".
@@ -22,17 +22,18 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ..errors import Cancelled
 from ..exit_status import guarded
-from .job_folder import CANCEL, HEARTBEAT, PAUSE, JobFolder
+from .job_folder import CANCEL, HEARTBEAT, PAUSE, PRUNE, TRAIN, JobFolder
 
 POLL_EVERY = 0.05  # seconds between two checks for flag files
 TELL_EVERY = 0.25  # seconds between two PROGRESS messages
 
 
 class JobMain:
-    """Runs the job and writes its state to the folder and its messages to stdout. The main thread prunes; two others wait for flag files
+    """Runs the job and writes its state to the folder and its messages to stdout. The main thread works; two others wait for flag files
     and for the end of stdin."""
 
     def __init__(self, folder: JobFolder):
@@ -46,11 +47,11 @@ class JobMain:
 
     def run(self) -> int:
         """The whole job; returns the exit status."""
-        self.tell("STATUS", state="running", text="Reading the scene and its photographs")
+        self.tell("STATUS", state="running", text="Reading the photographs")
         threading.Thread(target=self._wait_for_end_of_stdin, daemon=True).start()
         threading.Thread(target=self._poll_flags, daemon=True).start()
         problems: list[str] = []
-        status = guarded(self._prune, problems.append)
+        status = guarded(self._work, problems.append)
         if status:
             self.tell("ERROR", state="failed", text=problems[-1])
         return status
@@ -63,16 +64,15 @@ class JobMain:
                 self._write_state()
             _say(kind, facts)
 
-    def _prune(self) -> int:
-        from .job_recorder import JobRecorder
-        from .run_job import prune_scene
+    def _work(self) -> int:
+        from .job_recorder import RECORDERS
+        from .run_job import prune_scene, train_scene
 
-        recorder = JobRecorder(self.folder, self)
+        kind, options = self.folder.kind, self.folder.options()
+        recorder = RECORDERS[kind](self.folder, self)
+        run: Any = {PRUNE: prune_scene, TRAIN: train_scene}[kind]
         try:
-            options = self.folder.options()
-            result = prune_scene(
-                options, lambda job: replace(job, begin=recorder.begin, observe=recorder.observe, stop=lambda: job.stop() or bool(self.ending))
-            )
+            result = run(options, lambda job: replace(job, begin=recorder.begin, observe=recorder.observe, stop=lambda: job.stop() or bool(self.ending)))
         except Cancelled:
             self.tell("STATUS", state=self.ending or "interrupted", text="")
             return 0

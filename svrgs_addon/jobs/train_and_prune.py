@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import os
 import time
 from pathlib import Path
 
@@ -57,7 +58,7 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
     """Prunes a trained scene and recovers its quality. Writes job.out and, if job.report is set, the report. Returns the JSON result.
     Raises SplatError, Cancelled."""
     check_outputs(job)
-    if job.out.resolve() == scene_path.resolve():
+    if os.path.realpath(job.out) == os.path.realpath(scene_path):
         raise SceneError(f"{job.out}: is the input itself, which is never overwritten; choose another output")
     with reserved(job.out):
         return _prune(scene_path, dataset, plan, job)

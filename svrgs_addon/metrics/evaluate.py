@@ -66,11 +66,11 @@ def evaluate(scene: Scene, dataset: Dataset, indices: Sequence[int], rasterizer:
     options = render_options(scene, dataset.background)
     rows, seconds = [], []
     for i in indices:
-        photo = to_float(dataset.image(i))
         started = time.perf_counter()
         rgb = rasterizer.forward(scene, dataset.cameras[i], options)["rgb"]
         seconds.append(time.perf_counter() - started)
-        image = rounded_to_8_bits(rgb)
+        image, photo = rounded_to_8_bits(rgb), to_float(dataset.image(i))
+        del rgb
         rows.append((psnr(image, photo), ssim(image, photo), lpips(image, photo) if lpips else math.nan, flip(image, photo)))
     means = np.mean(rows, axis=0)
     return {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import os
 import signal
 import sys
 import tempfile
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .. import packages
 from ..camera import Camera
 from ..errors import FormatError, SceneError
 from ..files.images import MAX_SIDE
@@ -81,7 +83,7 @@ def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolma
     """
     _check_aspect(view, width, height)
     if not (np.isfinite(view.camera.params).all() and np.isfinite(view.viewmat).all()):
-        raise SceneError(f"{view.name}: its camera has a focal length or pose that is not usable")
+        raise SceneError(f"{view.name}: its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP again")
     kinds = import_pycolmap().CameraModelId
     if view.camera.model in (kinds.PINHOLE, kinds.SIMPLE_PINHOLE):
         full = Camera(view.viewmat, view.camera.calibration_matrix(), view.camera.width, view.camera.height, view.name)
@@ -101,22 +103,25 @@ def undistort_image(pixels: np.ndarray, distorted: pycolmap.Camera) -> np.ndarra
 
 
 def check_name(name: str) -> None:
-    """Raises FormatError if an image name leads out of the image folder, on POSIX or on Windows."""
+    """Raises FormatError if an image name leads out of the image folder, on POSIX or on Windows, or cannot be the name of a file."""
+    try:
+        possible = b"\0" not in os.fsencode(name)
+    except UnicodeEncodeError:  # half of a pair of surrogates
+        possible = False
+    if not possible:
+        raise FormatError(f"image name {name!r} cannot be the name of a file")
     for path in (PurePosixPath(name), PureWindowsPath(name)):
         if not path.name or path.anchor or ".." in path.parts:
             raise FormatError(f"image name {name!r} does not stay inside the image folder")
 
 
 def import_pycolmap() -> ModuleType:
-    """pycolmap. Raises SceneError if it is not installed. The handler of SIGTERM stays as it was."""
+    """pycolmap. Raises SceneError if it is not installed, NativeError if it cannot be loaded. The handler of SIGTERM stays as it was."""
     before = None if "pycolmap" in sys.modules else signal.getsignal(signal.SIGTERM)
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise SceneError(f"reading COLMAP models needs the package pycolmap: run {sys.executable} -m pip install pycolmap") from error
+    library = packages.load("pycolmap", "reading COLMAP models")
     if before is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, before)  # the import installs a handler that prints a stack trace
-    return pycolmap
+    return library
 
 
 def _convert(reconstruction: pycolmap.Reconstruction) -> Model:
@@ -155,10 +160,9 @@ def _undistort_camera(model: str, size: tuple[int, int], params: tuple[float, ..
 
 
 def _checked_camera(camera: Camera) -> Camera:
-    """Returns the camera. Raises SceneError if its pose or intrinsics are not finite or a focal length is not positive."""
-    finite = np.isfinite(camera.K).all() and np.isfinite(camera.viewmat).all()
-    if not (finite and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
-        raise SceneError(f"{camera.name}: its camera has a focal length or pose that is not usable")
+    """Returns the camera. Raises SceneError if its pose or intrinsics are not usable."""
+    if not camera.usable:
+        raise SceneError(f"{camera.name}: its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP again")
     return camera
 
 

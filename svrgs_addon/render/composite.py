@@ -1,8 +1,8 @@
 """A complete picture of Gaussians and meshes: colours, and every output that is a render pass.
 
-A mesh is given as a depth per pixel (mesh_depth.py, or the depth buffer of a viewport). The rasterizer takes it as depth limit: a
-pixel blends only Gaussians whose centre is in front of the mesh. Behind these Gaussians, the pixel shows the base colour of the
-mesh, lit from the camera. There are no shadows, and mesh and Gaussians do not light each other.
+A mesh is given as a depth per pixel (meshes.py, or the depth buffer of a viewport). The rasterizer takes it as depth limit: a pixel
+blends only Gaussians whose centre is in front of the mesh. Behind these Gaussians, the pixel shows the mesh. There are no shadows, and
+mesh and Gaussians do not light each other. A pixel at the edge of a mesh is the mean of two pictures: with the mesh, and without it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from ..errors import Cancelled
 from ..native import Rasterizer, RenderOptions
 from ..outputs import OUTPUTS
 from ..scene import Scene
-from .mesh_depth import Surface
+from .meshes import Surface
 
 FAR = 1e10  # depth of empty pixels, as in Blender's own engines
+ON_CATCHER = 0.03  # share of the distance of a shadow catcher
 POLL_SECONDS = 0.05  # between two calls of wanted()
 PASS_OUTPUTS = tuple(output.name for output in OUTPUTS.values() if output.render_pass)
 
@@ -29,9 +30,11 @@ PASS_OUTPUTS = tuple(output.name for output in OUTPUTS.values() if output.render
 class Composite:
     """The picture of one camera."""
 
-    rgb: np.ndarray  # (H, W, 3) float32 display sRGB, over background and meshes, not clamped
+    rgb: np.ndarray  # (H, W, 3) float32 display sRGB, over background and meshes, not clamped; black in holes
     coverage: np.ndarray  # (H, W) float32, alpha of Gaussians and meshes together
+    holes: np.ndarray  # (H, W) float32, share of each pixel that shows a holdout
     images: dict[str, np.ndarray]  # {name: (H, W) float32} of the outputs that are render passes
+    behind: np.ndarray | None = None  # (H, W, 4) float32, display sRGB times alpha: Gaussians behind the surfaces; only of split()
 
     @property
     def depth(self) -> np.ndarray:
@@ -51,27 +54,69 @@ def composite(rasterizer: Rasterizer, scene: Scene, camera: Camera, background=(
     Raises Cancelled when rasterizer.cancel[0] is set.
     """
     options = RenderOptions(antialiased=scene.antialiased, mask_kind="svr", background=tuple(background))
-    if surface is None or not (solid := np.isfinite(surface.depth)).any():
+    if surface is None:
         images = rasterizer.forward(scene, camera, options, outputs=("rgb", *PASS_OUTPUTS))
-        return _composite(images, images["alpha"])
-    limit = np.ascontiguousarray(surface.depth, rasterizer.dtype)
+        return _composite(images | {"coverage": images["alpha"], "holes": np.zeros_like(images["alpha"])})
+    images = _over(rasterizer, scene, camera, options, surface, surface.depth)
+    if surface.rest is not None:
+        assert surface.share is not None
+        edges = surface.share < 1
+        behind = _over(rasterizer, scene, camera, options, surface.rest, np.where(edges, surface.rest.depth, np.float32(0)))
+        share = surface.share[edges]
+        for name, image in images.items():
+            part = share if image.ndim == 2 else share[:, None]
+            image[edges] = part * image[edges] + (1 - part) * behind[name][edges]
+    return _composite(images)
+
+
+def split(rasterizer: Rasterizer, scene: Scene, camera: Camera, surface: Surface | None = None, catcher: Surface | None = None) -> Composite:
+    """Renders the Gaussians in front of surfaces, with transparent ground, and those behind them as Composite.behind.
+
+    Another picture of the surfaces, with alpha, belongs between the two: front over surfaces over behind. So front ends at the nearest
+    surface of a pixel, even if that has only a part of it: its alpha is in the other picture. Where there is no surface, all Gaussians are
+    in front. Behind holdouts there is nothing. catcher: shadow catchers; Gaussians that are less than ON_CATCHER in front of them count
+    as behind, because those of the ground on which a shadow falls are on both sides of the catcher. Raises Cancelled.
+    """
+    whole = composite(rasterizer, scene, camera)
+    limits = [surface.depth] if surface is not None else []
+    limits += [catcher.depth * np.float32(1 - ON_CATCHER)] if catcher is not None else []
+    if not limits:
+        return replace(whole, behind=np.zeros((*whole.coverage.shape, 4), np.float32))
+    limit = np.minimum.reduce(limits)
+    front = composite(rasterizer, scene, camera, surface=Surface(limit, np.zeros((*limit.shape, 4), np.float32)))
+    T = 1 - front.alpha[..., None]  # sums of the whole picture: front + T * behind
+    sums = np.concatenate([whole.rgb - front.rgb, (whole.alpha - front.alpha)[..., None]], axis=2)
+    behind = np.divide(sums, T, out=np.zeros_like(sums), where=T > 0).clip(0, None)
+    behind[..., 3].clip(0, 1, out=behind[..., 3])
+    holes = surface.holes if surface is not None else np.zeros_like(limit)
+    return replace(front, holes=np.zeros_like(holes), behind=behind * (1 - holes)[..., None])
+
+
+def _over(rasterizer: Rasterizer, scene: Scene, camera: Camera, options: RenderOptions, surface: Surface, limit: np.ndarray) -> dict[str, np.ndarray]:
+    """The sums of a pixel: Gaussians with z < limit (H, W) over the surface, which lies over the background."""
+    limit = np.ascontiguousarray(limit, rasterizer.dtype)
     images = rasterizer.forward(scene, camera, replace(options, background=(0.0, 0.0, 0.0)), outputs=("rgb", *PASS_OUTPUTS), depth_limit=limit)
-    T = 1 - images["alpha"]
-    images["rgb"] += T[..., None] * np.where(solid[..., None], surface.rgb, np.asarray(background, np.float32))
-    images["depth"] += T * np.where(solid, surface.depth, np.float32(0))
-    return _composite(images, np.where(solid, np.float32(1), images["alpha"]))
+    images = {name: image.astype(rasterizer.dtype, copy=False) for name, image in images.items()}
+    T, solid, shown = 1 - images["alpha"], np.isfinite(surface.depth), surface.rgba[..., 3]
+    behind = np.where(solid[..., None], surface.rgba[..., :3], np.asarray(options.background, np.float32))
+    images["rgb"] += T[..., None] * behind
+    images["depth"] += T * shown * np.where(solid, surface.depth, np.float32(0))
+    images["coverage"] = images["alpha"] + T * shown
+    images["holes"] = T * (solid - shown)
+    return images
 
 
-def composite_while(wanted: Callable[[], bool], rasterizer: Rasterizer, *arguments) -> Composite | None:
-    """Calls composite(rasterizer, *arguments) in another thread. Returns its result, or None if wanted() became false.
+def composite_while(wanted: Callable[[], bool], rasterizer: Rasterizer, draw: Callable[..., Composite], *arguments) -> Composite | None:
+    """Calls draw(rasterizer, *arguments) in another thread. Returns its result, or None if wanted() became false.
 
-    The calling thread calls wanted() every POLL_SECONDS. Errors of composite() are raised again.
+    The calling thread calls wanted() every POLL_SECONDS. Errors of draw() are raised again. draw must raise Cancelled when
+    rasterizer.cancel[0] is set, as composite() does.
     """
     result: list = []
 
     def work():
         try:
-            result.append(composite(rasterizer, *arguments))
+            result.append(draw(rasterizer, *arguments))
         except BaseException as error:  # noqa: BLE001 - raised again in the waiting thread
             result.append(error)
 
@@ -89,8 +134,9 @@ def composite_while(wanted: Callable[[], bool], rasterizer: Rasterizer, *argumen
     return result[0]
 
 
-def _composite(images: dict, coverage: np.ndarray) -> Composite:
-    """Makes a Composite of the outputs of the rasterizer; divides the summed depth by the coverage."""
-    depth = np.divide(images["depth"], coverage, out=np.full_like(coverage, FAR), where=coverage > 0)
-    passes = {name: images[name].astype(np.float32, copy=False) for name in PASS_OUTPUTS}
-    return Composite(images["rgb"], coverage, passes | {"depth": depth})
+def _composite(sums: dict) -> Composite:
+    """Makes a Composite of the sums of each pixel; divides the summed depth by the coverage."""
+    coverage = sums["coverage"]
+    depth = np.divide(sums["depth"], coverage, out=np.full_like(coverage, FAR), where=coverage > 0)
+    passes = {name: sums[name].astype(np.float32, copy=False) for name in PASS_OUTPUTS}
+    return Composite(sums["rgb"], coverage, sums["holes"], passes | {"depth": depth})

@@ -16,36 +16,46 @@ from ..native import Rasterizer
 from ..outputs import OUTPUTS
 from ..scene import Scene
 from .composite import FAR, Composite, composite
-from .mesh_depth import Surface
+from .meshes import Surface
 
 PASSES = tuple(output.render_pass for output in OUTPUTS.values() if output.render_pass)  # (name, channels, type) of each pass except Combined
+BEHIND = ("Behind", "RGBA", "COLOR")  # a further pass, where Gaussians in front of and behind meshes are separate pictures
 SRGB_PRIMARIES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 
 def linear_rgba(picture: Composite, transparent: bool, working_space: Sequence = SRGB_PRIMARIES) -> np.ndarray:
     """Linear colour times alpha, (H, W, 4) float32, in the working space. The view transform Standard gives back the picture.
 
-    transparent: pixels that the picture does not cover stay transparent; the picture must have a black background.
-    working_space: (3, 3), the rows are linear red, green and blue of sRGB in the working space of the renderer.
+    transparent: pixels that the picture does not cover stay transparent; the picture must have a black background. Holdouts are
+    transparent in any case. working_space: (3, 3), the rows are linear red, green and blue of sRGB in the working space of the renderer.
     """
-    alpha = picture.coverage[..., None] if transparent else np.ones_like(picture.alpha)[..., None]
-    straight = np.divide(picture.rgb, alpha, out=np.zeros_like(picture.rgb), where=alpha > 0)
-    return np.concatenate([srgb_to_linear(straight) @ np.asarray(working_space, np.float32) * alpha, alpha], axis=-1)
+    return _linear(picture.rgb, picture.coverage if transparent else 1 - picture.holes, working_space)
 
 
 def passes(picture: Composite, transparent: bool, unit: float, working_space: Sequence) -> dict[str, np.ndarray]:
-    """Combined (H, W, 4) and PASSES (H, W), float32, by name.
+    """Combined (H, W, 4), PASSES (H, W) and, if the picture has it, Behind (H, W, 4), float32, by name.
 
     transparent, working_space: as in linear_rgba. unit: length of one unit of the picture's depth, in units of Blender's scene.
     """
     images = {found[0]: image for name, image in picture.images.items() if (found := OUTPUTS[name].render_pass)}
     depth = np.where(picture.depth < FAR, picture.depth * np.float32(unit), np.float32(FAR))
-    return {"Combined": linear_rgba(picture, transparent, working_space), **images, "Depth": depth}
+    layers = {"Combined": linear_rgba(picture, transparent, working_space), **images, "Depth": depth}
+    if picture.behind is not None:
+        layers[BEHIND[0]] = _linear(picture.behind[..., :3], picture.behind[..., 3], working_space)
+    return layers
 
 
-def blank(height: int, width: int) -> dict[str, np.ndarray]:
-    """All passes with zeros, for a picture that could not be drawn."""
-    return {"Combined": np.zeros((height, width, 4), np.float32)} | {name: np.zeros((height, width), np.float32) for name, *_ in PASSES}
+def blank(height: int, width: int, kinds: Sequence = PASSES) -> dict[str, np.ndarray]:
+    """Combined and the passes of these kinds with zeros, for a picture that could not be drawn."""
+    shapes = {name: (height, width) if len(channels) == 1 else (height, width, len(channels)) for name, channels, _ in kinds}
+    return {name: np.zeros(shape, np.float32) for name, shape in {"Combined": (height, width, 4), **shapes}.items()}
+
+
+def _linear(rgb: np.ndarray, alpha: np.ndarray, working_space: Sequence) -> np.ndarray:
+    """Display sRGB times alpha (H, W, 3) -> linear colour times alpha, and alpha: (H, W, 4) float32."""
+    alpha = alpha[..., None]
+    straight = np.divide(rgb, alpha, out=np.zeros_like(rgb), where=alpha > 0)
+    return np.concatenate([srgb_to_linear(straight) @ np.asarray(working_space, np.float32) * alpha, alpha], axis=-1)
 
 
 def overlay_rgba(rasterizer: Rasterizer, scene: Scene, camera: Camera, hidden: np.ndarray) -> np.ndarray:
@@ -53,5 +63,5 @@ def overlay_rgba(rasterizer: Rasterizer, scene: Scene, camera: Camera, hidden: n
 
     hidden: camera z (H, W) of that picture, infinite where it is empty; a pixel blends only Gaussians with a smaller z.
     """
-    picture = composite(rasterizer, scene, camera, surface=Surface(hidden, np.zeros((*hidden.shape, 3), np.float32)))
+    picture = composite(rasterizer, scene, camera, surface=Surface(hidden, np.zeros((*hidden.shape, 4), np.float32)))
     return np.concatenate([picture.rgb, picture.alpha[..., None]], axis=-1)

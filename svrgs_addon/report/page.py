@@ -76,7 +76,7 @@ def write_report(folder: str | Path, report: Report) -> Path:
     cannot be written."""
     path = Path(folder) / "index.html"
     with atomic_write(path) as file:
-        file.write(page(report).encode())
+        file.write(page(report).encode(errors="surrogateescape").decode(errors="replace").encode())  # paths need not be UTF-8
     return path
 
 

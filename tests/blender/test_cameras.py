@@ -78,6 +78,19 @@ def test_photographs_and_points_come_along(dataset):
     np.testing.assert_allclose(colour, (200 / 255, 150 / 255, 100 / 255, 1), atol=1e-6)
 
 
+def test_transforms_json_gives_the_same_cameras(capfd):
+    found = []
+    for name in ("tiny", "nerfstudio"):
+        bpy.ops.svrgs.import_colmap(directory=str(DATA / name))
+        bpy.context.view_layer.update()
+        found.append([obj for obj in cameras() if obj.name.partition(".png")[2] == ("" if name == "tiny" else ".001")])
+    assert len(found[0]) == len(found[1]) == 12
+    for a, b in zip(*found, strict=True):
+        np.testing.assert_allclose(a.matrix_world, b.matrix_world, atol=1e-6)
+        assert Path(b.data.background_images[0].image.filepath).samefile(a.data.background_images[0].image.filepath)
+    assert f"the cameras are those of {DATA}/nerfstudio/transforms.json" in capfd.readouterr().out
+
+
 def test_cameras_join_the_splat_wherever_it_stands():
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     splat = bpy.context.object

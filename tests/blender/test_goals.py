@@ -25,8 +25,8 @@ def test_light_balanced_and_small_come_first_and_balanced_is_the_default(splat):
 @pytest.mark.parametrize(
     "method, expected",
     [
-        ("pressure", [{"lambda_f": 2.5e-5}, {}, {"lambda_f": 4e-4}]),
-        ("saliency", [{"lambda_f": 2.5e-4}, {}, {"lambda_f": 4e-3}]),
+        ("pressure", [{"lambda_f": 1e-5}, {}, {"lambda_f": 1e-3}]),
+        ("saliency", [{"lambda_f": 1e-4}, {}, {"lambda_f": 1e-2}]),
         ("gns", [{"target_count": 125}, {}, {"target_count": 42}]),
         ("opacity", [{"target_count": 125}, {"target_count": 62}, {"target_count": 42}]),
     ],
@@ -43,7 +43,7 @@ def test_the_plain_goals_are_multiples_of_the_default_strength_or_shares(splat, 
     "method, goal, sentence",
     [
         ("pressure", "BALANCED", "almost no visible loss"), ("svr", "BALANCED", "The default λ_F of this method"),
-        ("svr", "LIGHT", "0.25 times the default λ_F of this method"), ("gns", "BALANCED", "Keeps 25% of the Gaussians"),
+        ("svr", "LIGHT", "0.1 times the default λ_F of this method"), ("gns", "BALANCED", "Keeps 25% of the Gaussians"),
         ("maskgs", "BALANCED", "The method's own weight decides"), ("maskgs", "SMALL", "Keeps 17% of the Gaussians"),
     ],
 )  # fmt: skip

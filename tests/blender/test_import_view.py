@@ -105,16 +105,47 @@ def test_an_imported_splat_is_framed(views, ply, make_scene, tmp_path):
     ply.write_ply(tmp_path / "large.ply", scene)
     bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "large.ply"))
     for space, view in views:
-        assert view.view_location.length < 500 and 2000 < view.view_distance < 20_000 and space.clip_end >= 100 * view.view_distance
+        assert view.view_location.length < 500 and 2000 < view.view_distance < 20_000
+        assert space.clip_end == pytest.approx(100 * view.view_distance)
     for _, view in views:
         view.view_distance = 123
     bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "large.ply"), frame=False)
     assert all(view.view_distance == 123 for _, view in views)
 
 
-def test_imported_cameras_are_framed_and_a_view_through_a_camera_is_left_alone(views):
+def eye(view) -> Vector:
+    return view.view_location + view.view_rotation @ Vector((0, 0, view.view_distance))
+
+
+def test_a_dataset_is_seen_from_its_first_camera_with_the_horizon_level(views):
+    """A sky around the splat does not matter then: the camera is inside it."""
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
-    assert all(view.view_location.length < 1 and 3 < view.view_distance < 30 for _, view in views)
+    for _, view in views:
+        camera = bpy.context.scene.camera.matrix_world.translation
+        assert (eye(view) - camera.lerp(view.view_location, 0.2)).length < 1e-4, "a little nearer, so that the camera is not in the picture"
+        assert view.view_location.length < 1, "the middle of the ring of cameras, which are 3 away"
+        assert abs((view.view_rotation @ Vector((1, 0, 0))).z) < 1e-6
+
+
+def test_cameras_without_a_splat_are_all_in_the_picture(views):
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    for space, view in views:
+        assert view.view_location.length < 1 and view.view_rotation.angle == pytest.approx(Quaternion((0.8, 0.6, 0, 0)).angle)
+        assert view.view_distance > 3 * space.lens / 36, "of which each is 3 away from the middle"
+
+
+def test_a_parallel_view_keeps_its_direction(views):
+    for _, view in views:
+        view.view_perspective = "ORTHO"
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    for _, view in views:
+        assert view.view_perspective == "ORTHO" and view.view_rotation.angle == pytest.approx(Quaternion((0.8, 0.6, 0, 0)).angle)
+        assert view.view_location.length < 1 and view.view_distance < 30
+
+
+def test_a_view_through_a_camera_is_left_alone(views):
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     for _, view in views:
         view.view_perspective, view.view_distance = "CAMERA", 123
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))

@@ -100,31 +100,6 @@ def test_several_splats_are_one_picture(tmp_path, stage, bridge, gaussians, room
     assert np.abs(f12(tmp_path / "one.png")[..., :3] - expected).max() <= LEVEL
 
 
-@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
-def test_what_meshes_hide_is_hidden(tmp_path, stage, bridge, gaussians, room, camera, kind):
-    """A wall across the view: the Gaussians before it over its colour. Hidden for the render, it is not there."""
-    camera.data.type = kind
-    without = f12(tmp_path / "without.png")
-    mesh = bpy.data.meshes.new("wall")
-    mesh.from_pydata([(-99, -99, -3), (99, -99, -3), (99, 99, -3), (-99, 99, -3)], [], [(0, 1, 2, 3)])
-    material = bpy.data.materials.new("red")
-    if bpy.app.version < (5, 0, 0):
-        material.use_nodes = True
-    next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED").inputs["Base Color"].default_value = (1, 0, 0, 1)
-    mesh.materials.append(material)
-    wall = bpy.data.objects.new("wall", mesh)
-    wall.matrix_world = camera.matrix_world
-    stage.collection.objects.link(wall)
-    bpy.context.view_layer.update()
-    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage)).moved(room.matrix_world)
-    before = gaussians.select(gaussians.means @ view.viewmat[2, :3] + view.viewmat[2, 3] <= 3)
-    assert 100 < before.count < 2900
-    expected = drawn(bridge, before, camera, room.matrix_world, background=(1.0, 0.0, 0.0))["rgb"]
-    assert np.abs(f12(tmp_path / "wall.png")[..., :3] - expected).max() <= LEVEL
-    wall.hide_render = True
-    np.testing.assert_array_equal(f12(tmp_path / "hidden.png"), without)
-
-
 def test_passes_hold_what_the_rasterizer_counted(tmp_path, stage, bridge, gaussians, camera):
     """As they are handed to Blender: files of passes differ between versions."""
     engine_module = part("operators.render_engine")
@@ -168,12 +143,6 @@ def test_passes_are_saved(tmp_path, stage, room, camera):
         names |= {name.split(".", 1)[1] for name in source.spec().channelnames}
         part_number += 1
     assert names >= {"Combined.R", "Combined.A", "Depth.Z", "Alpha.A", "SpatialMask.X", "Count.X"}
-
-
-def test_panoramas_are_refused_in_one_sentence(room, camera):
-    camera.data.type = "PANO"
-    with pytest.raises(RuntimeError, match="neither perspective nor orthographic"):
-        bpy.ops.render.render()
 
 
 def test_an_object_that_is_no_camera_is_refused_in_one_sentence(stage, bridge, room):

@@ -18,11 +18,16 @@ from pathlib import Path
 import bpy
 
 SIZE = (1280, 1120)
+HEADERS = {title: (825, 97 + 28 * place) for place, title in enumerate(("Scene", "Prune", "Compare", "Export", "View", "Spatial Mask"))}  # all closed
 DATA, OUT = (Path(word) for word in sys.argv[sys.argv.index("--") + 1 :])
 
 
 def window() -> bpy.types.Window:
     return bpy.context.window_manager.windows[0]
+
+
+def area(kind: str) -> bpy.types.Area:
+    return next(area for area in window().screen.areas if area.type == kind)
 
 
 def click(x: int, y: int, **modifiers: bool) -> Iterator[float]:
@@ -71,9 +76,8 @@ def until(condition: Callable[[], object], what: str, seconds: float = 30) -> It
 
 def sidebar(tab: str) -> Iterator[float]:
     """Opens the 3D view's sidebar at a tab."""
-    area = next(area for area in window().screen.areas if area.type == "VIEW_3D")
-    area.spaces.active.show_region_ui = True
-    region = next(region for region in area.regions if region.type == "UI")
+    area("VIEW_3D").spaces.active.show_region_ui = True
+    region = next(region for region in area("VIEW_3D").regions if region.type == "UI")
 
     def there() -> bool:  # tabs exist once the sidebar has been drawn
         region.tag_redraw()
@@ -85,6 +89,16 @@ def sidebar(tab: str) -> Iterator[float]:
 
     yield from until(there, f"the tab {tab}")
     yield 0.5
+
+
+def open_panel(title: str) -> Iterator[float]:
+    """Opens one panel of the sidebar's tab SVR-GS and closes all others: then its buttons are where they are whatever the others show."""
+    yield from click(*HEADERS["Scene"], ctrl=True)  # the others close
+    yield from click(*HEADERS["Scene"])
+    yield 0.5
+    if title != "Scene":
+        yield from click(*HEADERS[title])
+    yield 0.7
 
 
 def shot(name: str):

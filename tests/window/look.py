@@ -18,22 +18,16 @@ import bpy
 import driver
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-from driver import DATA, OUT, click, drag, key, shot, until
+from driver import DATA, OUT, area, click, drag, key, shot, until
 from mathutils import Vector
 
 PACKAGE = "bl_ext.user_default.svrgs"
 VIEW = (400, 600)  # somewhere in the 3D view
-WIPE = 258  # height of the button Wipe in Viewport where the other panels are closed; the button Compare is below it
-MASK_HEADER, MASK_REFRESH = (825, 814), (880, 268)  # the header below all other panels; the button where they are closed
-COMPARE_HEADER, COMPARE = (820, 153), (842, 279)
+MASK_REFRESH, WIPE, COMPARE = (880, 268), (842, 258), (842, 279)  # buttons where only their panel is open
 
 
 def part(name: str):
     return importlib.import_module(f"{PACKAGE}.{name}")
-
-
-def area(kind: str) -> bpy.types.Area:
-    return next(area for area in driver.window().screen.areas if area.type == kind)
 
 
 def apart(space: bpy.types.SpaceView3D) -> float:
@@ -126,7 +120,7 @@ def see_f12(seen: dict):
 
 def see_mask(seen: dict):
     looking = bpy.context.scene.svrgs_looking
-    yield from click(*MASK_HEADER, ctrl=True)  # the other panels close
+    yield from driver.open_panel("Spatial Mask")
     yield from click(*MASK_REFRESH)
     yield from until(lambda: looking.mask_result, "the spatial mask")
     yield 0.8
@@ -138,7 +132,7 @@ def see_comparison(seen: dict):
     looking = bpy.context.scene.svrgs_looking
     bpy.ops.svrgs.prune(method="contribution", target=0.4, iterations=0, recovery=0)
     yield 0.8
-    yield from click(*COMPARE_HEADER, ctrl=True)
+    yield from driver.open_panel("Compare")
     yield from click(*COMPARE)
     yield from until(lambda: looking.compare_result, "the comparison")
     yield 0.8
@@ -149,7 +143,7 @@ def see_comparison(seen: dict):
 def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     """Both sides, exact, in a Solid and in a Rendered viewport; the mouse moves the line."""
     looking, wipe, viewport = bpy.context.scene.svrgs_looking, part("operators.viewport_wipe"), part("operators.viewport")
-    yield from click(COMPARE[0], WIPE)
+    yield from click(*WIPE)
     yield from until(lambda: looking.wiping, "the wipe")
     panes = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]  # noqa: E731
     yield from until(lambda: len(panes()) == 2, "two sides")
@@ -165,7 +159,7 @@ def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     yield from drag(x, VIEW[1], x - 200, VIEW[1])
     seen["moved"] = [looking.wipe * region.width + area_3d.x, x - 200]
     shot("wipe")
-    yield from click(COMPARE[0], WIPE)
+    yield from click(*WIPE)
     yield from until(lambda: not looking.wiping, "the end of the wipe")
     yield from until(lambda: len(overlay_views()) == 1, "one side")
     bpy.ops.svrgs.open_image(name="SVR-GS Wipe")

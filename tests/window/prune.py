@@ -15,7 +15,7 @@ from driver import DATA, OUT, click, key, shot, until
 
 PACKAGE = "bl_ext.user_default.svrgs"
 LEFT, RIGHT = 842, 961  # the two buttons of a row
-START, PAUSE, RESUME, APPLY = 406, 526, 507, 391  # heights of these rows
+START, PAUSE, RESUME, APPLY = 296, 416, 397, 281  # heights of these rows where only the panel Prune is open
 VIEW = (400, 700)  # somewhere in the 3D view
 
 
@@ -107,6 +107,7 @@ def delete_and_undo(splat: str, pruned: str, seen: dict):
 def steps():
     seen, splat = {}, load()
     yield from driver.sidebar("SVR-GS")
+    yield from driver.open_panel("Prune")
     yield from ask_for_estimate(splat, seen)
     yield from start_and_pause(seen)
     pruned = yield from go_on_to_the_result(seen)

@@ -1,0 +1,38 @@
+"""Properties of a panoramic camera: Blender shows those of panoramas for Cycles only."""
+
+import bpy
+
+from .wrapped_label import wrapped_label
+
+LIMITS = (("latitude_min", "Latitude Min"), ("latitude_max", "Max"), ("longitude_min", "Longitude Min"), ("longitude_max", "Max"))
+
+
+class SVRGS_PT_panorama(bpy.types.Panel):
+    bl_label = "Panorama"
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "data"
+
+    @classmethod
+    def poll(cls, context):
+        return context.engine == "SVRGS" and context.camera is not None and context.camera.type == "PANO"
+
+    def draw(self, context):
+        layout, camera = self.layout, context.camera
+        layout.use_property_split = True
+        layout.prop(camera, "panorama_type")
+        if camera.panorama_type != "EQUIRECTANGULAR":
+            wrapped_label(layout, "SVR-GS renders panoramas of the type Equirectangular only", "INFO")
+            return
+        for limits in (LIMITS[:2], LIMITS[2:]):
+            column = layout.column(align=True)
+            for name, text in limits:
+                column.prop(camera, name, text=text)
+
+
+def register():
+    bpy.utils.register_class(SVRGS_PT_panorama)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_PT_panorama)

@@ -1,0 +1,62 @@
+"""Render: what renders of the scene show of its splats, and what to do. In the 3D View and in the Properties editor."""
+
+import bpy
+
+from .wrapped_label import wrapped_label
+
+
+class SVRGS_PT_rendering(bpy.types.Panel):
+    bl_label = "Render"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "SVR-GS"
+    bl_options = {"DEFAULT_CLOSED"}
+    bl_order = 5
+
+    def draw(self, context):
+        draw_rendering(self.layout, context)
+
+
+class SVRGS_PT_not_drawn(bpy.types.Panel):
+    bl_label = "Splats"
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "render"
+
+    @classmethod
+    def poll(cls, context):
+        return bool(context.scene.svrgs_looking.not_drawn)
+
+    def draw(self, context):
+        draw_rendering(self.layout, context)
+
+
+def draw_rendering(layout, context):
+    """What is missing, and the buttons that mend it."""
+    scene = context.scene
+    if scene.svrgs_looking.not_drawn:
+        wrapped_label(layout, scene.svrgs_looking.not_drawn, "ERROR")
+    column = layout.column(align=True)
+    column.operator("svrgs.set_up_rendering", icon="SCENE")
+    column.operator("svrgs.set_up_compositing", icon="NODE_COMPOSITING")
+    draw_standard(layout, scene)
+
+
+def draw_standard(layout, scene):
+    """A button where the view transform changes the colours of the training."""
+    if scene.view_settings.view_transform != "Standard":
+        wrapped_label(layout, f"The view transform {scene.view_settings.view_transform} changes the colours of the training", "INFO")
+        layout.operator("svrgs.use_standard", icon="COLOR")
+
+
+CLASSES = (SVRGS_PT_rendering, SVRGS_PT_not_drawn)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister():
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

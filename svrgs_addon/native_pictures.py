@@ -1,0 +1,64 @@
+"""Parts of complete pictures, by the native library: opaque triangles, and panoramas of perspective views.
+
+`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view) is the manual; names, shapes and units here are the same.
+"""
+
+from __future__ import annotations
+
+import ctypes as c
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .camera import Camera
+from .native_library import LayersStruct, PanoramaStruct, TextureStruct, TrianglesStruct, ViewStruct, call_library, camera_struct, check, check_out
+
+VALUES = {"corners": (3, 3), "colors": (3, 3), "light": (3,), "uvs": (3, 2)}  # arrays of a triangle, float32
+
+
+def draw_triangles(arrays: dict[str, np.ndarray], textures: Sequence[Any], ambient: float, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Draws opaque triangles.
+
+    arrays: those of VALUES as (M, ...) float32, `textures` (M,) int32 and `holdout` (M,) uint8. textures: objects with `texels` (n, 3)
+    uint8, `width`, `height` and `repeat`. Returns share (H, W), depth (2, H, W) and rgba (2, H, W, 4), float32. Raises NativeError, and
+    TypeError for arrays of another type or shape.
+    """
+    count, (height, width) = len(arrays["corners"]), (camera.height, camera.width)
+    addresses = {name: check(arrays[name], name, (count, *shape), np.float32) for name, shape in VALUES.items()}
+    addresses["textures"] = check(arrays["textures"], "textures", (count,), np.int32)
+    addresses["holdout"] = check(arrays["holdout"], "holdout", (count,), np.uint8)
+    structs = (TextureStruct * len(textures))(*(_texture(texture) for texture in textures))
+    triangles = TrianglesStruct(count=count, **addresses, texture=c.addressof(structs), texture_count=len(textures), ambient=ambient)
+    share, depth, rgba = (np.empty(shape, np.float32) for shape in ((height, width), (2, height, width), (2, height, width, 4)))
+    layers = LayersStruct(share.ctypes.data, depth.ctypes.data, rgba.ctypes.data)
+    call_library("svrgs_draw_triangles", c.byref(triangles), c.byref(camera_struct(camera)), c.byref(layers))
+    return share, depth, rgba
+
+
+def _texture(texture) -> c.Structure:
+    texels, width, height = 0, texture.width, texture.height
+    while (texels := texels + width * height) and (width > 1 or height > 1):
+        width, height = (width + 1) // 2, (height + 1) // 2
+    return TextureStruct(check(texture.texels, "texels", (texels, 3), np.uint8), texture.width, texture.height, texture.repeat)
+
+
+def add_view(
+    image: np.ndarray, turn: np.ndarray, K: np.ndarray, along: int, sums: np.ndarray, latitudes: np.ndarray, longitudes: np.ndarray,
+    row_weights: np.ndarray, column_weights: np.ndarray,
+):  # fmt: skip
+    """Adds a perspective view, times row and column weights, to the panorama `sums` (H, W, L) float32, by cubic interpolation.
+
+    image: (h, w, L) float32. turn: rotation (3, 3) from the panorama's frame to that of the view. K: (3, 3) with one focal length.
+    along: the channel with values along z, which become values along the ray. latitudes, row_weights: (H,) float64, radians;
+    longitudes, column_weights: (W,). Raises NativeError, and TypeError for arrays of another type or shape.
+    """
+    (height, width, channels), (rows, columns) = image.shape, sums.shape[:2]
+    address = check(image, "image", (height, width, channels), np.float32)
+    view = ViewStruct(address, width, height, channels, along, (c.c_double * 9)(*turn.flat), K[0, 0], K[0, 2], K[1, 2])
+    panorama = PanoramaStruct(
+        check_out(sums, "sums", (rows, columns, channels), np.float32), columns, rows,
+        check(latitudes, "latitudes", (rows,), np.float64), check(row_weights, "row_weights", (rows,), np.float64),
+        check(longitudes, "longitudes", (columns,), np.float64), check(column_weights, "column_weights", (columns,), np.float64),
+    )  # fmt: skip
+    call_library("svrgs_add_view", c.byref(view), c.byref(panorama))
