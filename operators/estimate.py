@@ -63,7 +63,7 @@ def quality(found: dict) -> str:
     before, removed, after = (found[f"psnr_{name}"] for name in ("before", "removed", "after"))
     if after is None:
         return f"PSNR now {before:.1f} dB; after pruning: not foreseen for this method or goal"
-    return f"PSNR about {after:.1f} dB after pruning (now {before:.1f} dB; without recovery about {removed:.1f} dB)"
+    return f"PSNR about {after:.1f} dB or more after pruning (now {before:.1f} dB; without recovery about {removed:.1f} dB)"
 
 
 class SVRGS_OT_estimate(JobOperator):
