@@ -1,4 +1,4 @@
-"""Estimates how many Gaussians would stay and how long pruning takes. A child process does the work; Blender stays usable."""
+"""Estimates how many Gaussians would stay, how good the result would be and how long pruning takes. A child process does the work; Blender stays usable."""
 
 from __future__ import annotations
 
@@ -55,16 +55,24 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     return [
         stay.format(kept=kept, count=count, share=kept / count),
         tr("{before} → about {after}").format(before=size_text(obj, count), after=size_text(obj, kept)),
+        quality(found),
         seen.format(**found),
         time.format(minutes=minutes, speed=found["steps_per_second"]),
         *found["notes"],
     ]
 
 
+def quality(found: dict) -> str:
+    """The PSNRs of an estimate in words."""
+    if found["psnr_after"] is None:
+        return tr("PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal").format(**found)
+    return tr("PSNR about {psnr_after:.1f} dB or more after pruning (now {psnr_before:.1f} dB; without recovery about {psnr_removed:.1f} dB)").format(**found)
+
+
 class SVRGS_OT_estimate(JobOperator):
     bl_idname = "svrgs.estimate"
     bl_label = "Estimate"
-    bl_description = "Estimate within seconds how many Gaussians would stay and how long pruning would take"
+    bl_description = "Estimate within seconds how many Gaussians would stay, how good the result would be and how long pruning would take"
 
     @classmethod
     def poll(cls, context):

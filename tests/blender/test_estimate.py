@@ -31,6 +31,21 @@ def test_an_estimate_is_shown_only_beside_what_it_was_made_for(bridge):
     assert "would stay" not in said()
 
 
+def test_it_says_how_good_the_result_would_be(bridge):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat, settings = bpy.context.object, bpy.context.scene.svrgs_prune
+    settings.colmap = str(DATA / "tiny")
+    settings.method, settings.goal, settings.share = "pressure", "SHARE", 20
+    bpy.ops.svrgs.estimate()
+    found = part("operators.estimate").of(splat)
+    before, removed, after = (found[f"psnr_{name}"] for name in ("before", "removed", "after"))
+    assert removed < after <= before
+    assert f"PSNR about {after:.1f} dB or more after pruning (now {before:.1f} dB; without recovery about {removed:.1f} dB)" in said()
+    settings.method = "opacity"
+    bpy.ops.svrgs.estimate()
+    assert f"PSNR now {before:.1f} dB; after pruning: not foreseen for this method or goal" in said()
+
+
 MISSING = "1 of 12 photographs are missing: 05.png; the other 11 are used"
 
 
