@@ -20,6 +20,7 @@ import itertools
 import bmesh
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix
 
 from ..svrgs_addon.blender import lens as lenses
@@ -75,7 +76,7 @@ def object_from_scene(name: str, scene: Scene, collection: bpy.types.Collection,
 def scene_from_object(obj: bpy.types.Object) -> Scene:
     """The Gaussians of a splat in its local coordinates, which are those of the file. Raises SceneError."""
     if not is_splat(obj):
-        raise SceneError(f"'{obj.name}' is not a Gaussian splat" if obj else "there is no object")
+        raise SceneError(tr("'{name}' is not a Gaussian splat").format(name=obj.name) if obj else tr("there is no object"))
     with _current_data(obj) as data:
         numbers = [a.name for a in data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
         return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
@@ -96,7 +97,8 @@ def stored_values(obj: bpy.types.Object, name: str) -> np.ndarray:
     """As values(), of an attribute that this extension has added. Raises SplatError if it was deleted since."""
     found = values(obj, name)
     if found is None:
-        raise SplatError(f"'{obj.name}' has lost its attribute '{name}': undo its deletion, or discard the result and prune again")
+        text = tr("'{name}' has lost its attribute '{attribute}': undo its deletion, or discard the result and prune again")
+        raise SplatError(text.format(name=obj.name, attribute=name))
     return found
 
 
@@ -312,10 +314,11 @@ def camera_from_object(obj: bpy.types.Object, scene: bpy.types.Scene, size: tupl
     camera (Blender accepts any object as the scene's camera), and if the camera is neither perspective nor orthographic.
     """
     if obj.type != "CAMERA":
-        raise SceneError(f"'{obj.name}' is no camera: choose a camera as the scene's camera")
+        raise SceneError(tr("'{name}' is no camera: choose a camera as the scene's camera").format(name=obj.name))
     data, render = obj.data, scene.render
     if data.type not in ("PERSP", "ORTHO"):
-        raise SceneError(f"camera '{obj.name}' is neither perspective nor orthographic: splats cannot be drawn from other cameras")
+        text = tr("camera '{name}' is neither perspective nor orthographic: splats cannot be drawn from other cameras")
+        raise SceneError(text.format(name=obj.name))
     aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
     if size is None:
         size, aspect = (tuple(data[SIZE]), tuple(data[ASPECT])) if SIZE in data else (render_size(scene), aspect)

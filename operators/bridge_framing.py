@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix, Quaternion, Vector
 
 from ..svrgs_addon.blender.attribute_layout import BASE, POSITION
@@ -65,10 +66,10 @@ def level(root: bpy.types.Object, cameras: list[Camera]) -> str:
         return ""
     up = up_direction(np.array([camera.viewmat[:3, :3] for camera in cameras]))
     if up is None:
-        return "not levelled, because the photographs do not agree on what is up"
+        return tr("not levelled, because the photographs do not agree on what is up")
     angle = tilt(matrix, up)
     root.matrix_world = Matrix(levelled(matrix, up))
-    return f"levelled, by a turn of {angle:.3g}°" if angle >= SAID else ""
+    return tr("levelled, by a turn of {angle:.3g}°").format(angle=angle) if angle >= SAID else ""
 
 
 def _points(objects: list[bpy.types.Object]) -> Iterator[tuple[np.ndarray, np.ndarray]]:

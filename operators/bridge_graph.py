@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix
 
 from ..svrgs_addon.blender.lens import camera_of_projection
@@ -112,7 +113,7 @@ def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = N
     """The evaluated camera of the render. Raises SceneError."""
     obj = override or depsgraph.scene.camera
     if obj is None:
-        raise SceneError("the scene has no camera: add one, or make one the scene's camera (Ctrl Numpad 0)")
+        raise SceneError(tr("the scene has no camera: add one, or make one the scene's camera (Ctrl Numpad 0)"))
     return obj.evaluated_get(depsgraph)
 
 

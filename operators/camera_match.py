@@ -5,10 +5,12 @@ The check renders a few of the dataset's views, small, in a thread. It starts wh
 
 from __future__ import annotations
 
+import os
 import threading
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import StringProperty
 
 from ..svrgs_addon.errors import NativeError, SplatError
@@ -16,7 +18,7 @@ from ..svrgs_addon.jobs.photo_sample import read_in_child
 from ..svrgs_addon.metrics.explained import fit, mismatch
 from ..svrgs_addon.scene import Scene
 from . import bridge, edit_guard
-from .job import dataset_of
+from .dataset_paths import dataset_of
 from .job_watch import redraw_panels
 from .splat_transforms import selected_splats
 
@@ -49,9 +51,9 @@ def check(context) -> str:
 
 
 def _key(context) -> tuple | None:
-    """What the check depends on; None without a splat or a dataset."""
+    """What the check depends on; None without a splat or a dataset that is there."""
     obj, (folder, images) = context.object, dataset_of(context)
-    return (obj.data.session_uid, bridge.count(obj), folder, images) if bridge.is_splat(obj) and folder else None
+    return (obj.data.session_uid, bridge.count(obj), folder, images) if bridge.is_splat(obj) and os.path.exists(folder) else None
 
 
 def _work() -> float | None:
@@ -79,7 +81,9 @@ def _check(key: tuple, scene: Scene):
 def cameras_of(obj: bpy.types.Object | None) -> str:
     """The cameras that the splat is joined to, in words; empty if there are none."""
     root = bridge.root_of(obj) if bridge.is_splat(obj) else None
-    return f"{_camera_count(root):,} cameras of '{root.name}'" if root is not None and _camera_count(root) else ""
+    if root is None or not _camera_count(root):
+        return ""
+    return tr("{count:,} cameras of '{name}'").format(count=_camera_count(root), name=root.name)
 
 
 def roots(scene: bpy.types.Scene) -> list[str]:
@@ -103,7 +107,7 @@ class SVRGS_OT_use_cameras(bpy.types.Operator):
     def poll(cls, context):
         problem = next(filter(None, (edit_guard.problem(context, obj) for obj in selected_splats(context))), "")
         if not selected_splats(context):
-            problem = "Select a Gaussian splat first"
+            problem = tr("Select a Gaussian splat first")
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -111,14 +115,15 @@ class SVRGS_OT_use_cameras(bpy.types.Operator):
     def execute(self, context):
         root = context.scene.objects.get(self.root)
         if root is None or bridge.ROOT not in root:
-            self.report({"ERROR"}, f"'{self.root}' has no imported cameras: choose the empty above them")
+            self.report({"ERROR"}, tr("'{name}' has no imported cameras: choose the empty above them").format(name=self.root))
             return {"CANCELLED"}
         splats = selected_splats(context)
         for obj in splats:
             bridge.move_below(obj, root)
         context.view_layer.update()
         problem = "" if bpy.app.background else sentence(context)
-        self.report({"WARNING" if problem else "INFO"}, problem or f"{len(splats)} splat{'s' * (len(splats) > 1)} joined to the cameras of '{root.name}'")
+        done = tr("Joined to the cameras of '{name}'. Splats: {count}").format(name=root.name, count=len(splats))
+        self.report({"WARNING" if problem else "INFO"}, problem or done)
         return {"FINISHED"}
 
 
@@ -132,14 +137,14 @@ class SVRGS_OT_part_from_cameras(bpy.types.Operator):
     def poll(cls, context):
         if any(bridge.root_of(obj) is not None for obj in selected_splats(context)):
             return True
-        cls.poll_message_set("Select a splat that was joined to cameras")
+        cls.poll_message_set(tr("Select a splat that was joined to cameras"))
         return False
 
     def execute(self, context):
         parted = [obj for obj in selected_splats(context) if bridge.root_of(obj) is not None]
         for obj in parted:
             bridge.move_below(obj, None)
-        self.report({"INFO"}, f"{len(parted)} splat{'s' * (len(parted) > 1)} parted from the cameras")
+        self.report({"INFO"}, tr("Parted from the cameras. Splats: {count}").format(count=len(parted)))
         return {"FINISHED"}
 
 

@@ -7,6 +7,7 @@ import math
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon import native
 from ..svrgs_addon.camera import Camera
@@ -49,7 +50,7 @@ def chosen_pair(context: bpy.types.Context) -> tuple[bpy.types.Object, bpy.types
     settings = context.scene.svrgs_looking
     original = settings.original or job_result.pair_of(context.object)[0] or context.object
     if not bridge.is_splat(original):
-        raise SceneError("there is nothing to compare: choose the original splat, or make it the active object")
+        raise SceneError(tr("there is nothing to compare: choose the original splat, or make it the active object"))
     return original, settings.pruned or pruned_of(original)
 
 
@@ -70,7 +71,7 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
         return named
     if bridge.values(original, bridge_graph.REMOVED) is not None:
         return original
-    raise SceneError(f"there is nothing to compare '{original.name}' with: prune it, or choose the pruned splat")
+    raise SceneError(tr("there is nothing to compare '{name}' with: prune it, or choose the pruned splat").format(name=original.name))
 
 
 class SVRGS_OT_compare(bpy.types.Operator):
@@ -133,7 +134,8 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
             manager.progress_end()
         columns = max(1, round((len(rows) / 3) ** 0.5))
         show_in_editors(context, bridge_images.write_image(SHEET, contact_sheet(rows, columns)))
-        self.report({"INFO"}, f"{len(rows):,} cameras in '{SHEET}': original, pruned, difference; lowest PSNR between them: {worst:.1f} dB")
+        text = tr("{count:,} cameras in '{image}': original, pruned, difference; lowest PSNR between them: {worst:.1f} dB")
+        self.report({"INFO"}, text.format(count=len(rows), image=SHEET, worst=worst))
         return {"FINISHED"}
 
 
@@ -151,14 +153,20 @@ def measure(scene, picture, photo) -> dict:
 
 def summary(rows: list[dict], between: float) -> str:
     a, b = rows
-    text = f"{a['count']:,} to {b['count']:,} Gaussians, {a['bytes'] / 1e6:.1f} to {b['bytes'] / 1e6:.1f} MB; between them {between:.1f} dB"
-    return text if "psnr" not in a else f"{text}; against the photograph {a['psnr']:.2f} to {b['psnr']:.2f} dB"
+    texts = [
+        tr("{before:,} to {after:,} Gaussians").format(before=a["count"], after=b["count"]),
+        tr("{before:.1f} to {after:.1f} MB").format(before=a["bytes"] / 1e6, after=b["bytes"] / 1e6),
+        tr("between them {psnr:.1f} dB").format(psnr=between),
+    ]
+    if "psnr" in a:
+        texts.append(tr("against the photograph {before:.2f} to {after:.2f} dB").format(before=a["psnr"], after=b["psnr"]))
+    return "; ".join(texts)
 
 
 def _has_camera(cls, context) -> bool:
     if context.scene.svrgs_looking.compare_camera is not None or context.scene.camera is not None:
         return True
-    cls.poll_message_set("There is no camera: add one, or import the cameras of the dataset")
+    cls.poll_message_set(tr("There is no camera: add one, or import the cameras of the dataset"))
     return False
 
 

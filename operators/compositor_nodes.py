@@ -1,15 +1,17 @@
 """The compositor's nodes that put a picture of splats around a render: Gaussians in front, over the render, over Gaussians behind.
 
-They stand behind the Image of the render's own Render Layers node: what used that image before uses the result. Blender 5.0 has another
-place for a scene's nodes, and other names of sockets.
+They stand behind the Image of the render's own Render Layers node: what used that image before uses the result. Colours are blended in
+display sRGB, as Gaussians are in training. Blender 5.0 has another place for a scene's nodes, and other names of sockets.
 """
 
 from __future__ import annotations
 
 import bpy
 
-SPLATS, UNDER, OVER = "SVR-GS Splats", "SVR-GS Behind", "SVR-GS In Front"  # names of the nodes
+SPLATS, AROUND = "SVR-GS Splats", "SVR-GS Around Render"  # names of the two nodes; also of the second one's group
+RENDER, BEHIND, FRONT = "Render", "Behind", "In Front"  # inputs of the group
 HAS_GROUPS = bpy.app.version >= (5, 0, 0)  # the nodes of a scene are a node group; else a tree of its own
+DISPLAY = "sRGB"  # colour space in which colours are blended
 
 
 def insert(scene: bpy.types.Scene, layer: bpy.types.Scene):
@@ -17,23 +19,22 @@ def insert(scene: bpy.types.Scene, layer: bpy.types.Scene):
     scene.render.use_compositing = True
     tree = _tree(scene) or _new_tree(scene)
     render = _render_node(tree, scene)
-    users = [link.to_socket for link in render.outputs["Image"].links if link.to_node.name != UNDER]
-    splats, under, over = (
-        _node(tree, *kind) for kind in ((SPLATS, "CompositorNodeRLayers"), (UNDER, "CompositorNodeAlphaOver"), (OVER, "CompositorNodeAlphaOver"))
-    )
+    users = [link.to_socket for link in render.outputs["Image"].links if link.to_node.name != AROUND]
+    splats, around = (_node(tree, name, kind) for name, kind in ((SPLATS, "CompositorNodeRLayers"), (AROUND, "CompositorNodeGroup")))
     splats.scene = layer
     splats.layer = layer.view_layers[0].name
-    for node, behind, front in ((under, splats.outputs["Behind"], render.outputs["Image"]), (over, under.outputs[0], splats.outputs["Image"])):
-        for socket, source in zip(_images(node), (behind, front), strict=True):
-            tree.links.new(source, socket)
+    around.node_tree = _group()
+    sources = {RENDER: render.outputs["Image"], BEHIND: splats.outputs["Behind"], FRONT: splats.outputs["Image"]}
+    for name, source in sources.items():
+        tree.links.new(source, around.inputs[name])
     for user in users:
-        tree.links.new(over.outputs[0], user)
-    if not over.outputs[0].links:
-        tree.links.new(over.outputs[0], _output(tree).inputs[0])
+        tree.links.new(around.outputs[0], user)
+    if not around.outputs[0].links:
+        tree.links.new(around.outputs[0], _output(tree).inputs[0])
     x, y = render.location
-    splats.location, under.location, over.location = (x, y - 450), (x + 300, y - 200), (x + 500, y - 200)
+    splats.location, around.location = (x, y - 450), (x + 320, y - 150)
     for user in users:
-        user.node.location.x = max(user.node.location.x, x + 700)
+        user.node.location.x = max(user.node.location.x, x + 560)
 
 
 def remove(scene: bpy.types.Scene):
@@ -41,12 +42,12 @@ def remove(scene: bpy.types.Scene):
     tree = _tree(scene)
     if tree is None:
         return
-    under, over = tree.nodes.get(UNDER), tree.nodes.get(OVER)
-    if under is not None and over is not None and _images(under)[1].is_linked:
-        image = _images(under)[1].links[0].from_socket
-        for user in [link.to_socket for link in over.outputs[0].links]:
+    around = tree.nodes.get(AROUND)
+    if around is not None and around.inputs[RENDER].is_linked:
+        image = around.inputs[RENDER].links[0].from_socket
+        for user in [link.to_socket for link in around.outputs[0].links]:
             tree.links.new(image, user)
-    for name in (SPLATS, UNDER, OVER):
+    for name in (SPLATS, AROUND):
         if name in tree.nodes:
             tree.nodes.remove(tree.nodes[name])
 
@@ -54,13 +55,13 @@ def remove(scene: bpy.types.Scene):
 def are_complete(scene: bpy.types.Scene, layer: bpy.types.Scene) -> bool:
     """Whether a render of the scene puts the splats of the layer around it."""
     tree = _tree(scene)
-    if tree is None or not scene.render.use_compositing or any(name not in tree.nodes for name in (SPLATS, UNDER, OVER)):
+    if tree is None or not scene.render.use_compositing or any(name not in tree.nodes for name in (SPLATS, AROUND)):
         return False
-    splats, under, over = (tree.nodes[name] for name in (SPLATS, UNDER, OVER))
-    sources = [socket.links[0].from_node if socket.is_linked else None for node in (under, over) for socket in _images(node)]
-    render = sources[1]
-    known = splats.scene == layer and sources[0] == splats and sources[2] == under and sources[3] == splats
-    return known and render is not None and bool(over.outputs[0].links) and not any(node.mute for node in (splats, under, over, render))
+    splats, around = tree.nodes[SPLATS], tree.nodes[AROUND]
+    if splats.mute or around.mute or splats.scene != layer or around.node_tree is None or not around.outputs[0].links:
+        return False
+    sources = {name: around.inputs[name].links[0].from_node for name in (RENDER, BEHIND, FRONT) if name in around.inputs and around.inputs[name].is_linked}
+    return len(sources) == 3 and sources[BEHIND] == sources[FRONT] == splats
 
 
 def _tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
@@ -74,16 +75,14 @@ def _new_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
         scene.use_nodes = True  # Blender makes a tree with a Render Layers and a Composite node
         return scene.node_tree
     tree = scene.compositing_node_group = bpy.data.node_groups.new(f"{scene.name} Compositing", "CompositorNodeTree")
-    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
     return tree
 
 
 def _render_node(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.types.Node:
-    """The Render Layers node of the scene itself whose image is used; a new one if there is none."""
+    """The Render Layers node of the scene itself, best one whose image is used; a new one if there is none."""
     own = [node for node in tree.nodes if node.type == "R_LAYERS" and node.name != SPLATS and node.scene in (scene, None)]
-    used = [node for node in own if node.outputs["Image"].links]
-    if used or own:
-        return (used or own)[0]
+    if own:
+        return max(own, key=lambda node: bool(node.outputs["Image"].links))
     node = tree.nodes.new("CompositorNodeRLayers")
     node.scene = scene
     return node
@@ -92,9 +91,12 @@ def _render_node(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.types.
 def _output(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """The node whose first input is the result."""
     kind, name = ("GROUP_OUTPUT", "NodeGroupOutput") if HAS_GROUPS else ("COMPOSITE", "CompositorNodeComposite")
-    node = next((node for node in tree.nodes if node.type == kind), None) or tree.nodes.new(name)
-    if not node.inputs or node.inputs[0].type == "CUSTOM":
+    if HAS_GROUPS and not any(item.item_type == "SOCKET" and item.in_out == "OUTPUT" for item in tree.interface.items_tree):
         tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    node = next((node for node in tree.nodes if node.type == kind), None)
+    if node is None:
+        node = tree.nodes.new(name)
+        node.location = (600, 0)
     return node
 
 
@@ -107,6 +109,45 @@ def _node(tree: bpy.types.NodeTree, name: str, kind: str) -> bpy.types.Node:
     return node
 
 
-def _images(node: bpy.types.Node) -> list[bpy.types.NodeSocket]:
-    """Background and foreground of an Alpha Over node."""
-    return [socket for socket in node.inputs if socket.type == "RGBA"]
+# --- the group
+
+
+def _group() -> bpy.types.NodeTree:
+    """The group of nodes that blends the three images."""
+    group = bpy.data.node_groups.get(AROUND)
+    if group is not None and group.bl_idname == "CompositorNodeTree" and len(group.nodes):
+        return group
+    group = bpy.data.node_groups.new(AROUND, "CompositorNodeTree")
+    for name in (RENDER, BEHIND, FRONT):
+        group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor")
+    group.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    into = group.nodes.new("NodeGroupInput")
+    render, behind, front = (_converted(group, into.outputs[name], True, 200, -220 * row) for row, name in enumerate((RENDER, BEHIND, FRONT)))
+    under, over = (group.nodes.new("CompositorNodeAlphaOver") for _ in range(2))
+    under.location, over.location = (800, -100), (1000, -100)
+    for node, images in ((under, (behind, render)), (over, (under.outputs[0], front))):
+        background_and_foreground = (socket for socket in node.inputs if socket.type == "RGBA")
+        for socket, image in zip(background_and_foreground, images, strict=True):
+            group.links.new(image, socket)
+    out = group.nodes.new("NodeGroupOutput")
+    out.location = (1800, -100)
+    group.links.new(_converted(group, over.outputs[0], False, 1200, -100), out.inputs[0])
+    return group
+
+
+def _converted(group: bpy.types.NodeTree, image: bpy.types.NodeSocket, to_display: bool, x: float, y: float) -> bpy.types.NodeSocket:
+    """An image times alpha, converted from the scene's linear colours to display sRGB, or back."""
+    straight, convert, multiplied = (group.nodes.new(f"CompositorNode{kind}") for kind in ("PremulKey", "ConvertColorSpace", "PremulKey"))
+    for node, to in ((straight, "straight"), (multiplied, "premultiplied")):
+        if "Type" in node.inputs:
+            node.inputs["Type"].default_value = f"To {to.title()}"
+        else:
+            node.mapping = "PREMUL_TO_STRAIGHT" if to == "straight" else "STRAIGHT_TO_PREMUL"
+    side = "to_color_space" if to_display else "from_color_space"  # the other one is scene linear by default
+    if DISPLAY in convert.bl_rna.properties[side].enum_items:  # else another colour configuration is in use: colours are blended linear
+        setattr(convert, side, DISPLAY)
+    for place, node in enumerate((straight, convert, multiplied)):
+        node.location = (x + 180 * place, y)
+        group.links.new(image, node.inputs["Image"])
+        image = node.outputs["Image"]
+    return image

@@ -7,12 +7,13 @@ is saved.
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 
 def problem(context, splat: bpy.types.Object) -> str:
     """What the user must do first, in a sentence; empty if the splat can be changed."""
     if context.mode != "OBJECT" or splat.mode == "EDIT":  # it may be edited in another window's scene
-        return "Leave Edit Mode first"
+        return tr("Leave Edit Mode first")
     if splat.library or (splat.data is not None and splat.data.library):
-        return f"'{splat.name}' is linked from another file: make it local first (Object > Relations > Make Local)"
+        return tr("'{name}' is linked from another file: make it local first (Object > Relations > Make Local)").format(name=splat.name)
     return ""

@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SplatError
@@ -25,7 +26,7 @@ _threads: list[threading.Thread] = []
 
 
 def of(obj: bpy.types.Object | None) -> dict:
-    """The last estimate of the active object: the result of jobs/estimate.py; {"busy": True}; or {"error": sentence}.
+    """The last estimate of the active object: the result of jobs/estimate.py; {"busy": True}; or {"error": sentence, "status": exit status}.
 
     {} if there is none, or if the settings or the splat have changed since.
     """
@@ -44,26 +45,28 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     """The last estimate of the splat in words."""
     found = of(obj)
     if "error" in found:
-        return [found["error"]]
-    kept, count = found["kept"], found["count"]
-    faint = f", {found['faint']:,} dropped first as too faint" if found["faint"] else ""
-    minutes, speed = found["seconds"] / 60, f"({found['steps_per_second']:.0f} steps/s)"
+        return [found["error"] or tr("the estimate ended with status {status}").format(**found)]
+    kept, count, minutes = found["kept"], found["count"], found["seconds"] / 60
+    stay = tr("At most {kept:,} of {count:,} would stay ({share:.0%})") if found["at_most"] else tr("About {kept:,} of {count:,} would stay ({share:.0%})")
+    seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled photographs")
+    if found["faint"]:
+        seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled photographs, {faint:,} dropped first as too faint")
+    time = tr("About {minutes:.0f} min ({speed:.0f} steps/s)") if minutes >= 1 else tr("Less than a minute ({speed:.0f} steps/s)")
     return [
-        f"{'At most' if found['at_most'] else 'About'} {kept:,} of {count:,} would stay ({kept / count:.0%})",
-        f"{size_text(obj, count)} → about {size_text(obj, kept)}",
+        stay.format(kept=kept, count=count, share=kept / count),
+        tr("{before} → about {after}").format(before=size_text(obj, count), after=size_text(obj, kept)),
         quality(found),
-        f"{found['invisible']:,} invisible, {found['unseen']:,} outside the {found['views']} sampled photographs" + faint,
-        f"About {minutes:.0f} min {speed}" if minutes >= 1 else f"Less than a minute {speed}",
+        seen.format(**found),
+        time.format(minutes=minutes, speed=found["steps_per_second"]),
         *found["notes"],
     ]
 
 
 def quality(found: dict) -> str:
     """The PSNRs of an estimate in words."""
-    before, removed, after = (found[f"psnr_{name}"] for name in ("before", "removed", "after"))
-    if after is None:
-        return f"PSNR now {before:.1f} dB; after pruning: not foreseen for this method or goal"
-    return f"PSNR about {after:.1f} dB or more after pruning (now {before:.1f} dB; without recovery about {removed:.1f} dB)"
+    if found["psnr_after"] is None:
+        return tr("PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal").format(**found)
+    return tr("PSNR about {psnr_after:.1f} dB or more after pruning (now {psnr_before:.1f} dB; without recovery about {psnr_removed:.1f} dB)").format(**found)
 
 
 class SVRGS_OT_estimate(JobOperator):
@@ -73,7 +76,7 @@ class SVRGS_OT_estimate(JobOperator):
 
     @classmethod
     def poll(cls, context):
-        problem = "An estimate is being made" if of(context.object).get("busy") else start_problem(context)
+        problem = tr("An estimate is being made") if of(context.object).get("busy") else start_problem(context)
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -90,19 +93,19 @@ class SVRGS_OT_estimate(JobOperator):
         thread.start()
         if not bpy.app.background:
             bpy.app.timers.register(_finished, first_interval=INTERVAL)
-            return "Estimating from some views"
+            return tr("Estimating from some views")
         thread.join()
         _finished()
         found = of(obj)
         if "error" in found:
-            raise SplatError(found["error"])
+            raise SplatError(sentences(obj)[0])
         return "; ".join(sentences(obj))
 
 
 def _work(key: int, request: dict, temp_dir: tempfile.TemporaryDirectory):
     with temp_dir:
         status, result = subprocess_python.run([], MODULE, request)
-    _found[key] = result if "kept" in result else {"error": result.get("error", f"the estimate ended with status {status}")}
+    _found[key] = result if "kept" in result else {"error": result.get("error", ""), "status": status}
 
 
 def _finished() -> float | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
@@ -17,6 +18,8 @@ from ..svrgs_addon.files.repair import drop_nonfinite
 from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from ..svrgs_addon.geometry.merge import joined
 from . import bridge, bridge_graph, job_result
+from .splat_transforms import stretch_warning
+from .translation import OWN
 
 
 class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
@@ -37,6 +40,7 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
     )
     space: EnumProperty(
         name="Coordinates",
+        translation_context=OWN,
         description="Coordinates of the file",
         items=[
             ("FILE", "Imported File", "Those of the imported file or of the dataset. What was moved, rotated or scaled since then is moved in the file"),
@@ -50,7 +54,7 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
     def poll(cls, context):
         if bridge.is_splat(context.object):
             return True
-        cls.poll_message_set("Select a Gaussian splat first")
+        cls.poll_message_set(tr("Select a Gaussian splat first"))
         return False
 
     def invoke(self, context, event):
@@ -72,14 +76,15 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
             parts = gaussians(context, obj, self.what == "SEEN")
             matrices = [self.to_space(obj, matrix) for _, matrix in parts]
             if any(stretch(matrix) - 1 > 10 * UNIFORM for matrix in matrices):
-                self.report({"WARNING"}, f"'{obj.name}' is scaled differently along its axes: view-dependent colours are only rotated, and so not exact")
+                self.report({"WARNING"}, stretch_warning(obj))
             placed = [transformed(scene, matrix) for (scene, _), matrix in zip(parts, matrices, strict=True)]
             scene, dropped = drop_nonfinite(joined(placed) if len(placed) > 1 else placed[0])
             write_scene(path, scene)
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"Exported {scene.count:,} Gaussians to {path.name}, {path.stat().st_size / 1e6:.1f} MB{self.left_out(obj, dropped)}")
+        texts = [tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(count=scene.count, file=path.name, size=path.stat().st_size / 1e6)]
+        self.report({"INFO"}, "; ".join([*texts, *self.left_out(obj, dropped)]))
         return {"FINISHED"}
 
     def to_space(self, obj: bpy.types.Object, matrix):
@@ -88,11 +93,11 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
             return bridge.to_file(obj, matrix)
         return bridge.to_world(matrix, self.y_down) if self.space == "WORLD" else bridge.in_local(obj, matrix)
 
-    def left_out(self, obj: bpy.types.Object, dropped: int) -> str:
+    def left_out(self, obj: bpy.types.Object, dropped: int) -> list[str]:
         """What the file does not hold, in words."""
         hidden = job_result.marked_count(obj) if self.what == "SEEN" else 0
-        texts = [f"{hidden:,} hidden as removed"] * bool(hidden) + [f"{dropped:,} with values that are not finite"] * bool(dropped)
-        return f"; without {' and '.join(texts)}" if texts else ""
+        texts = [tr("without {count:,} hidden as removed").format(count=hidden)] if hidden else []
+        return [*texts, tr("without {count:,} with values that are not finite").format(count=dropped)] if dropped else texts
 
 
 def default_path(obj: bpy.types.Object) -> Path:
@@ -109,7 +114,8 @@ def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
     if parts:
         return parts
     if any(modifier.show_viewport and modifier.name != bridge_graph.HIDE_MODIFIER for modifier in obj.modifiers):
-        raise SceneError(f"Blender does not apply the modifiers of '{obj.name}' in Edit Mode or while it is hidden: show it, or export All Stored")
+        text = tr("Blender does not apply the modifiers of '{name}' in Edit Mode or while it is hidden: show it, or export All Stored")
+        raise SceneError(text.format(name=obj.name))
     scene = bridge.scene_from_object(obj) if obj.mode == "EDIT" else bridge_graph.visible_scene(obj)
     return [(scene, obj.matrix_world)]
 

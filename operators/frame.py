@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.geometry.bounds import clipping
 from . import bridge
@@ -24,7 +25,7 @@ class SVRGS_OT_frame(bpy.types.Operator):
     def poll(cls, context):
         if bridge.is_splat(context.object) or bridge.root_of(context.object) is not None:
             return True
-        cls.poll_message_set("Select a splat, or the cameras of a dataset")
+        cls.poll_message_set(tr("Select a splat, or the cameras of a dataset"))
         return False
 
     def execute(self, context):

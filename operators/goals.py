@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.finetune.methods import DEFAULT, METHODS
 from ..svrgs_addon.finetune.methods.base import Method
@@ -27,7 +28,7 @@ class Preset(NamedTuple):
 PRESETS = {
     "LIGHT": Preset(0.1, 0.5, "Removes only what the photographs hardly need"),
     "BALANCED": Preset(1.0, 0.25, "Much smaller, with almost no visible loss"),
-    "SMALL": Preset(10.0, 0.17, "As small as still held up when measured, with a slight loss"),
+    "SMALL": Preset(10.0, 0.17, "The smallest that kept the quality of the original when measured"),
 }
 
 ITEMS = [  # the numbers are stored in .blend files
@@ -65,10 +66,11 @@ def sentence(settings) -> str:
     if preset is None:
         return _own_amount(method) if goal == "LAMBDA" and not method.lambda_f else ""
     if method.name == DEFAULT:
-        return preset.sentence
+        return tr(preset.sentence)
     if method.lambda_f:
-        return "The default λ_F of this method" if preset.strength == 1 else f"{preset.strength:g} times the default λ_F of this method"
-    return _own_amount(method) if goal == "BALANCED" and not _needs_share(method) else f"Keeps {preset.share:.0%} of the Gaussians"
+        text = tr("The default λ_F of this method") if preset.strength == 1 else tr("{times:g} times the default λ_F of this method")
+        return text.format(times=preset.strength)
+    return _own_amount(method) if goal == "BALANCED" and not _needs_share(method) else _share_sentence(preset.share)
 
 
 def strength_sentence(settings) -> str:
@@ -77,24 +79,33 @@ def strength_sentence(settings) -> str:
     if not method.lambda_f:
         return ""
     times = settings.lambda_f / method.lambda_f
-    words = "the default" if 0.999 < times < 1.001 else f"{times:.3g} times the default" if times > 1 else f"1/{1 / times:.3g} of the default"
+    if 0.999 < times < 1.001:
+        text = tr("λ_F = {value}, the default: {meaning}")
+    else:
+        text = tr("λ_F = {value}, {times:.3g} times the default: {meaning}") if times > 1 else tr("λ_F = {value}, 1/{times:.3g} of the default: {meaning}")
     mantissa, exponent = f"{settings.lambda_f:.2e}".split("e")
-    return f"λ_F = {float(mantissa):g}e{int(exponent)}, {words}: {method.lambda_f_help}"
+    return text.format(value=f"{float(mantissa):g}e{int(exponent)}", times=max(times, 1 / times), meaning=tr(method.lambda_f_help))
 
 
 def problem(settings) -> str:
     """Why the chosen method cannot reach the chosen goal; empty if it can."""
     method, learns = METHODS[settings.method], settings.iterations > 0
     if settings.goal == "LAMBDA" and method.ranks and not method.share:
-        return f"'{method.label}' only ranks the Gaussians: choose another goal, such as a percentage or a size"
+        return tr("'{method}' only ranks the Gaussians: choose another goal, such as a percentage or a size").format(method=tr(method.label))
     if settings.goal != "DROP" or (method.supports_max_drop and learns):
         return ""
-    return f"'{method.label}' cannot prune to a loss in dB: choose another goal or method" if learns else "A loss as the goal needs iterations: set more than 0"
+    if learns:
+        return tr("'{method}' cannot prune to a loss in dB: choose another goal or method").format(method=tr(method.label))
+    return tr("A loss as the goal needs iterations: set more than 0")
 
 
 def _own_amount(method: Method) -> str:
     """What a method without λ_F keeps if it is asked for nothing."""
-    return f"Keeps {method.share:.0%} of the Gaussians" if method.share else "" if method.ranks else "The method's own weight decides"
+    return _share_sentence(method.share) if method.share else "" if method.ranks else tr("The method's own weight decides")
+
+
+def _share_sentence(share: float) -> str:
+    return tr("Keeps {share:.0%} of the Gaussians").format(share=share)
 
 
 def _needs_share(method: Method) -> bool:

@@ -12,15 +12,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SplatError
-from . import bridge, undistort
+from . import bridge, dataset_paths, undistort
 from .bridge_framing import level
 from .frame import frame
 from .select import select
+from .translation import OWN
 
 DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras
 CLIP_END = 100  # in extents of all cameras
@@ -44,9 +46,14 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
     )
     points: BoolProperty(name="Sparse Points", default=True, description="Import the sparse points as a mesh. It is hidden at first")
     level: BoolProperty(
-        name="Level", default=True, description="Turn cameras and splat upright, as the photographs say. What you have moved already stays as it is"
+        name="Level",
+        translation_context=OWN,
+        default=True,
+        description="Turn cameras and splat upright, as the photographs say. What you have moved already stays as it is",
     )
-    frame: BoolProperty(name="Frame", default=True, description="Turn the 3D viewports to the splat, or to the cameras if there is none")
+    frame: BoolProperty(
+        name="Frame", translation_context=OWN, default=True, description="Turn the 3D viewports to the splat, or to the cameras if there is none"
+    )
 
     def execute(self, context):
         folder = Path(bpy.path.abspath(self.directory))
@@ -73,18 +80,18 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
     def done(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> list[str]:
         """What was imported, in words."""
         shown, (done, total) = sum(bool(obj.data.background_images) for obj in cameras), undistort.progress()
-        parts = [f"Imported {len(cameras):,} cameras and {shown:,} photographs"]
-        parts += [f"{total - done:,} photographs are being undistorted first"] if total > done else []
-        parts += [f"{len(photos.points):,} sparse points, hidden"] if self.points else []
-        render = context.scene.render
-        return [*parts, f"the scene's camera is now '{context.scene.camera.name}', {render.resolution_x} x {render.resolution_y}"]
+        parts = [tr("Imported {cameras:,} cameras and {photographs:,} photographs").format(cameras=len(cameras), photographs=shown)]
+        parts += [tr("{count:,} photographs are being undistorted first").format(count=total - done)] if total > done else []
+        parts += [tr("{count:,} sparse points, hidden").format(count=len(photos.points))] if self.points else []
+        render, text = context.scene.render, tr("the scene's camera is now '{name}', {width} x {height}")
+        return [*parts, text.format(name=context.scene.camera.name, width=render.resolution_x, height=render.resolution_y)]
 
     def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], photos: PosedPhotos):
         """Gives cameras their photographs as backgrounds; starts undistorting where that is needed."""
         for obj, file in zip(cameras, photos.files, strict=True):
             undistort.show(obj, file)
         if photos.distorted:
-            undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / "images_undistorted"
+            undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / dataset_paths.UNDISTORTED
             undistort.start(cameras, folder, self.images, undistorted, photos.distorted)
 
     def add_objects(self, context, folder: Path, photos: PosedPhotos) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
@@ -93,7 +100,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
         root, points = root_for(context.object, folder, collection), []
-        root[bridge.DATASET], root[bridge.IMAGES] = str(folder), self.images
+        root[bridge.DATASET], root[bridge.IMAGES] = dataset_paths.stored(str(folder)), self.images
         root[bridge.POINTS] = len(photos.points)
         if self.points and len(photos.points):
             points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
@@ -115,15 +122,15 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
 def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> str:
     """What became of the active splat, in words. splat: the one that the cameras were joined to."""
     if splat is not None:
-        return f"joined to '{splat.name}'"
-    return f"'{active.name}' keeps the cameras of another dataset" if active is not None else ""
+        return tr("joined to '{name}'").format(name=splat.name)
+    return tr("'{name}' keeps the cameras of another dataset").format(name=active.name) if active is not None else ""
 
 
 def root_for(obj: bpy.types.Object | None, folder: Path, collection: bpy.types.Collection) -> bpy.types.Object:
     """The root above the object, if it has no cameras of another dataset; a new root in its place if it is a splat without one; else a
     new root with z up."""
     root = bridge.root_of(obj)
-    if root is not None and root.get(bridge.DATASET, str(folder)) == str(folder):
+    if root is not None and dataset_paths.dataset_of_root(root) in ("", dataset_paths.absolute(str(folder))):
         return root
     if root is not None or obj is None or not bridge.is_splat(obj):
         return bridge.new_root(folder.name, collection)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, CollectionProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
@@ -15,6 +16,7 @@ from ..svrgs_addon.files.repair import bake_filter, drop_nonfinite
 from . import bridge
 from .frame import frame
 from .select import select
+from .translation import OWN
 
 
 class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
@@ -30,7 +32,9 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
     y_down: BoolProperty(
         name="Turn Upright (Y-Down File)", default=True, description="The file's y axis points down, as in 3DGS files. The object is turned upright"
     )
-    frame: BoolProperty(name="Frame", default=True, description="Turn the 3D viewports to the splat. Gaussians far outside are not counted")
+    frame: BoolProperty(
+        name="Frame", translation_context=OWN, default=True, description="Turn the 3D viewports to the splat. Gaussians far outside are not counted"
+    )
 
     def execute(self, context):
         paths, texts, objects = self.paths(), [], []
@@ -43,15 +47,16 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
                 continue
             objects.append(self.add(context, path.stem, scene))
             root = bridge.root_of(objects[-1])
-            text = f"{path.name}: {scene.count:,} Gaussians" + f" ({dropped:,} with values that are not finite were left out)" * bool(dropped)
-            text += " (3D filter of Mip-Splatting baked in)" * filtered
-            texts.append(text + (f", joined to the cameras of '{root.name}'" if root is not None else ""))
+            texts.append(tr("{file}: {count:,} Gaussians").format(file=path.name, count=scene.count))
+            texts += [tr("{count:,} with values that are not finite were left out").format(count=dropped)] if dropped else []
+            texts += [tr("3D filter of Mip-Splatting baked in")] if filtered else []
+            texts += [tr("joined to the cameras of '{name}'").format(name=root.name)] if root is not None else []
         if not objects:
             return {"CANCELLED"}
         select(context, objects)
         if self.frame:
             frame(context, objects)
-        self.report({"INFO"}, "Imported " + "; ".join(texts))
+        self.report({"INFO"}, tr("Imported {splats}").format(splats="; ".join(texts)))
         return {"FINISHED"}
 
     def add(self, context, name, scene) -> bpy.types.Object:

@@ -7,6 +7,7 @@ import json
 import time
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
@@ -30,7 +31,7 @@ def refresh(context: bpy.types.Context) -> dict:
     _inputs[scene.session_uid] = _inputs_now(depsgraph)
     placed = bridge_graph.splats(depsgraph, scene_cache.read)
     if placed is None:
-        raise SceneError("there is no visible splat: import one")
+        raise SceneError(tr("there is no visible splat: import one"))
     obj = bridge_graph.camera(depsgraph)
     camera = placed.seen_by(_sized(bridge.camera_from_object(obj, scene), scene.svrgs_looking.mask_size))
     native.set_threads(threads(context))

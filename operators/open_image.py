@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 
 class SVRGS_OT_open_image(bpy.types.Operator):
     bl_idname = "svrgs.open_image"
-    bl_label = "Open In Image Editor"
+    bl_label = "Open in Image Editor"
     bl_description = "Show the picture in its full size in an Image Editor in a new window"
     bl_options = {"REGISTER"}
 
@@ -17,13 +18,13 @@ class SVRGS_OT_open_image(bpy.types.Operator):
     def poll(cls, context):
         if not bpy.app.background:
             return True
-        cls.poll_message_set("Blender runs without a window")
+        cls.poll_message_set(tr("Blender runs without a window"))
         return False
 
     def execute(self, context):
         image = bpy.data.images.get(self.name)
         if image is None:
-            self.report({"ERROR"}, f"There is no image '{self.name}': draw it first")
+            self.report({"ERROR"}, tr("There is no image '{name}': draw it first").format(name=self.name))
             return {"CANCELLED"}
         known = set(context.window_manager.windows)
         bpy.ops.wm.window_new()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..svrgs_addon.finetune.methods import DEFAULT, METHODS, PAPER_METHOD
@@ -12,6 +13,9 @@ from ..svrgs_addon.jobs.options import PruneOptions
 from ..svrgs_addon.option_kinds import options_of
 
 PROPERTY_TYPES = {bool: BoolProperty, int: IntProperty, float: FloatProperty, str: StringProperty, Path: StringProperty}
+RELATIVE = (
+    {"PATH_SUPPORTS_BLEND_RELATIVE"} if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties else set()
+)  # options of paths that take '//'
 CHOICES = {"RECOMMENDED": DEFAULT, "PAPER": PAPER_METHOD}  # items of the short menu, except OTHER -> method
 FIRST_OTHER = "maskgs"  # what OTHER chooses first: the nearest to the default at small counts (docs/results.md)
 UNSET = {int: 0, float: 0.0, str: "", Path: "", bool: False}  # the default of a property whose option has no default
@@ -29,7 +33,7 @@ def option_property(name: str, /, **overrides):
     if kind.type in (int, float):
         arguments |= {key: value for key, value in (("min", kind.minimum), ("max", kind.maximum)) if value is not None}
     elif kind.type is Path:
-        arguments |= {"subtype": "DIR_PATH"}
+        arguments |= {"subtype": "DIR_PATH", "options": RELATIVE}
     if kind.type in (str, Path):
         arguments["default"] = str(arguments["default"])
     if option.default_help and kind.type in (str, Path):

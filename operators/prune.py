@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.blender import subprocess_python
@@ -19,12 +20,12 @@ from ..svrgs_addon.cli.batch_list import default_output
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import format_to_write, read_scene, write_scene
 from . import bridge, edit_guard, job_result
-from .option_properties import method_property, option_property
+from .option_properties import RELATIVE, method_property, option_property
 from .preferences import threads
 from .select import select
+from .visibility import set_hidden
 
 BACKGROUND = bpy.app.background
-RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties else set()  # from 5.0 on
 
 
 class SVRGS_OT_prune(bpy.types.Operator):
@@ -69,7 +70,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
     def poll(cls, context):
         if context.mode == "OBJECT":
             return True
-        cls.poll_message_set("Leave Edit Mode first")
+        cls.poll_message_set(tr("Leave Edit Mode first"))
         return False
 
     def execute(self, context):
@@ -86,11 +87,13 @@ class SVRGS_OT_prune(bpy.types.Operator):
             obj = bridge.object_from_scene(f"{Path(self.scene).stem} pruned", pruned, context.collection)
         if source is not None:
             job_result.join(source, obj)
-            source.hide_viewport = source.hide_render = True
+            set_hidden(source, True)
+            set_hidden(obj, False)
         select(context, [obj])
         before, psnr = result["before"], [figures.get("psnr") for figures in (result["before"], result)]
-        change = f", {psnr[1] - psnr[0]:+.2f} dB" if None not in psnr else ""  # null if images and photographs are identical
-        self.report({"INFO"}, ". ".join([f"Kept {result['count']:,} of {before['count']:,} Gaussians{change}", *result["notes"]]))
+        texts = [tr("Kept {kept:,} of {count:,} Gaussians").format(kept=result["count"], count=before["count"])]
+        texts += [tr("PSNR changed by {difference:+.2f} dB").format(difference=psnr[1] - psnr[0])] if None not in psnr else []  # null: identical images
+        self.report({"INFO"}, ". ".join([*texts, *result["notes"]]))
         return {"FINISHED"}
 
     def prune(self, source: bpy.types.Object | None, temp_dir: Path, threads: int):
@@ -110,7 +113,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
         written = out or temp_dir / "pruned.ply"
         status, result = subprocess_python.run(["prune", scene, "--out", str(written), *self.arguments(source), "--threads", str(threads)])
         if status or "count" not in result:
-            raise SplatError(result.get("error", f"pruning ended with status {status}"))
+            raise SplatError(result.get("error", tr("pruning ended with status {status}").format(status=status)))
         print(json.dumps(result | {"scene": origin or None, "out": str(out) if out else None}), flush=True)
         return result, read_scene(written)
 
@@ -119,7 +122,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
         if self.out:
             out = Path(absolute(self.out))
             if out.is_dir():
-                raise SplatError(f"{out}: is a folder; give the name of a file")
+                raise SplatError(tr("{file}: is a folder; give the name of a file").format(file=out))
             format_to_write(out)
         elif not BACKGROUND:
             return None
@@ -128,9 +131,9 @@ class SVRGS_OT_prune(bpy.types.Operator):
         elif bpy.data.filepath:
             out = default_output(Path(bpy.data.filepath).with_name(bpy.path.clean_name(source.name)), "out=")
         else:
-            raise SplatError("name a file for the result with out=: in background mode it lies beside the .blend, and this one has not been saved")
+            raise SplatError(tr("name a file for the result with out=: in background mode it lies beside the .blend, and this one has not been saved"))
         if out.exists() and not self.overwrite:
-            raise SplatError(f"{out}: exists; name another output with out=, or replace it with overwrite=True")
+            raise SplatError(tr("{file}: exists; name another output with out=, or replace it with overwrite=True").format(file=out))
         return out
 
     def arguments(self, source: bpy.types.Object | None) -> list[str]:
@@ -149,7 +152,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
 def absolute(path: str) -> str:
     """The absolute path; empty stays empty. Raises SplatError for a path that begins with // while the .blend is not saved."""
     if path.startswith("//") and not bpy.data.filepath:
-        raise SplatError(f"{path}: begins at the folder of the .blend, which has not been saved; save it, or give the whole path")
+        raise SplatError(tr("{path}: begins at the folder of the .blend, which has not been saved; save it, or give the whole path").format(path=path))
     return os.path.abspath(bpy.path.abspath(path)) if path else ""
 
 

@@ -9,7 +9,8 @@ from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty,
 
 from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
 from . import bridge, former_methods, goals, job_result
-from .option_properties import method_choice_property, method_property, option_property
+from .option_properties import RELATIVE, method_choice_property, method_property, option_property
+from .translation import OWN
 
 WEAKEST, STRONGEST = -5.0, -3.0  # ends of the slider Strength: powers of ten of λ_F
 
@@ -46,7 +47,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         "colmap", name="Dataset", description="Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported cameras"
     )
     images: option_property("images")
-    goal: EnumProperty(name="Goal", items=goals.ITEMS, default="BALANCED", description="What decides how many Gaussians stay")
+    goal: EnumProperty(name="Goal", translation_context=OWN, items=goals.ITEMS, default="BALANCED", description="What decides how many Gaussians stay")
     strength: FloatProperty(
         name="Power of λ_F", min=-7, max=0, default=-4, update=_strength_changed,
         description="λ_F as a power of ten: -4 is 1e-4. A higher λ_F keeps fewer Gaussians",
@@ -81,7 +82,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     visible_mask: option_property("visible_mask", name="Visible Part Only")
     views_by_loss: option_property("views_by_loss", name="Harder Views More Often")
     folder: StringProperty(
-        name="Job Folder", subtype="DIR_PATH",
+        name="Job Folder", subtype="DIR_PATH", options=RELATIVE,
         description="Folder for the files of jobs. Empty: svrgs_jobs next to the .blend file; for an unsaved file, the extension's own folder",
     )  # fmt: skip
     method_schema: IntProperty(options={"HIDDEN"})  # former_methods.py

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
 from . import bridge, bridge_graph, compositor_nodes
 
@@ -25,11 +26,18 @@ def layer_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
 
 
 def add(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bpy.types.Scene:
-    """Makes the layer of a scene, or sets it right. Other engines do not draw the scene's splats any more."""
-    layer = layer_of(scene) or bpy.data.scenes.new(f"{scene.name} Splats")
-    layer.background_set = scene
-    layer.render.engine, layer.render.film_transparent = "SVRGS", True
+    """Makes the layer of a scene, or sets it right. Other engines do not draw the scene's splats any more.
+
+    Afterwards the scene's film is transparent, as its render belongs between Gaussians. If it was not, the layer's background is opaque.
+    """
+    layer = layer_of(scene)
+    if layer is None:
+        layer = bpy.data.scenes.new(f"{scene.name} Splats")
+        layer.render.film_transparent = scene.render.film_transparent
+        layer.svrgs_looking.background = scene.svrgs_looking.background
+    layer.background_set, layer.render.engine = scene, "SVRGS"
     layer.svrgs_looking.layer_of = scene
+    scene.render.film_transparent = True
     _follow(scene, layer)
     _show_to_other_engines(scene, False, depsgraph)
     return layer
@@ -40,6 +48,7 @@ def remove(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph):
     layer = layer_of(scene)
     if layer is not None:
         compositor_nodes.remove(scene)
+        scene.render.film_transparent = layer.render.film_transparent
         bpy.data.scenes.remove(layer)
         _show_to_other_engines(scene, True, depsgraph)
 
@@ -51,11 +60,11 @@ def missing(scene: bpy.types.Scene) -> str:
         return ""
     engine, layer = engine_name(scene), layer_of(scene)
     if layer is None:
-        return f"{engine} does not draw splats: a render shows grey dots, or nothing"
+        return tr("{engine} does not draw splats: a render shows grey dots, or nothing").format(engine=engine)
     if not compositor_nodes.are_complete(scene, layer):
-        return "The compositing of the splats is not complete: set it up again"
+        return tr("The compositing of the splats is not complete: set it up again")
     new = next((obj.name for obj in splats if obj.visible_camera), None)
-    return f"{engine} renders '{new}' as grey dots: set up compositing again" if new is not None else ""
+    return tr("{engine} renders '{name}' as grey dots: set up compositing again").format(engine=engine, name=new) if new is not None else ""
 
 
 def engine_name(scene: bpy.types.Scene) -> str:

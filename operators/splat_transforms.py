@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
+from bpy.app.translations import pgettext_n as n_
 
 from ..svrgs_addon.errors import SceneError, SplatError
 from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from ..svrgs_addon.geometry.merge import joined
 from . import bridge, edit_guard, job_result
-from .job_watch import BUSY, WAITING, job_of
+from .job_watch import is_busy, is_resumable, job_of
 from .select import select
 
 
@@ -30,22 +32,28 @@ def change_problem(context, splats: list[bpy.types.Object]) -> str:
             return problem
         _, pruned = job_result.pair_of(obj)
         if job_result.undecided(pruned):
-            return f"Apply or discard the pruning result of '{obj.name}' first"
+            return tr("Apply or discard the pruning result of '{name}' first").format(name=obj.name)
         job = job_of(obj)
-        if job is not None and job.state in (*BUSY, *WAITING):
-            return f"A pruning job belongs to '{obj.name}': wait for it, or discard it first"
+        if job is not None and (is_busy(job) or is_resumable(job)):
+            return tr("A pruning job belongs to '{name}': wait for it, or discard it first").format(name=obj.name)
     return ""
+
+
+def stretch_warning(obj: bpy.types.Object) -> str:
+    """What is not exact if the splat is written with another scale along each axis."""
+    text = tr("'{name}' is scaled differently along its axes: view-dependent colours are only rotated, and so not exact")
+    return text.format(name=obj.name)
 
 
 class SplatsOperator(bpy.types.Operator):
     """An operator on the selected splats, of which there must be `least`."""
 
-    least, poll_message = 1, "Select a Gaussian splat first"
+    least, poll_message = 1, n_("Select a Gaussian splat first")
 
     @classmethod
     def poll(cls, context):
         splats = selected_splats(context)
-        problem = change_problem(context, splats) if len(splats) >= cls.least else cls.poll_message
+        problem = change_problem(context, splats) if len(splats) >= cls.least else tr(cls.poll_message)
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -61,7 +69,7 @@ class SplatsOperator(bpy.types.Operator):
 
     def warn_if_stretched(self, obj: bpy.types.Object, matrix):
         if stretch(matrix) - 1 > 10 * UNIFORM:
-            self.report({"WARNING"}, f"'{obj.name}' is scaled differently along its axes: view-dependent colours are only rotated, and so not exact")
+            self.report({"WARNING"}, stretch_warning(obj))
 
 
 class SVRGS_OT_apply_transforms(SplatsOperator):
@@ -73,7 +81,8 @@ class SVRGS_OT_apply_transforms(SplatsOperator):
     def work(self, context, splats: list[bpy.types.Object]) -> str:
         shared = next((obj for obj in splats if obj.data.users > 1), None)
         if shared is not None:
-            raise SceneError(f"other objects share the Gaussians of '{shared.name}': make them single-user first (Object > Relations > Make Single User)")
+            text = tr("other objects share the Gaussians of '{name}': make them single-user first (Object > Relations > Make Single User)")
+            raise SceneError(text.format(name=shared.name))
         for obj in splats:
             stretch(obj.matrix_world)  # raises SceneError if a scale is zero
             self.warn_if_stretched(obj, obj.matrix_basis)
@@ -82,7 +91,7 @@ class SVRGS_OT_apply_transforms(SplatsOperator):
             bpy.ops.object.transform_apply()
         for obj in splats:
             bridge.write_gaussians(obj, bridge.scene_from_object(obj))
-        return f"Applied the transforms of {len(splats)} splat{'s' * (len(splats) > 1)}"
+        return tr("Transforms applied. Splats: {count}").format(count=len(splats))
 
 
 class SVRGS_OT_join_splats(SplatsOperator):
@@ -90,12 +99,12 @@ class SVRGS_OT_join_splats(SplatsOperator):
     bl_label = "Join Splats"
     bl_description = "Join the selected splats into the active one. Positions, shapes and view-dependent colours keep their places in the scene"
     bl_options = {"REGISTER", "UNDO"}
-    least, poll_message = 2, "Select two Gaussian splats or more"
+    least, poll_message = 2, n_("Select two Gaussian splats or more")
 
     def work(self, context, splats: list[bpy.types.Object]) -> str:
         first, *others = splats
         if len({bridge.scene_from_object(obj).antialiased for obj in splats}) > 1:
-            raise SceneError("some of these splats were trained with antialiasing and some were not: joined, one kind would be drawn wrongly")
+            raise SceneError(tr("some of these splats were trained with antialiasing and some were not: joined, one kind would be drawn wrongly"))
         scenes = []
         for obj in splats:
             matrix = bridge.between(obj, first)
@@ -106,7 +115,7 @@ class SVRGS_OT_join_splats(SplatsOperator):
         for obj in others:
             job_result.delete_object(obj)
         select(context, [first])
-        return f"Joined {len(splats)} splats: {result.count:,} Gaussians"
+        return tr("Joined {splats} splats: {count:,} Gaussians").format(splats=len(splats), count=result.count)
 
 
 class SVRGS_OT_write_shapes(SplatsOperator):
@@ -124,7 +133,7 @@ class SVRGS_OT_write_shapes(SplatsOperator):
             if bridge.count_moved(obj):
                 bridge.write_gaussians(obj, bridge.scene_from_object(obj))
         _counts.clear()
-        return f"Wrote the shapes of {count:,} Gaussians"
+        return tr("Wrote the shapes of {count:,} Gaussians").format(count=count)
 
 
 # --- what Blender has moved

@@ -7,14 +7,15 @@ Progress, stop and resume are those of every job (job.py); the panel of step 2 s
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.jobs.job_folder import JobFolder
 from ..svrgs_addon.jobs.job_process import Job
 from ..svrgs_addon.jobs.options import ITERATIONS
-from . import bridge
+from . import bridge, dataset_paths, job_queue
 from .job import JobOperator, new_folder
-from .job_watch import BUSY, WAITING, job_of, jobs, link, start_timer
+from .job_watch import is_busy, is_resumable, job_of, link, start_timer
 from .native_check import native_problem
 from .preferences import threads
 
@@ -36,17 +37,17 @@ def problem(context) -> str:
     """Why no splat can be trained now; empty if it can."""
     root = root_to_train(context)
     if root is None:
-        return "Import cameras first, and select one of them"
+        return tr("Import cameras first, and select one of them")
     job = job_of(root)
-    if job is not None and job.state in BUSY:
-        return "A job is running on these cameras"
-    if job is not None and job.state in WAITING:
-        return "Resume or discard the job of these cameras first"
+    if job is not None and is_busy(job):
+        return job_queue.waiting_text(job) or tr("A job is running on these cameras")
+    if job is not None and is_resumable(job):
+        return tr("Resume or discard the job of these cameras first")
     if context.mode != "OBJECT":
-        return "Leave Edit Mode first"
+        return tr("Leave Edit Mode first")
     if root.get(bridge.POINTS) == 0:
-        return "The dataset has no sparse points to start from: run COLMAP's mapper again, or export the sparse points with the cameras"
-    return native_problem()
+        return tr("The dataset has no sparse points to start from: run COLMAP's mapper again, or export the sparse points with the cameras")
+    return dataset_paths.lost(root) or native_problem()
 
 
 class SVRGS_OT_train(JobOperator):
@@ -66,25 +67,25 @@ class SVRGS_OT_train(JobOperator):
         root, settings = root_to_train(context), context.scene.svrgs_train
         assert root is not None
         options = {
-            "colmap": bpy.path.abspath(root[bridge.DATASET]), "images": root.get(bridge.IMAGES, ""), "iterations": settings.iterations,
+            "colmap": dataset_paths.dataset_of_root(root), "images": root.get(bridge.IMAGES, ""), "iterations": settings.iterations,
             "holdout": context.scene.svrgs_prune.holdout, "threads": threads(context),
         }  # fmt: skip
         folder = JobFolder.create_training(new_folder(context, root.name), options, root.name)
-        job = jobs.setdefault(str(folder.path), Job(folder))
-        job.start()
         link(root, str(folder.path))
+        waits = job_queue.start(Job(folder))
         start_timer()
-        return f"Training a splat from the photographs of '{root.name}' in the background"
+        return waits or tr("Training a splat from the photographs of '{name}' in the background").format(name=root.name)
 
 
 def _about(_) -> str:
     root = root_to_train(bpy.context)
     job = job_of(root)
-    if root is None or (job is not None and job.state in (*BUSY, *WAITING)):
+    if root is None or (job is not None and (is_busy(job) or is_resumable(job))):
         return ""
     photographs = sum(obj.type == "CAMERA" and bridge.SIZE in obj.data for obj in root.children_recursive)
     points = root.get(bridge.POINTS)
-    return f"'{root.name}': {photographs:,} photographs" + (f", {points:,} sparse points" if points is not None else "")
+    text = tr("'{name}': {photographs:,} photographs") if points is None else tr("'{name}': {photographs:,} photographs, {points:,} sparse points")
+    return text.format(name=root.name, photographs=photographs, points=points)
 
 
 def _problem(_) -> str:

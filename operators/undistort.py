@@ -10,10 +10,11 @@ from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.errors import SplatError
-from . import bridge
+from . import bridge, dataset_paths
 from .job_watch import redraw_panels
 
 INTERVAL = 0.5  # seconds between two looks whether it is done
@@ -29,6 +30,7 @@ class UndistortThread(threading.Thread):
         self.request = folder, images, target
         self.photos: PosedPhotos | None = None
         self.problems: tuple[str, ...] = ()
+        self.error = ""  # why nothing was undistorted
         self.progress = 0, total  # photographs
 
     def run(self):
@@ -36,7 +38,7 @@ class UndistortThread(threading.Thread):
             self.photos = read_in_child(*self.request, tell=self._tell)
             self.problems = self.photos.warnings
         except (SplatError, OSError) as error:
-            self.problems = (f"{error}; the photographs of lenses with distortion are not shown",)
+            self.error = str(error)
 
     def _tell(self, done: int, total: int):
         self.progress = done, total
@@ -76,7 +78,7 @@ def problems() -> str:
 def status() -> str:
     """How many photographs are undistorted, and problems(); mostly empty."""
     done, total = progress()
-    return ". ".join(filter(None, [f"Undistorting photographs: {done:,} of {total:,}" if _threads else "", problems()]))
+    return ". ".join(filter(None, [tr("Undistorting photographs: {done:,} of {total:,}").format(done=done, total=total) if _threads else "", problems()]))
 
 
 def show(obj: bpy.types.Object, file: Path | None):
@@ -86,6 +88,7 @@ def show(obj: bpy.types.Object, file: Path | None):
         return
     background = data.background_images.new()
     background.image = bpy.data.images.load(str(file), check_existing=True)
+    background.image.filepath = dataset_paths.stored(str(file))
     background.frame_method, background.alpha = "STRETCH", 1.0
     data.show_background_images = True
 
@@ -113,7 +116,8 @@ def _finish(thread: UndistortThread):
         obj = objects.get(thread.cameras.get(camera.name))
         if obj is not None:
             show(obj, file)
-    _problems.extend(problem for problem in thread.problems if problem not in _problems)
+    failed = [tr("{error}; the photographs of lenses with distortion are not shown").format(error=thread.error)] if thread.error else []
+    _problems.extend(problem for problem in (*thread.problems, *failed) if problem not in _problems)
     if thread.photos and not WAIT:
         bpy.ops.ed.undo_push(message="Undistort Photographs")
 

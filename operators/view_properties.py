@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.render import color_maps
@@ -27,7 +28,9 @@ SHOWN = [
 
 def _about(_) -> str:
     obj = bpy.context.object
-    return f"{bridge.count(obj):,} Gaussians, SH degree {bridge.sh_degree(obj)}" if bridge.is_splat(obj) else ""
+    if not bridge.is_splat(obj):
+        return ""
+    return tr("{count:,} Gaussians, SH degree {degree}").format(count=bridge.count(obj), degree=bridge.sh_degree(obj))
 
 
 def _moved(_) -> int:

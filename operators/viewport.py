@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import bpy
 import gpu
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon import native
 from ..svrgs_addon.camera import Camera
@@ -106,7 +107,7 @@ class Viewport:
     def draw(self, context: bpy.types.Context, scene: bpy.types.Scene) -> str:
         """Draws the newest pictures, and asks for better ones. Returns a line for the user."""
         if not self.shown or self.triangles is None:
-            return self.problem or "There is no visible splat: import one"
+            return self.problem or tr("there is no visible splat: import one")
         try:
             native.set_threads(threads(context))
             sides = viewport_wipe.sides(context.scene, self.shown)
@@ -131,8 +132,10 @@ class Viewport:
         pane.draw(context.region, side.columns)
         picture = pane.live.picture()
         if picture is None:
-            return "Drawing"
-        return str(picture.error) if picture.error is not None else f"{placed.scene.count:,} Gaussians" + ", coarse" * (picture.reduction > 1)
+            return tr("Drawing")
+        if picture.error is not None:
+            return str(picture.error)
+        return (tr("{count:,} Gaussians, coarse") if picture.reduction > 1 else tr("{count:,} Gaussians")).format(count=placed.scene.count)
 
 
 def redraw(shading: set[str]):

@@ -14,7 +14,7 @@ import blf
 import bpy
 import gpu
 from bpy.app.handlers import persistent
-from bpy.app.translations import pgettext_iface
+from bpy.app.translations import pgettext_iface as tr
 from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
@@ -103,7 +103,7 @@ def moved(settings, context):
 
 class SVRGS_OT_viewport_wipe(bpy.types.Operator):
     bl_idname = "svrgs.viewport_wipe"
-    bl_label = "Viewport Wipe"
+    bl_label = "Wipe in Viewport"
     bl_description = "Show the original left of a line and the pruned splat right of it, in the whole 3D viewport. Drag the line; press again to end"
     bl_options = {"REGISTER"}
 
@@ -119,7 +119,7 @@ class SVRGS_OT_viewport_wipe(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if context.area is not None and context.area.type == "VIEW_3D" and not draws_splats(context):
-            self.report({"WARNING"}, "This viewport shows no splats: choose Solid or Material Preview, or Rendered with the engine SVR-GS")
+            self.report({"WARNING"}, tr("This viewport shows no splats: choose Solid or Material Preview, or Rendered with the engine SVR-GS"))
         redraw_panels()
         return {"FINISHED"}
 
@@ -144,7 +144,7 @@ class SVRGS_GT_wipe(bpy.types.Gizmo):
         gpu.state.blend_set("NONE")
         blf.size(0, 12 * scale)
         blf.color(0, *COLOR)
-        for text, left in ((pgettext_iface("Original"), True), (pgettext_iface("Pruned"), False)):
+        for text, left in ((tr("Original"), True), (tr("Pruned"), False)):
             blf.position(0, x - half - blf.dimensions(0, text)[0] - 2 if left else x + half + 2, middle - half / 2, 0)
             blf.draw(0, text)
 

@@ -11,7 +11,7 @@ GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # 
 ADVANCED = (
     "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder",
 )  # fmt: skip
-ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK", "APPLIED": "CHECKMARK"}  # stage -> icon of the first sentence
+ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK"}  # stage -> icon of the first sentence
 
 
 class SVRGS_PT_prune(bpy.types.Panel):
@@ -25,7 +25,7 @@ class SVRGS_PT_prune(bpy.types.Panel):
         state = context.window_manager.svrgs_prune_state
         stage = state.stage
         if stage not in ("BROKEN", "NOTHING", "READY"):
-            self.layout.label(text=state.subject, icon="OUTLINER_OB_POINTCLOUD")
+            self.layout.label(text=state.subject, icon="OUTLINER_OB_POINTCLOUD", translate=False)
         draw = {"READY": draw_settings, "BUSY": draw_progress, "RESULT": draw_share}.get(stage)
         if draw is not None:
             draw(self.layout, context, state)
@@ -38,7 +38,7 @@ class SVRGS_PT_prune(bpy.types.Panel):
             for picture in filter(None, (state.plot, state.preview)):
                 row.template_icon(icon_value=picture, scale=6)
             self.layout.label(text="Blue: Gaussians. Orange: PSNR")
-        draw_buttons(self.layout, stage)
+        draw_buttons(self.layout, stage, state)
 
 
 class SVRGS_PT_prune_advanced(bpy.types.Panel):
@@ -98,11 +98,10 @@ def draw_share(layout, _, state):
     layout.prop(bpy.data.objects[state.subject], "svrgs_share", slider=True)
 
 
-def draw_buttons(layout, stage: str):
+def draw_buttons(layout, stage: str, state):
     row = layout.row(align=True)
     if stage == "BUSY":
-        row.operator("svrgs.job_pause", icon="PAUSE")
-        row.operator("svrgs.job_cancel", icon="X")
+        row.operator("svrgs.job_stop", icon="PAUSE", text="Stop Now" if state.stopping else "Stop").now = state.stopping
     elif stage == "WAITING":
         row.operator("svrgs.job_resume", icon="PLAY")
         row.operator("svrgs.job_discard", icon="TRASH")
@@ -112,8 +111,11 @@ def draw_buttons(layout, stage: str):
     elif stage == "RESULT":
         row.operator("svrgs.apply", icon="CHECKMARK")
         row.operator("svrgs.discard", text="Discard Result", icon="TRASH").what = "RESULT"
-    elif stage == "APPLIED":
-        row.operator("svrgs.discard", text="Discard Original", icon="TRASH").what = "ORIGINAL"
+    elif stage == "READY":
+        if state.orphan:
+            row.operator("svrgs.adopt_job", icon="LINKED")
+        if state.original:
+            row.operator("svrgs.discard", text="Discard Original", icon="TRASH").what = "ORIGINAL"
 
 
 CLASSES = (SVRGS_PT_prune, SVRGS_PT_prune_advanced)

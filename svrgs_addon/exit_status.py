@@ -54,12 +54,26 @@ def printable(text: str) -> str:
     return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
+class OneLine(logging.Formatter):
+    """One line for each record, without control characters."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
+def log_to_stderr() -> None:
+    """Sends warnings of this process to stderr, as sentences of svrgs."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(OneLine("svrgs: %(message)s"))
+    logging.basicConfig(handlers=[handler], level=logging.WARNING)
+
+
 def answer(work: Callable[[dict], dict]) -> int:
     """The main function of a child process: it gives work() the JSON object on stdin, and prints its result as JSON on stdout.
 
     An expected error is printed as {"error": sentence}. Returns the exit status.
     """
-    logging.basicConfig(format="svrgs: %(message)s", level=logging.WARNING)
+    log_to_stderr()
     request, result = json.load(sys.stdin), {}
 
     def run() -> int:

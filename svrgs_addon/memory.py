@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # importing NumPy needs memory
 READING = 1.3  # bytes per byte of a splat file: its arrays, and copies of some of them during repair
 ROW_FLOATS = 13  # 4-byte values per Gaussian without SH: mean 3, log-scale 3, quaternion 4, opacity logit, existence logit, source row
 SH_MOMENT = 2  # bytes of Adam moments per SH coefficient; other values have moments of their own size, 4 bytes
+STATISTICS = 8  # bytes per Gaussian: the statistics of densification
 ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densification adds
 PROJECTED = 150  # bytes per projected Gaussian
 RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 100  # bytes per pixel of a view: rendering, fine-tuning, metrics
@@ -78,6 +79,11 @@ def growing(count: int, added: int, coefficients: int, cameras: Sequence[Camera]
     (row, moments), largest = _trained_row(coefficients), 4 * 3 * coefficients
     new = (1 + ADDED_COPIES) * row + moments + PROJECTED
     return new * added + largest * (count + added) + MEASURED_PIXEL * _pixels(cameras)
+
+
+def checkpoint(count: int, coefficients: int) -> int:
+    """Bytes on disk of a checkpoint of `count` Gaussians. coefficients: SH coefficients per channel."""
+    return (sum(_trained_row(coefficients)) + STATISTICS) * count
 
 
 def _trained_row(coefficients: int) -> tuple[int, int]:
@@ -149,6 +155,13 @@ def size_text(value: float) -> str:
         if value >= limit:
             return f"{value / limit:.1f} {unit}"
     return f"{value:.0f} bytes"
+
+
+def part_text(part: int, whole: int) -> str:
+    """Two numbers of bytes, the first below the second, as text: '0.1 of 21.7 MB', or '12 bytes of 21.7 MB are missing'."""
+    number, unit = size_text(whole).split()
+    shown = f"{part * float(number) / whole:.1f}" if unit != "bytes" else str(part)
+    return f"{shown} of {number} {unit}" if shown != number else f"{size_text(whole - part)} of {number} {unit} are missing"
 
 
 def _system_available() -> int | None:

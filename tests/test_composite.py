@@ -102,7 +102,7 @@ def test_a_picture_split_at_a_surface_is_whole_again_without_the_surface(scene):
     slope = plane(0)
     slope.depth[:] = np.linspace(depths(scene).min() - 1, depths(scene).max() + 1, CAMERA.width)
     slope.depth[:, 48:], slope.rgba[:, 48:] = np.inf, 0
-    parts, whole = split(Rasterizer(), scene, CAMERA, slope), composite(Rasterizer(), scene, CAMERA)
+    parts, whole = split(Rasterizer(), scene, CAMERA, surface=slope), composite(Rasterizer(), scene, CAMERA)
     T = 1 - parts.coverage[..., None]
     both = np.concatenate([parts.rgb, parts.coverage[..., None]], axis=2) + T * parts.behind
     np.testing.assert_allclose(both, np.concatenate([whole.rgb, whole.coverage[..., None]], axis=2), atol=1e-5)
@@ -111,21 +111,29 @@ def test_a_picture_split_at_a_surface_is_whole_again_without_the_surface(scene):
     np.testing.assert_array_equal(parts.rgb, front.rgb)
 
 
+def test_a_background_is_behind_all_of_a_split_picture(scene):
+    found, clear = (split(Rasterizer(), scene, CAMERA, background, plane(float(np.median(depths(scene))))) for background in ((0.1, 0.2, 0.3), None))
+    np.testing.assert_array_equal(found.rgb, clear.rgb)
+    assert (found.behind[..., 3] == 1).all()
+    np.testing.assert_allclose(found.behind[..., :3], clear.behind[..., :3] + (1 - clear.behind[..., 3:]) * (0.1, 0.2, 0.3), atol=1e-6)
+
+
 def test_what_lies_on_a_shadow_catcher_is_behind_it(scene):
     z = float(np.median(depths(scene)))
     mesh, catcher = plane(1.5 * z), plane(z)
-    found = split(Rasterizer(), scene, CAMERA, mesh, catcher)
-    np.testing.assert_array_equal(found.rgb, split(Rasterizer(), scene, CAMERA, plane(z * np.float32(1 - ON_CATCHER))).rgb)
-    far = split(Rasterizer(), scene, CAMERA, plane(0.5 * z), catcher)
-    np.testing.assert_array_equal(far.rgb, split(Rasterizer(), scene, CAMERA, plane(0.5 * z)).rgb)
+    found = split(Rasterizer(), scene, CAMERA, None, mesh, catcher)
+    np.testing.assert_array_equal(found.rgb, split(Rasterizer(), scene, CAMERA, None, plane(z * np.float32(1 - ON_CATCHER))).rgb)
+    far = split(Rasterizer(), scene, CAMERA, None, plane(0.5 * z), catcher)
+    np.testing.assert_array_equal(far.rgb, split(Rasterizer(), scene, CAMERA, None, plane(0.5 * z)).rgb)
     assert not split(Rasterizer(), scene, CAMERA).behind.any()
 
 
-def test_behind_a_holdout_a_split_picture_has_nothing(scene):
+@pytest.mark.parametrize("background", [None, (0.1, 0.2, 0.3)])
+def test_behind_a_holdout_a_split_picture_has_nothing(scene, background):
     z = float(np.median(depths(scene)))
     half = plane(z)
     half.rgba[:, : CAMERA.width // 2] = 0
-    behind = split(Rasterizer(), scene, CAMERA, half).behind
+    behind = split(Rasterizer(), scene, CAMERA, background, half).behind
     assert not behind[:, : CAMERA.width // 2].any() and behind[:, CAMERA.width // 2 :, 3].max() > 0.5
 
 

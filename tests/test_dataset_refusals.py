@@ -45,6 +45,15 @@ def test_no_views_and_no_points(tmp_path):
         load_dataset(tmp_path)
 
 
+@pytest.mark.parametrize("text", [False, True])
+def test_two_images_of_one_name_are_refused(tmp_path, text):
+    make_dataset(tmp_path, ["a.png", "b.png", "c.png"], text=text)
+    path = tmp_path / "sparse/0" / ("images.txt" if text else "images.bin")
+    path.write_bytes(path.read_bytes().replace(b"c.png", b"a.png"))
+    with pytest.raises(FormatError, match="names the photograph 'a.png' twice"):
+        load_dataset(tmp_path)
+
+
 @pytest.mark.parametrize("name", ["../a.png", "/etc/a.png", "b/../../a.png", "C:\\a.png", "..\\a.png"])
 def test_image_names_cannot_leave_the_folder(tmp_path, name):
     make_model([name]).write_binary(tmp_path)
@@ -82,10 +91,10 @@ def test_truncated_binary_models(tmp_path, name):
     data = path.read_bytes()
     for size in range(len(data)):
         path.write_bytes(data[:size])
-        with pytest.raises(FormatError, match=f"{name}.bin is truncated"):
+        with pytest.raises(FormatError, match=f"{name}.bin is incomplete"):
             load_dataset(tmp_path, cameras_only=True)
     path.write_bytes(struct.pack("<Q", 2**60) + data[8:])
-    with pytest.raises(FormatError, match="truncated"):
+    with pytest.raises(FormatError, match="incomplete"):
         load_dataset(tmp_path, cameras_only=True)
 
 

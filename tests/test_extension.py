@@ -124,6 +124,6 @@ def test_inside_blender(python, extension_zip, data, tmp_path):
     folder = ROOT / "tests/blender"
     chosen = [str(folder / word) if word.endswith(".py") else word for word in shlex.split(os.environ.get("SVRGS_BLENDER_TESTS", ""))] or [str(folder)]
     words = ["-m", "pytest", "-q", "--durations=8", "-p", "no:cacheprovider", "--rootdir", folder, "-c", os.devnull, *chosen]
-    done = subprocess.run([python, *map(str, words)], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    done = subprocess.run([python, *map(str, words)], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=1200)
     assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-2000:]
     print(done.stdout)

@@ -149,7 +149,7 @@ def test_meshes_are_cut_to_their_share_and_at_their_distance():
     np.testing.assert_allclose(picture.depth, expected, rtol=0.02)
     np.testing.assert_allclose(picture.coverage, 1, atol=1e-6)
     assert picture.holes.max() < 1e-6
-    apart = composite_panorama(lambda camera: split(Rasterizer(), room(500), camera, surface(mesh, camera)), FULL)
+    apart = composite_panorama(lambda camera: split(Rasterizer(), room(500), camera, surface=surface(mesh, camera)), FULL)
     assert apart.behind.shape == (80, 160, 4) and apart.behind[..., 3].max() <= 1
 
 

@@ -106,14 +106,15 @@ def red(place: Path) -> str:
     return cameras[0].name
 
 
-@pytest.mark.parametrize("command", ["render", "views", "missing", "broken", "usage"])
+@pytest.mark.parametrize("command", ["render", "views", "missing", "batch", "broken", "usage"])
 def test_names_do_not_command_the_terminal(place, command):
     name = red(place)
     words = ["eval", place / "scene.ply", "--colmap", place]
     if command in ("render", "views"):
         words = ["render", place / "scene.ply", "--colmap", place, "--out", place / "out", "--views", "test" if command == "render" else "77"]
-    elif command == "missing":
+    elif command in ("missing", "batch"):  # a batch has a process for each scene
         (place / "images" / name).unlink()
+        words = words if command == "missing" else ["prune", place / "scene.ply", "--colmap", place, *SHORT, "--batch", "--out", place / "o.ply"]
     elif command == "broken":
         (place / "images" / name).write_bytes(b"no image")
     else:

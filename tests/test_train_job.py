@@ -46,17 +46,17 @@ def test_a_job_trains_and_leaves_its_splat(done, tiny, svrgs, tmp_path):
     assert not (job.folder / "recovered.ply").exists() and not (job.folder / "recovered.ply.job").exists()
 
 
-def test_a_paused_job_goes_on_to_the_same_bytes(tiny, tmp_path, jobs):
+def test_a_stopped_job_goes_on_to_the_same_bytes(tiny, tmp_path, jobs):
     found = []
-    for name in ("whole", "paused"):
+    for name in ("whole", "stopped"):
         job = Job(create(tmp_path / name, tiny, MEDIUM))
         jobs.append(job)
         job.start()
-        if name == "paused":
+        if name == "stopped":
             follow(job, at_work)
-            job.pause()
+            job.stop()
             follow(job)
-            assert job.state == "paused" and 5 < job.facts["iteration"] < MEDIUM
+            assert job.state == "stopped" and 5 < job.facts["iteration"] < MEDIUM
             job.start()
         follow(job)
         assert job.state == "done", (job.facts, job.folder.log_tail())

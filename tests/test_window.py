@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from blender.messages import catalogues
 from svrgs_addon.cli.main import main as run_svrgs
 from svrgs_addon.files.images import read_pixels
-from test_extension import extension_zip  # noqa: F401
+from test_extension import ROOT, extension_zip  # noqa: F401
 
 WINDOW = Path(__file__).parent / "window"
 SIZE = (1280, 1120)
@@ -71,7 +72,7 @@ def test_pruning_with_the_mouse(drive, tiny):
     seen = drive("prune.py", tiny.folder)
     assert seen["estimate"][0] == "About 100 of 250 would stay (40%)"
     assert seen["running"]["psnr"] > 20 and seen["running"]["total"] == 9000
-    assert seen["paused"]["state"] == "paused" and seen["paused"]["iteration"] > 1500
+    assert seen["stopped"]["state"] == "stopped" and seen["stopped"]["iteration"] > 1500
     assert seen["result"] == ["scene pruned", 100, 100]
     assert seen["fewer"] == seen["applied"] == 50
     assert seen["undone"] == [100, 50]
@@ -116,3 +117,13 @@ def test_frame_times_are_printed(drive, tiny, capsys):
             print(f"\n{int(count):,} Gaussians: {figures}; level {times['levels']}")
     assert [int(count) for count in seen] == [196_000, 1_500_000]
     assert all(times["median"] > 0 and times["levels"] for times in seen.values()), seen
+
+
+def test_the_panels_speak_german_and_chinese(drive, tiny):
+    seen = drive("languages.py", tiny.folder)
+    assert seen["en_US"][:3] == ["Spatial Mask", "Estimate", "250 Gaussians, SH degree 1"]
+    for locale, texts in catalogues(ROOT).items():
+        about = texts["{count:,} Gaussians, SH degree {degree}"].format(count=250, degree=1)
+        assert seen[locale][:3] == [texts["Spatial Mask"], texts["Estimate"], about]
+        assert seen[locale][3] and seen[locale][3] != seen["en_US"][3]
+    assert seen["without"] == ["Spatial Mask", "Estimate"], "nothing of it stays in Blender"

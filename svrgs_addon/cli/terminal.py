@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import codecs
 import io
-import logging
 import os
 import sys
 
-from ..exit_status import printable
+from ..exit_status import log_to_stderr
 
 ERRORS = "svrgs"  # name of the error handler of both streams
-
-
-class OneLine(logging.Formatter):
-    """One line for each record, without control characters."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        return printable(super().format(record))
 
 
 def prepare() -> None:
@@ -27,9 +19,7 @@ def prepare() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=ERRORS)
-    handler = logging.StreamHandler()
-    handler.setFormatter(OneLine("svrgs: %(message)s"))
-    logging.basicConfig(handlers=[handler], level=logging.WARNING)
+    log_to_stderr()
 
 
 def _open_closed() -> None:

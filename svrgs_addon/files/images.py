@@ -111,6 +111,16 @@ def _library() -> ModuleType:
     return packages.load("OpenImageIO", "reading and writing images")
 
 
+def library_path(path: str | os.PathLike) -> Any:
+    """The path as OpenImageIO takes it: bytes if it is not UTF-8, which not every version takes; else str."""
+    text = os.fspath(path)
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return os.fsencode(path)
+    return text
+
+
 def _open(path: str | os.PathLike) -> ImageInput:
     """Opens an image and checks the size in its header. Raises FormatError."""
     oiio = _library()
@@ -119,8 +129,12 @@ def _open(path: str | os.PathLike) -> ImageInput:
     right_suffix = has_right_suffix(path)
     with _OPENING:
         oiio.attribute("try_all_readers", int(not right_suffix))  # not only the one of the suffix
-        source = oiio.ImageInput.open(os.fsencode(path), config)  # a path of bytes need not be UTF-8
-        oiio.attribute("try_all_readers", 1)
+        try:
+            source = oiio.ImageInput.open(library_path(path), config)
+        except TypeError:
+            raise FormatError(f"{path}: this version of OpenImageIO reads only paths in UTF-8; rename the file or its folder") from None
+        finally:
+            oiio.attribute("try_all_readers", 1)
     if source is None:
         raise FormatError(f"{path}: cannot be read as an image ({_error_of(oiio) or 'no reason given'})")
     spec = source.spec()
@@ -184,7 +198,7 @@ def _write(temporary: os.PathLike, path: str | os.PathLike, pixels: np.ndarray) 
     height, width, channels = (*pixels.shape, 1)[:3]
     pixels = np.ascontiguousarray(pixels).reshape(height, width, channels)  # OpenImageIO takes the last of two axes for channels
     spec = oiio.ImageSpec(width, height, channels, "uint8" if pixels.dtype == np.uint8 else "float")
-    name = os.fsencode(temporary)
+    name = library_path(temporary)
     output = oiio.ImageOutput.create(name)
     good = output is not None and output.open(name, spec) and output.write_image(pixels)
     if not (good and output.close()):
@@ -199,8 +213,11 @@ def _stored_correctly(path: str | os.PathLike, pixels: np.ndarray) -> bool:
     with open(path, "rb") as file:
         if file.read(len(PNG_BEGIN)) == PNG_BEGIN and not file.read().endswith(PNG_END):
             return False
-    source = _library().ImageInput.open(os.fsencode(path))
+    oiio = _library()
+    source = oiio.ImageInput.open(library_path(path))
     stored = source.read_image("uint8" if pixels.dtype == np.uint8 else "float") if source else None
+    if stored is None:
+        _error_of(source or oiio)  # a message that nobody asks for would be printed when the program ends
     return stored is not None and stored.reshape(-1).tobytes() == pixels.tobytes()
 
 

@@ -26,7 +26,7 @@ def read_points(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
             columns = _columns(file)
         return _positions(columns), _colours(columns)
     except FormatError as error:
-        raise FormatError(f"{path}: {error}") from None
+        raise FormatError(f"{path} {error}") from None
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
 
@@ -48,7 +48,7 @@ def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
     elif vertices.count * row.itemsize <= left:
         rows = np.frombuffer(file.read(vertices.count * row.itemsize), row)
         return {name: rows[name] for name in names}
-    raise FormatError(f"is truncated: its header announces {vertices.count:,} points; copy or export the file again")
+    raise FormatError(f"is incomplete: it holds fewer than the {vertices.count:,} points that its header announces; copy or export it again")
 
 
 def _positions(columns: dict[str, np.ndarray]) -> np.ndarray:

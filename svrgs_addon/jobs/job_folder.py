@@ -1,6 +1,6 @@
 """The folder of a background job, which prunes a splat or trains one. It is the whole state of the job: a .blend file holds only its path.
 
-    job.json           the request: schema, version, kind (prune or train), name, number of Gaussians, options
+    job.json           the request: schema, version, kind (prune or train), name, number of Gaussians, digest_of() the splat, options
     state.json         state of the job, replaced as a whole, at least every HEARTBEAT seconds while the job runs
     scene.ply          of a job that prunes: the splat at its start; the column svrgs_row holds the row of each Gaussian
     messages.jsonl     stdout of the child process: messages, one JSON object per line (job_main.py)
@@ -9,7 +9,7 @@
     previews/ITERATION.png
     ranking.npz        of a job that prunes: when each Gaussian was removed, and its last probability (ranking.py)
     recovered.ply.job  checkpoints; recovered.ply is the splat after the last step
-    cancel, pause      flag files: the parent creates them, the child obeys (job_main.py)
+    stop               flag file: the parent creates it, the child obeys (job_main.py)
 
     pruned.ply, kept.npy, score.npy, result.json     the result; result.json is written last
     probability.npy                                  if masks were learned
@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import hashlib
 import io
 import json
 import math
@@ -46,6 +47,7 @@ from ..files.registry import write_scene
 from ..finetune.methods import FORMER_NAMES
 from ..option_kinds import check_mapping
 from ..scene import Scene
+from .disk_room import check_room
 from .options import PruneOptions, TrainOptions
 
 SCHEMA = 2
@@ -53,18 +55,19 @@ ROW = "svrgs_row"  # column of scene.ply
 HEARTBEAT = 2.0  # seconds between two writes of state.json
 STALE = 15.0  # seconds: a process that has not renewed its state for so long is gone
 LARGEST_JSON = 1 << 20  # bytes; larger files are not read
-CANCEL, PAUSE = "cancel", "pause"  # flag files
-ENDED = ("paused", "cancelled", "interrupted", "failed", "done")
+STOP = "stop"  # flag file
+FORMER_FLAGS = ("cancel", "pause")  # flag files of earlier versions
+ENDED = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed", "done")  # no process; earlier versions wrote "paused" and "cancelled"
 PRUNE, TRAIN = "prune", "train"  # kinds of a job
 OPTIONS = {PRUNE: PruneOptions, TRAIN: TrainOptions}
 METRICS = ("iteration", "count", "loss", "psnr")
 FACTS = {  # keys of state.json and of messages that are read, and their types
     "state": str, "text": str, "pid": int, "iteration": int, "total": int, "phase": str, "count": int, "loss": float, "psnr": float,
-    "seconds_left": float, "note": str,
+    "seconds_left": float, "finishing": bool, "note": str,
 }  # fmt: skip
 _FILES = (
-    "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy",
-    "score.npy", "probability.npy", "trained.ply", "result.json", CANCEL, PAUSE, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
+    "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy", "score.npy",
+    "probability.npy", "trained.ply", "result.json", STOP, *FORMER_FLAGS, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
 )  # fmt: skip
 
 
@@ -79,9 +82,10 @@ class JobFolder:
         """Creates the folder of a new job that will prune the scene. Raises SceneError if the folder is not empty or an option is wrong."""
         folder = cls._empty(path)
         _check_options(PRUNE, options)
+        check_room(folder.path, scene)
         rows = np.arange(scene.count, dtype=np.uint32)
         write_scene(folder / "scene.ply", replace(scene, attributes={**scene.attributes, ROW: rows}))
-        folder._write_request(PRUNE, name, scene.count, options)
+        folder._write_request(PRUNE, name, scene.count, options, digest_of(scene))
         return folder
 
     @classmethod
@@ -100,8 +104,8 @@ class JobFolder:
             raise SceneError(f"{folder.path}: is not empty; each job needs a folder of its own")
         return folder
 
-    def _write_request(self, kind: str, name: str, count: int, options: dict):
-        request = {"schema": SCHEMA, "version": __version__, "kind": kind, "name": name, "count": count, "options": options}
+    def _write_request(self, kind: str, name: str, count: int, options: dict, digest: str = ""):
+        request = {"schema": SCHEMA, "version": __version__, "kind": kind, "name": name, "count": count, "digest": digest, "options": options}
         self.write_json("job.json", request)
         self.write_json("state.json", {"state": "new"})
 
@@ -141,6 +145,11 @@ class JobFolder:
         cls = OPTIONS[request["kind"]]
         return cls(**check_mapping(cls, request["options"]), **paths, resume=True, quiet=True)
 
+    def set_dataset(self, colmap: str):
+        """Writes another folder of the dataset into job.json: it was moved. Raises FormatError, SceneError."""
+        request = self.request()
+        self.write_json("job.json", {**request, "options": {**request["options"], "colmap": colmap}})
+
     def update_schema(self) -> str:
         """Updates a job of schema 1 to the present one. Returns a sentence if the method has another name now, else ''. Raises FormatError."""
         request = self.request()
@@ -153,12 +162,9 @@ class JobFolder:
 
     def refuse_links(self):
         """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file elsewhere."""
-        checkpoints = self / "recovered.ply.job"
-        for folder in (self.path, self / "previews", checkpoints, *checkpoints.glob("[0-9]" * 7)):
-            with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
-                for entry in entries:
-                    if entry.is_symlink():
-                        raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
+        for entry in self._entries():
+            if entry.is_symlink():
+                raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
 
     def check_scene(self):
         """Raises FormatError if scene.ply of a job that prunes does not have the number of Gaussians that job.json says."""
@@ -226,14 +232,26 @@ class JobFolder:
         with atomic_write(self / name) as file:
             file.write(json.dumps(value).encode())
 
-    def raise_flag(self, flag: str):
-        """Creates the flag file CANCEL or PAUSE."""
-        (self / flag).touch()
+    def raise_flag(self):
+        """Creates the flag file STOP."""
+        (self / STOP).touch()
 
-    def lower_flags(self):
-        """Removes both flag files."""
-        for flag in (CANCEL, PAUSE):
+    def lower_flag(self):
+        """Removes the flag file, also of earlier versions."""
+        for flag in (STOP, *FORMER_FLAGS):
             (self / flag).unlink(missing_ok=True)
+
+    def checkpoint(self) -> int:
+        """The step of the newest checkpoint; 0 if there is none. Damaged checkpoints count: they are found when the job is resumed."""
+        return max((int(path.name) for path in self._checkpoints() if (path / "manifest.json").is_file()), default=0)
+
+    def size(self) -> int:
+        """Bytes on disk of the files in the folder. Links are not followed."""
+        total = 0
+        for entry in self._entries():
+            with contextlib.suppress(OSError):  # removed meanwhile
+                total += entry.stat(follow_symlinks=False).st_size if entry.is_file(follow_symlinks=False) else 0
+        return total
 
     def discard(self):
         """Removes the files that the job wrote, and the folder if it is empty then. A link is removed, not what it leads to.
@@ -253,6 +271,13 @@ class JobFolder:
         for folder in (self / "recovered.ply.job", self / "previews", self.path):
             with contextlib.suppress(OSError):
                 folder.rmdir()
+
+    def _entries(self) -> Iterator[os.DirEntry]:
+        """Files, folders and links in the folders of the job."""
+        checkpoints = self / "recovered.ply.job"
+        for folder in (self.path, self / "previews", checkpoints, *checkpoints.glob("[0-9]" * 7)):
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
+                yield from entries
 
     def _checkpoints(self) -> Iterator[Path]:
         return (path for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7) if path.is_dir() and not path.is_symlink())
@@ -277,6 +302,14 @@ class JobFolder:
         except (OSError, ValueError, RecursionError):
             return None
         return value if isinstance(value, dict) else None
+
+
+def digest_of(scene: Scene) -> str:
+    """Digest of all Gaussians: of means, scales, rotations, opacities and SH, as stored."""
+    digest = hashlib.sha256()
+    for array in (scene.means, scene.log_scales, scene.quats, scene.opacity_logits, scene.sh):
+        digest.update(array.data)
+    return digest.hexdigest()
 
 
 def facts_of(message: dict) -> dict:

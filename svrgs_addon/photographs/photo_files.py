@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import SceneError
+from ..exit_status import printable
 
 MISSING_SHOWN = 3  # names of missing photographs in a message
 LEAST_PRESENT = 1 / 3  # share of the photographs that must be there
@@ -24,13 +25,8 @@ def present(names: Sequence[str], folder: Path) -> tuple[list[int], tuple[str, .
     missing = [names[i] for i in sorted(set(range(len(names))) - set(found))]
     if not missing:
         return found, ()
-    shown = ", ".join(map(_printable, missing[:MISSING_SHOWN])) + (", ..." if len(missing) > MISSING_SHOWN else "")
+    shown = ", ".join(map(printable, missing[:MISSING_SHOWN])) + (", ..." if len(missing) > MISSING_SHOWN else "")
     sentence = f"{folder}: {len(missing)} of {len(names)} photographs are missing: {shown}"
     if len(found) < LEAST_PRESENT * len(names):
         raise SceneError(f"{sentence}; at least a third must be there: give the name or path of the folder that holds them")
     return found, (f"{sentence}; the other {len(found)} are used",)
-
-
-def _printable(name: str) -> str:
-    """The name without control characters, which a terminal would obey."""
-    return "".join(letter if letter.isprintable() else "?" for letter in name)

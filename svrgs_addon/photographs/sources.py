@@ -32,17 +32,25 @@ def read_source(folder: Path, images: str | None, with_images: bool = True) -> S
 
     images: name of the image folder in the dataset, or a path; None: that of the dataset. Raises SceneError, FormatError.
     """
-    transforms = folder if folder.is_file() else folder / NAME
-    try:
-        location = find_model(folder)
-    except SceneError as error:
-        if not transforms.is_file():
-            raise SceneError(_other_program(folder) or f"{error}, and no {NAME}") from None
-        found = read_transforms(transforms)
-        image_folder = None if not with_images else _image_folder(transforms.parent, None, images) if images else found.image_folder
-        return Source(found.model, transforms, image_folder, (f"the cameras are those of {transforms}", *found.notes))
+    location, is_model = find_cameras(folder)
+    if not is_model:
+        found = read_transforms(location)
+        image_folder = None if not with_images else _image_folder(location.parent, None, images) if images else found.image_folder
+        return Source(found.model, location, image_folder, (f"the cameras are those of {location}", *found.notes))
+    transforms = folder / NAME
     notes = (f"the cameras are those of {location}, not those of {transforms}",) if transforms.is_file() else ()
     return Source(read_model(location), location, _image_folder(folder, location, images or "images") if with_images else None, notes)
+
+
+def find_cameras(folder: Path) -> tuple[Path, bool]:
+    """(folder of the COLMAP model, True), or (transforms.json, False) where there is no model. It reads neither. Raises SceneError."""
+    transforms = folder if folder.is_file() else folder / NAME
+    try:
+        return find_model(folder), True
+    except SceneError as error:
+        if transforms.is_file():
+            return transforms, False
+        raise SceneError(_other_program(folder) or f"{error}, and no {NAME}") from None
 
 
 def _image_folder(folder: Path, location: Path | None, images: str) -> Path:

@@ -69,27 +69,30 @@ def composite(rasterizer: Rasterizer, scene: Scene, camera: Camera, background=(
     return _composite(images)
 
 
-def split(rasterizer: Rasterizer, scene: Scene, camera: Camera, surface: Surface | None = None, catcher: Surface | None = None) -> Composite:
-    """Renders the Gaussians in front of surfaces, with transparent ground, and those behind them as Composite.behind.
+def split(
+    rasterizer: Rasterizer, scene: Scene, camera: Camera, background=None, surface: Surface | None = None, catcher: Surface | None = None
+) -> Composite:  # fmt: skip
+    """Renders the Gaussians in front of surfaces, with alpha, and those behind them as Composite.behind.
 
     Another picture of the surfaces, with alpha, belongs between the two: front over surfaces over behind. So front ends at the nearest
     surface of a pixel, even if that has only a part of it: its alpha is in the other picture. Where there is no surface, all Gaussians are
-    in front. Behind holdouts there is nothing. catcher: shadow catchers; Gaussians that are less than ON_CATCHER in front of them count
-    as behind, because those of the ground on which a shadow falls are on both sides of the catcher. Raises Cancelled.
+    in front. Behind holdouts there is nothing. background: display sRGB, a part of behind; None: it is transparent. catcher: shadow
+    catchers; Gaussians that are less than ON_CATCHER in front of them count as behind, because those of the ground on which a shadow falls
+    are on both sides of the catcher. Raises Cancelled.
     """
     whole = composite(rasterizer, scene, camera)
-    limits = [surface.depth] if surface is not None else []
-    limits += [catcher.depth * np.float32(1 - ON_CATCHER)] if catcher is not None else []
-    if not limits:
-        return replace(whole, behind=np.zeros((*whole.coverage.shape, 4), np.float32))
-    limit = np.minimum.reduce(limits)
+    limit = np.full_like(whole.coverage, np.inf) if surface is None else surface.depth
+    if catcher is not None:
+        limit = np.minimum(limit, catcher.depth * np.float32(1 - ON_CATCHER))
     front = composite(rasterizer, scene, camera, surface=Surface(limit, np.zeros((*limit.shape, 4), np.float32)))
     T = 1 - front.alpha[..., None]  # sums of the whole picture: front + T * behind
     sums = np.concatenate([whole.rgb - front.rgb, (whole.alpha - front.alpha)[..., None]], axis=2)
-    behind = np.divide(sums, T, out=np.zeros_like(sums), where=T > 0).clip(0, None)
-    behind[..., 3].clip(0, 1, out=behind[..., 3])
-    holes = surface.holes if surface is not None else np.zeros_like(limit)
-    return replace(front, holes=np.zeros_like(holes), behind=behind * (1 - holes)[..., None])
+    behind = np.divide(sums, T, out=np.zeros_like(sums), where=T > 0).clip(0, np.array((np.inf, np.inf, np.inf, 1), sums.dtype))
+    if background is not None:
+        behind += (1 - behind[..., 3:]) * np.array((*background, 1), sums.dtype)
+    if surface is not None:
+        behind *= 1 - surface.holes[..., None]
+    return replace(front, holes=np.zeros_like(front.holes), behind=behind)
 
 
 def _over(rasterizer: Rasterizer, scene: Scene, camera: Camera, options: RenderOptions, surface: Surface, limit: np.ndarray) -> dict[str, np.ndarray]:

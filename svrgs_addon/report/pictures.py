@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import base64
-import os
 import struct
 import tempfile
 import zlib
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..files.images import library_path
 from ..render.color_maps import colored
 
 DIFFERENCE_GAIN = 4
@@ -103,7 +103,7 @@ def _webp(rgb: np.ndarray) -> bytes | None:
     spec["compression"] = f"webp:{WEBP_QUALITY}"
     with tempfile.TemporaryDirectory() as folder:  # OpenImageIO's Python interface writes only to files
         path = Path(folder) / "picture.webp"
-        name: Any = os.fsencode(path)
+        name = library_path(path)
         output: Any = OpenImageIO.ImageOutput.create(name)
         if output is None:
             return None

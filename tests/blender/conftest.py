@@ -132,11 +132,13 @@ def camera(stage):
 
 @pytest.fixture
 def watch():
-    module = part("operators.job_watch")
+    module, queue = part("operators.job_watch"), part("operators.job_queue")
+    part("operators.job_list").forget()
     yield module
+    queue._queue.clear()
     for job in module.jobs.values():
         if job.running:
-            job.cancel()
+            job.kill()
             follow(module, lambda job=job: not job.running)
     module.jobs.clear()
 

@@ -29,6 +29,11 @@ def follow(watch, until, seconds: float = 60):
         time.sleep(0.02)
 
 
+def ended(job) -> bool:
+    """Whether its process ended well, and its result was loaded where that is possible."""
+    return job.state == "done" and not job.running
+
+
 def marked(bridge, obj) -> np.ndarray:
     return bridge.values(obj, "removed")
 

@@ -67,7 +67,7 @@ def test_photographs_and_points_come_along(dataset):
     bpy.ops.svrgs.import_colmap(directory=str(folder))
     for obj, name, size in zip(cameras(), views.names, views.sizes, strict=True):
         (background,) = obj.data.background_images
-        assert Path(background.image.filepath).samefile(folder / "images" / name)
+        assert Path(bpy.path.abspath(background.image.filepath)).samefile(folder / "images" / name)
         assert tuple(background.image.size) == tuple(size) and obj.data.show_background_images
     (points,) = (obj for obj in bpy.data.objects if obj.type == "MESH")
     stored = np.empty(3 * len(points.data.vertices), np.float32)
@@ -87,7 +87,8 @@ def test_transforms_json_gives_the_same_cameras(capfd):
     assert len(found[0]) == len(found[1]) == 12
     for a, b in zip(*found, strict=True):
         np.testing.assert_allclose(a.matrix_world, b.matrix_world, atol=1e-6)
-        assert Path(b.data.background_images[0].image.filepath).samefile(a.data.background_images[0].image.filepath)
+        files = [Path(bpy.path.abspath(obj.data.background_images[0].image.filepath)) for obj in (a, b)]
+        assert files[0].samefile(files[1])
     assert f"the cameras are those of {DATA}/nerfstudio/transforms.json" in capfd.readouterr().out
 
 
@@ -208,7 +209,7 @@ def test_photographs_of_a_distorting_lens_are_shown_as_their_pinholes_see_them(t
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
     for obj in cameras():
         image = obj.data.background_images[0].image
-        assert Path(image.filepath).parent == tmp_path and tuple(image.size) == tuple(obj.data["svrgs_size"])
+        assert Path(bpy.path.abspath(image.filepath)).resolve().parent == tmp_path and tuple(image.size) == tuple(obj.data["svrgs_size"])
 
 
 def follow(undistort, seconds: float = 60):
@@ -238,7 +239,7 @@ def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, mo
     finally:
         undistort.forget()
     (left,) = cameras()
-    assert Path(left.data.background_images[0].image.filepath).parent == tmp_path and not looking.photographs
+    assert Path(bpy.path.abspath(left.data.background_images[0].image.filepath)).resolve().parent == tmp_path and not looking.photographs
 
 
 def test_photographs_that_cannot_be_undistorted_are_missed_and_it_is_said(tmp_path, capfd):

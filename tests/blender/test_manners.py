@@ -56,7 +56,7 @@ def test_enabling_loads_nothing_heavy():
 def test_every_operator_and_panel_explains_itself():
     for name in dir(bpy.ops.svrgs):
         rna = getattr(bpy.ops.svrgs, name).get_rna_type()
-        assert rna.name.istitle() or "3D" in rna.name or "COLMAP" in rna.name, rna.name
+        assert all(word.lstrip("(")[0].isupper() or word in ("3D", "from", "in", "of", "to") for word in rna.name.split()), rna.name
         assert rna.description and not rna.description.endswith(".") and "undocumented" not in rna.description, rna.identifier
         for prop in rna.properties:
             if prop.identifier != "rna_type" and not prop.is_hidden:

@@ -166,7 +166,7 @@ def test_a_job_of_the_first_schema_is_resumed_with_its_method(splat, watch, resu
     set_up(LONG)
     bpy.ops.svrgs.job_start()
     (job,) = watch.jobs.values()
-    bpy.ops.svrgs.job_cancel()
+    bpy.ops.svrgs.job_stop()
     follow(watch, lambda: not job.running)
     request = json.loads((job.folder / "job.json").read_text())
     options = {**request["options"], "iterations": 20, "recovery": 5, "method": former}
@@ -186,7 +186,7 @@ def test_a_job_of_this_version_says_nothing_when_resumed(splat, watch, capfd):
     set_up(SHORT | {"iterations": 2000})
     bpy.ops.svrgs.job_start()
     (job,) = watch.jobs.values()
-    bpy.ops.svrgs.job_cancel()
+    bpy.ops.svrgs.job_stop()
     follow(watch, lambda: not job.running)
     bpy.ops.svrgs.job_resume()
     said = capfd.readouterr().out

@@ -65,7 +65,7 @@ def test_the_result_has_the_modifiers_of_its_original(splat, watch, results):
 def test_gaussians_brought_back_lie_where_the_original_shows_them(pruned, bridge):
     """The original was transformed after the job: Keep takes some of its Gaussians into the result."""
     original, result = pruned
-    original.hide_viewport = False
+    original.hide_set(False)
     bpy.context.view_layer.update()
     before = bridge.scene_from_object(original)
     bpy.ops.object.select_all(action="DESELECT")
@@ -84,7 +84,7 @@ def test_gaussians_brought_back_lie_where_the_original_shows_them(pruned, bridge
 
 def test_splats_of_an_undecided_result_are_not_transformed(pruned):
     for obj in pruned:
-        obj.hide_viewport = False
+        obj.hide_set(False)
         bpy.ops.object.select_all(action="DESELECT")
         obj.select_set(True)
         bpy.context.view_layer.objects.active = obj

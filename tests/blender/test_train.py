@@ -38,15 +38,15 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
     assert bpy.ops.svrgs.job_start.poll()
 
 
-def test_it_is_paused_and_resumed_like_any_job(root, watch, bridge):
+def test_it_is_stopped_and_resumed_like_any_job(root, watch, bridge):
     bpy.context.scene.svrgs_train.iterations = 1500
     bpy.ops.svrgs.train()
     (job,) = watch.jobs.values()
     follow(watch, lambda: job.facts.get("iteration", 0) > 5)
     assert not bpy.ops.svrgs.train.poll()
-    bpy.ops.svrgs.job_pause()
+    bpy.ops.svrgs.job_stop()
     follow(watch, lambda: not job.running)
-    assert job.state == "paused" and "Paused" in bpy.context.window_manager.svrgs_prune_state.sentences
+    assert job.state == "stopped" and "Stopped" in bpy.context.window_manager.svrgs_prune_state.sentences
     with pytest.raises(RuntimeError, match="Resume or discard the job of these cameras first"):
         bpy.ops.svrgs.train()
     bpy.ops.svrgs.job_resume()
@@ -70,11 +70,38 @@ def test_a_finished_job_is_loaded_by_hand_if_it_could_not_be_at_once(root, watch
     assert [obj.parent for obj in splats(bridge)] == [root]
 
 
+def test_it_waits_for_other_jobs_and_its_files_go_when_the_file_is_saved(root, watch, bridge, tmp_path):
+    bpy.ops.svrgs.train()
+    (first,) = watch.jobs.values()
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.ops.svrgs.train()
+    second = watch.job_of(bpy.context.object)
+    assert f"Waiting for '{root.name}'" in bpy.context.window_manager.svrgs_prune_state.sentences and not second.running
+    follow(watch, lambda: len(splats(bridge)) == 2)
+    assert watch.job_of(root) is None and first.folder.path.exists() and second.folder.path.exists()
+    assert drawn("jobs").count("its files are deleted when the file is saved".split()[-1]) == 2
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    assert not first.folder.path.exists() and not second.folder.path.exists()
+
+
+def test_a_job_whose_cameras_are_gone_is_opened_as_a_splat(root, watch, bridge):
+    bpy.ops.svrgs.train()
+    (job,) = watch.jobs.values()
+    folder = bpy.context.scene.svrgs_prune.folder
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.context.scene.svrgs_prune.folder = folder
+    assert "its cameras are not in this file" in drawn("jobs")
+    follow(watch, lambda: not job.running)
+    bpy.ops.svrgs.listed_job_open(folder=str(job.folder.path))
+    assert bpy.context.object.name == f"{job.name} splat" and bridge.count(bpy.context.object) == job.folder.result()["count"]
+
+
 def test_discarding_leaves_the_cameras(root, watch, bridge):
     bpy.ops.svrgs.train()
     (job,) = watch.jobs.values()
     follow(watch, lambda: job.facts.get("state") == "running")
-    bpy.ops.svrgs.job_cancel()
+    bpy.ops.svrgs.job_stop(now=True)
     follow(watch, lambda: not job.running)
     bpy.ops.svrgs.job_discard()
     assert not job.folder.path.exists() and len(root.children) == 13 and bpy.ops.svrgs.train.poll()

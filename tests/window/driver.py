@@ -18,7 +18,7 @@ from pathlib import Path
 import bpy
 
 SIZE = (1280, 1120)
-HEADERS = {title: (825, 97 + 28 * place) for place, title in enumerate(("Scene", "Prune", "Compare", "Export", "View", "Spatial Mask"))}  # all closed
+HEADER, HEADER_HEIGHT = (825, 97), 28  # the first header of the sidebar's tab; from one header to the next where all panels are closed
 DATA, OUT = (Path(word) for word in sys.argv[sys.argv.index("--") + 1 :])
 
 
@@ -92,13 +92,20 @@ def sidebar(tab: str) -> Iterator[float]:
 
 
 def open_panel(title: str) -> Iterator[float]:
-    """Opens one panel of the sidebar's tab SVR-GS and closes all others: then its buttons are where they are whatever the others show."""
-    yield from click(*HEADERS["Scene"], ctrl=True)  # the others close
-    yield from click(*HEADERS["Scene"])
+    """Opens one panel of the sidebar's tab SVR-GS and closes all others."""
+    yield from click(*HEADER, ctrl=True)  # the others close
+    yield from click(*HEADER)
     yield 0.5
-    if title != "Scene":
-        yield from click(*HEADERS[title])
+    yield from click(HEADER[0], header_height(title))
     yield 0.7
+
+
+def header_height(title: str) -> int:
+    """Height of the panel's header where all panels are closed."""
+    panels = [panel for panel in bpy.types.Panel.__subclasses__() if getattr(panel, "bl_category", "") == "SVR-GS" and not hasattr(panel, "bl_parent_id")]
+    shown = [panel for panel in panels if panel.bl_space_type == "VIEW_3D" and (not hasattr(panel, "poll") or panel.poll(bpy.context))]
+    titles = [panel.bl_label.lstrip("0123456789 ") for panel in sorted(shown, key=lambda panel: getattr(panel, "bl_order", 0))]
+    return HEADER[1] + HEADER_HEIGHT * titles.index(title)
 
 
 def shot(name: str):

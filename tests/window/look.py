@@ -23,7 +23,7 @@ from mathutils import Vector
 
 PACKAGE = "bl_ext.user_default.svrgs"
 VIEW = (400, 600)  # somewhere in the 3D view
-MASK_REFRESH, WIPE, COMPARE = (880, 268), (842, 258), (842, 279)  # buttons where only their panel is open
+LEFT, MASK_REFRESH, WIPE, COMPARE = 842, 31, 105, 126  # buttons: column, and distances below the header of their panel
 
 
 def part(name: str):
@@ -121,7 +121,7 @@ def see_f12(seen: dict):
 def see_mask(seen: dict):
     looking = bpy.context.scene.svrgs_looking
     yield from driver.open_panel("Spatial Mask")
-    yield from click(*MASK_REFRESH)
+    yield from click(LEFT, driver.header_height("Spatial Mask") + MASK_REFRESH)
     yield from until(lambda: looking.mask_result, "the spatial mask")
     yield 0.8
     seen["mask"] = json.loads(looking.mask_result)
@@ -133,7 +133,7 @@ def see_comparison(seen: dict):
     bpy.ops.svrgs.prune(method="contribution", target=0.4, iterations=0, recovery=0)
     yield 0.8
     yield from driver.open_panel("Compare")
-    yield from click(*COMPARE)
+    yield from click(LEFT, driver.header_height("Compare") + COMPARE)
     yield from until(lambda: looking.compare_result, "the comparison")
     yield 0.8
     seen["compare"] = json.loads(looking.compare_result)
@@ -143,7 +143,7 @@ def see_comparison(seen: dict):
 def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     """Both sides, exact, in a Solid and in a Rendered viewport; the mouse moves the line."""
     looking, wipe, viewport = bpy.context.scene.svrgs_looking, part("operators.viewport_wipe"), part("operators.viewport")
-    yield from click(*WIPE)
+    yield from click(LEFT, driver.header_height("Compare") + WIPE)
     yield from until(lambda: looking.wiping, "the wipe")
     panes = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]  # noqa: E731
     yield from until(lambda: len(panes()) == 2, "two sides")
@@ -159,7 +159,7 @@ def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     yield from drag(x, VIEW[1], x - 200, VIEW[1])
     seen["moved"] = [looking.wipe * region.width + area_3d.x, x - 200]
     shot("wipe")
-    yield from click(*WIPE)
+    yield from click(LEFT, driver.header_height("Compare") + WIPE)
     yield from until(lambda: not looking.wiping, "the end of the wipe")
     yield from until(lambda: len(overlay_views()) == 1, "one side")
     bpy.ops.svrgs.open_image(name="SVR-GS Wipe")
