@@ -111,7 +111,7 @@ def row(job: Job, splat: bpy.types.Object | None) -> dict:
     icon = ("PLAY" if not job_queue.is_queued(job) else "SORTTIME") if is_busy(job) else ICONS.get(job.state, "PAUSE")
     loaded = tr("its result is in this file") if _is_loaded(splat) else ""
     state = tr("Finished: its files are deleted when the file is saved") if applied else ", ".join(filter(None, (state_text(job), loaded)))
-    size = ", ".join(filter(None, (size_text(_sizes.get(folder, 0)), where)))
+    size = ", ".join(filter(None, (size_text(_sizes[folder]) if _sizes.get(folder) else "", where)))
     return {"folder": folder, "name": splat.name if splat is not None else job.name, "state": state, "size": size, "icon": icon, "buttons": buttons}
 
 
