@@ -103,7 +103,7 @@ def drawn(installed, monkeypatch):
     return draw
 
 
-NAMES = re.compile(r"\b(scene|room|camera|pruned|PSNR|SSIM|FLIP|MB|kB|svr|paper)\b")  # of objects and files of the tests, of measures and units
+NAMES = re.compile(r"\b(scene|room|camera|pruned|PSNR|SSIM|FLIP|MB|kB|bytes|svr|paper)\b")  # of objects and files of the tests, of measures and units
 
 
 def untranslated(shown: str) -> list[str]:
