@@ -103,7 +103,7 @@ def drawn(installed, monkeypatch):
     return draw
 
 
-NAMES = re.compile(r"\b(scene|room|camera|pruned|PSNR|SSIM|FLIP|MB|kB|svr|paper)\b")  # of objects and files of the tests, of measures and units
+NAMES = re.compile(r"\b(scene|room|camera|pruned|PSNR|SSIM|FLIP|MB|kB|bytes|svr|paper)\b")  # of objects and files of the tests, of measures and units
 
 
 def untranslated(shown: str) -> list[str]:
@@ -168,3 +168,13 @@ def test_jobs_are_translated_from_the_estimate_to_the_result(drawn, splat, watch
     check_panels(drawn, "READY")
     reports = re.findall(r"(?:Info|Warning|Error): (.*)", capfd.readouterr().out)
     assert len(reports) == 6 and not untranslated(" ".join(reports))
+
+
+def test_lines_of_chinese_fit_and_do_not_begin_with_a_mark():
+    shown: list[str] = []
+    sentence = "请选择泼溅照片的数据集，或在第 1 步导入其摄像机。" * 6
+    wrapped_label = part("panels.wrapped_label")
+    wrapped_label.wrapped_label(Layout(set(), shown), sentence)
+    widths = [sum(1 + (character > "\u2fff") for character in line) for line in shown]
+    assert len(shown) > 5 and max(widths) <= wrapped_label.SIDEBAR_WIDTH / wrapped_label.CHARACTER_WIDTH
+    assert "".join(shown).replace(" ", "") == sentence.replace(" ", "") and not [line for line in shown if line[0] in "，。"]
