@@ -20,18 +20,23 @@ import itertools
 import bmesh
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix
 
 from ..svrgs_addon.blender import lens as lenses
-from ..svrgs_addon.blender.attribute_layout import BASE, REQUIRED, SH, from_attributes, notes_of, to_attributes
+from ..svrgs_addon.blender.attribute_layout import BASE, POSITION, RAW_POSITION, REQUIRED, SH, from_attributes, notes_of, to_attributes
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError, SplatError
+from ..svrgs_addon.geometry.moved_points import moved_parts
 from ..svrgs_addon.scene import Scene
 
 NOTES = "svrgs"  # property of a splat's data-block: types and order of further columns, comments
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
+Y_DOWN = "svrgs_y_down"  # property of a splat without a root: whether its import has turned it from y down to z up; default True
+SAME_PLACE = 1e-6  # difference between matrices in float32 that means nothing
 ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
 DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: folder of its dataset, name of the image folder in it
+POINTS = "svrgs_points"  # property of a root: number of sparse points in its dataset
 TYPES = ("MESH", "POINTCLOUD")
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
@@ -71,10 +76,16 @@ def object_from_scene(name: str, scene: Scene, collection: bpy.types.Collection,
 def scene_from_object(obj: bpy.types.Object) -> Scene:
     """The Gaussians of a splat in its local coordinates, which are those of the file. Raises SceneError."""
     if not is_splat(obj):
-        raise SceneError(f"'{obj.name}' is not a Gaussian splat" if obj else "there is no object")
+        raise SceneError(tr("'{name}' is not a Gaussian splat").format(name=obj.name) if obj else tr("there is no object"))
     with _current_data(obj) as data:
         numbers = [a.name for a in data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
         return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
+
+
+def sample_scene(obj: bpy.types.Object) -> Scene:
+    """A scene of one Gaussian with the columns, comments and order of a splat, which is not read: all values are 1."""
+    numbers = [a.name for a in obj.data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
+    return from_attributes(lambda name: _ones(obj.data, name), numbers, obj.data.get(NOTES, ""))
 
 
 def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
@@ -86,7 +97,8 @@ def stored_values(obj: bpy.types.Object, name: str) -> np.ndarray:
     """As values(), of an attribute that this extension has added. Raises SplatError if it was deleted since."""
     found = values(obj, name)
     if found is None:
-        raise SplatError(f"'{obj.name}' has lost its attribute '{name}': undo its deletion, or discard the result and prune again")
+        text = tr("'{name}' has lost its attribute '{attribute}': undo its deletion, or discard the result and prune again")
+        raise SplatError(text.format(name=obj.name, attribute=name))
     return found
 
 
@@ -115,6 +127,40 @@ def replace_gaussians(obj: bpy.types.Object, scene: Scene):
     if not old.users:
         bpy.data.batch_remove([old])
         new.name = name
+
+
+def copy_with(obj: bpy.types.Object, name: str, scene: Scene) -> bpy.types.Object:
+    """A copy of the splat with other Gaussians, in the same collection: with its place, modifiers and constraints, not its properties."""
+    copy = obj.copy()
+    copy.name = name
+    for key in [key for key in copy.keys() if key.startswith("svrgs_") and key != Y_DOWN]:
+        del copy[key]
+    obj.users_collection[0].objects.link(copy)
+    replace_gaussians(copy, scene)
+    return copy
+
+
+def write_gaussians(obj: bpy.types.Object, scene: Scene):
+    """Writes the attributes of a splat with as many Gaussians as the scene has."""
+    for attribute, kind, values in to_attributes(scene):
+        _set(obj.data, attribute, kind, values)
+    obj.data.update_tag()
+
+
+def record_positions(obj: bpy.types.Object) -> bool:
+    """Stores where the points of a splat are now, if that was never stored. Returns whether it was stored now."""
+    if _attribute(obj.data, RAW_POSITION):
+        return False
+    _set(obj.data, RAW_POSITION, "FLOAT_VECTOR", stored_values(obj, POSITION))
+    return True
+
+
+def count_moved(obj: bpy.types.Object) -> int:
+    """Number of Gaussians whose points Blender has rotated or scaled without their shapes."""
+    before, after = values(obj, RAW_POSITION), values(obj, POSITION)
+    if before is None or after is None or np.array_equal(before, after):
+        return 0
+    return sum(len(rows) for rows, _ in moved_parts(before, after))
 
 
 def _mesh(name: str, scene: Scene) -> bpy.types.Mesh:
@@ -188,15 +234,73 @@ def _get(data, name: str) -> np.ndarray | None:
         return None
     kind = attribute.data_type
     width = WIDTH.get(kind, 1)
-    dtype = bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32  # with another type, foreach_get takes a thousand times as long
-    values = np.empty(len(attribute.data) * width, dtype)
+    values: np.ndarray = np.empty(len(attribute.data) * width, _dtype(kind))
     attribute.data.foreach_get(VALUE.get(kind, "value"), values)
     return values.reshape(-1, width) if width > 1 else values
+
+
+def _dtype(kind: str) -> type:
+    """The type of an attribute's values. With another type, foreach_get takes a thousand times as long."""
+    return bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32
+
+
+def _ones(data, name: str) -> np.ndarray | None:
+    """As _get, with one row of 1."""
+    attribute = _attribute(data, name)
+    if attribute is None:
+        return None
+    width = WIDTH.get(attribute.data_type, 1)
+    return np.ones((1, width) if width > 1 else 1, _dtype(attribute.data_type))
 
 
 def _attribute(data, name: str):
     attribute = data.attributes.get(name)
     return attribute if attribute is not None and attribute.domain == "POINT" else None
+
+
+# --- places
+
+
+def between(source: bpy.types.Object, target: bpy.types.Object) -> np.ndarray:
+    """(4, 4) float64 from the local coordinates of one object to those of another. Objects in the same place give exactly the identity."""
+    return _relative(target.matrix_world, source.matrix_world)
+
+
+def to_file(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
+    """(4, 4) float64 from local coordinates to those of the file that the splat was imported from, or of its dataset.
+
+    matrix: from local coordinates to Blender's world. Whatever the user has moved since is part of the result; if nothing was moved, it
+    is exactly the identity.
+    """
+    root = root_of(obj)
+    return _relative(root.matrix_world if root is not None else AXES if obj.get(Y_DOWN, True) else Matrix(), matrix)
+
+
+def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
+    """Puts a splat below a root, or below nothing, where its file's coordinates are those of the root, or y down as after an import."""
+    place = Matrix(to_file(obj, obj.matrix_world))
+    if root is not None:
+        parent_to_root(obj, root)
+        obj.matrix_basis = place
+    else:
+        obj.parent = None
+        obj.matrix_world = (AXES if obj.get(Y_DOWN, True) else Matrix()) @ place
+
+
+def to_world(matrix: Matrix, y_down: bool) -> np.ndarray:
+    """(4, 4) float64 from local coordinates to Blender's world, or to the same world with y down. matrix: from them to Blender's world."""
+    return _relative(AXES if y_down else Matrix(), matrix)
+
+
+def in_local(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
+    """(4, 4) float64 from the coordinates of an instance of the object to those of the object. matrix: from them to Blender's world."""
+    return _relative(obj.matrix_world, matrix)
+
+
+def _relative(target: Matrix, source: Matrix) -> np.ndarray:
+    """target⁻¹ · source; the identity where only rounding is between them."""
+    matrix = np.linalg.solve(np.array(target, np.float64), np.array(source, np.float64))
+    return np.eye(4) if np.abs(matrix - np.eye(4)).max() < SAME_PLACE * max(1.0, np.abs(matrix[:3, 3]).max()) else matrix
 
 
 # --- cameras
@@ -210,10 +314,11 @@ def camera_from_object(obj: bpy.types.Object, scene: bpy.types.Scene, size: tupl
     camera (Blender accepts any object as the scene's camera), and if the camera is neither perspective nor orthographic.
     """
     if obj.type != "CAMERA":
-        raise SceneError(f"'{obj.name}' is no camera: choose a camera as the scene's camera")
+        raise SceneError(tr("'{name}' is no camera: choose a camera as the scene's camera").format(name=obj.name))
     data, render = obj.data, scene.render
     if data.type not in ("PERSP", "ORTHO"):
-        raise SceneError(f"camera '{obj.name}' is neither perspective nor orthographic: splats cannot be drawn from other cameras")
+        text = tr("camera '{name}' is neither perspective nor orthographic: splats cannot be drawn from other cameras")
+        raise SceneError(text.format(name=obj.name))
     aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
     if size is None:
         size, aspect = (tuple(data[SIZE]), tuple(data[ASPECT])) if SIZE in data else (render_size(scene), aspect)

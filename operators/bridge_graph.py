@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix
 
 from ..svrgs_addon.blender.lens import camera_of_projection
@@ -23,6 +24,7 @@ from ..svrgs_addon.scene import Scene
 from . import bridge
 
 REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn
+HIDE_MODIFIER = "SVR-GS Removed"  # the modifier that hides marked Gaussians, and its node group
 
 Read = Callable[[bpy.types.Object], Scene]
 
@@ -74,23 +76,29 @@ def placed_splats(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Ob
     return ((i.object, i.matrix_world.copy()) for i in _instances(depsgraph) if bridge.is_splat(i.object))
 
 
-def splats_in_view(context: bpy.types.Context) -> list[tuple[bpy.types.Object, Matrix]]:
-    """Every evaluated splat that a viewport shows, with its matrix; also splats in collections that objects instance."""
+def shown_by(depsgraph: bpy.types.Depsgraph, obj: bpy.types.Object) -> list[tuple[Scene, Matrix]]:
+    """What the graph shows of a splat: it and its instances, with modifiers and without removed Gaussians, and their matrices to the world."""
+    mine = (i for i in _instances(depsgraph) if obj in (i.object.original, i.parent.original if i.is_instance and i.parent else None))
+    return [(visible_scene(i.object), i.matrix_world.copy()) for i in mine if bridge.is_splat(i.object)]
+
+
+def splats_in_view(context: bpy.types.Context) -> Iterator[tuple[bpy.types.Object, Matrix]]:
+    """Every evaluated splat that a viewport shows, with its matrix; also instances. Blender frees these objects soon: use them at once."""
     graph, space = context.view_layer.depsgraph, context.space_data
-    shown = [obj.evaluated_get(graph) for obj in context.view_layer.objects if bridge.is_splat(obj) and obj.visible_get(viewport=space)]
-    found = [(obj, obj.matrix_world.copy()) for obj in shown]
-    if not _instances_splats():  # the loop over all instances is slow
-        return found
-    for instance in graph.object_instances:
-        if instance.is_instance and instance.show_self and bridge.is_splat(instance.object) and instance.parent.original.visible_get(viewport=space):
-            found.append((instance.object.original.evaluated_get(graph), instance.matrix_world.copy()))
-    return found
+    for obj in context.view_layer.objects:
+        if bridge.is_splat(obj) and obj.visible_get(viewport=space):
+            evaluated = obj.evaluated_get(graph)
+            if bridge.is_splat(evaluated):  # nodes may have made instances of it, and left nothing else
+                yield evaluated, obj.matrix_world.copy()
+    if any(_may_instance(obj) for obj in bpy.data.objects):  # the loop over all instances is slow
+        for i in graph.object_instances:
+            if i.is_instance and i.show_self and bridge.is_splat(i.object) and i.parent.original.visible_get(viewport=space):
+                yield i.object, i.matrix_world.copy()
 
 
-def _instances_splats() -> bool:
-    """Whether any object instances a collection with a splat."""
-    collections = {obj.instance_collection for obj in bpy.data.objects if obj.instance_type == "COLLECTION"} - {None}
-    return any(bridge.is_splat(obj) for collection in collections for obj in collection.all_objects)
+def _may_instance(obj: bpy.types.Object) -> bool:
+    """Whether the object can show other objects or geometry in several places."""
+    return obj.instance_type != "NONE" or any(modifier.type == "NODES" and modifier.name != HIDE_MODIFIER for modifier in obj.modifiers)
 
 
 def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:
@@ -105,7 +113,7 @@ def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = N
     """The evaluated camera of the render. Raises SceneError."""
     obj = override or depsgraph.scene.camera
     if obj is None:
-        raise SceneError("the scene has no camera: add one, or make one the scene's camera (Ctrl Numpad 0)")
+        raise SceneError(tr("the scene has no camera: add one, or make one the scene's camera (Ctrl Numpad 0)"))
     return obj.evaluated_get(depsgraph)
 
 

@@ -9,7 +9,8 @@ from mathutils import Color
 from ..svrgs_addon.files.images import linear_to_srgb
 from ..svrgs_addon.render.passes import SRGB_PRIMARIES
 
-PREVIEW = 256  # pixels on the longer side
+_written: set[str] = set()  # names of images that were written since the file was saved
+PREVIEW = 512  # pixels on the longer side: a wide sidebar shows that many
 
 
 def write_image(name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: bool = False) -> bpy.types.Image:
@@ -19,7 +20,7 @@ def write_image(name: str, pixels: np.ndarray, preview: np.ndarray | None = None
     """
     height, width, _ = pixels.shape
     image = bpy.data.images.get(name)
-    if image is not None and (image.is_float != data or image.source != "GENERATED"):
+    if image is not None and (image.is_float != data or not _is_ours(image)):
         image.name = f"{name} (former)"
         image = None
     if image is None:
@@ -28,6 +29,7 @@ def write_image(name: str, pixels: np.ndarray, preview: np.ndarray | None = None
         image.scale(width, height)
     image.pixels.foreach_set(_rgba(pixels))
     image.update()
+    _written.add(name)
     _preview(image, pixels if preview is None else preview)
     return image
 
@@ -49,6 +51,29 @@ def is_lost(name: str) -> bool:
     """After a file was opened: whether the image is missing or empty. Blender saves pixels with a file only if the image is packed."""
     image = bpy.data.images.get(name)
     return image is None or (image.source == "GENERATED" and image.packed_file is None)
+
+
+def pack_written():
+    """Stores the pixels of images that were written since the last call in the .blend file."""
+    for name in _written:
+        image = bpy.data.images.get(name)
+        if image is not None and _is_ours(image):
+            image.use_fake_user = True  # else Blender drops images that nothing shows
+            values = np.empty(len(image.pixels), np.float32)
+            image.pixels.foreach_get(values)
+            image.pixels.foreach_set(values)  # an image that the user has packed, and that was not written since, would lose its pixels
+            image.pack()
+    _written.clear()
+
+
+def forget_written():
+    """After another file was opened."""
+    _written.clear()
+
+
+def _is_ours(image: bpy.types.Image) -> bool:
+    """Whether the image is generated, or was and has been packed: not a file that the user has opened in its place."""
+    return image.source == "GENERATED" or (image.packed_file is not None and not image.filepath)
 
 
 def flattened(pixels: np.ndarray) -> np.ndarray:

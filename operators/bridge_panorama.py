@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
@@ -20,13 +21,14 @@ def view_of(obj: bpy.types.Object, scene: bpy.types.Scene) -> Camera | Panorama:
     data = obj.data
     if data.panorama_type != KIND:
         kind = data.bl_rna.properties["panorama_type"].enum_items[data.panorama_type].name
-        raise SceneError(f"camera '{obj.name}' is a panorama of the type {kind}: choose the type Equirectangular")
+        raise SceneError(tr("camera '{name}' is a panorama of the type {type}: choose the type Equirectangular").format(name=obj.name, type=tr(kind)))
     longitude, latitude = ((low, high) for low, high in ((data.longitude_min, data.longitude_max), (data.latitude_min, data.latitude_max)))
     if longitude[0] == longitude[1] or latitude[0] == latitude[1]:
-        raise SceneError(f"camera '{obj.name}' sees nothing: its longitudes or its latitudes begin where they end")
+        raise SceneError(tr("camera '{name}' sees nothing: its longitudes or its latitudes begin where they end").format(name=obj.name))
     longitude, latitude = (_shifted(limits, shift) for limits, shift in ((longitude, data.shift_x), (latitude, data.shift_y)))
     if max(map(abs, latitude)) > np.pi / 2 + 1e-6:
-        raise SceneError(f"camera '{obj.name}' looks beyond a pole: set its latitudes and its vertical shift so that they are within 90°")
+        text = tr("camera '{name}' looks beyond a pole: set its latitudes and its vertical shift so that they are within 90°")
+        raise SceneError(text.format(name=obj.name))
     pose = np.array(obj.matrix_world, np.float64)
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
     return Panorama(bridge.FLIP @ np.linalg.inv(pose), *bridge.render_size(scene), longitude, latitude)

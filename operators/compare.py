@@ -7,6 +7,7 @@ import math
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon import native
 from ..svrgs_addon.camera import Camera
@@ -30,11 +31,7 @@ class ComparedSplats:
     """The original and the pruned splat of a comparison. Raises SceneError if one is missing."""
 
     def __init__(self, context: bpy.types.Context):
-        settings = context.scene.svrgs_looking
-        original = settings.original or job_result.pair_of(context.object)[0] or context.object
-        if not bridge.is_splat(original):
-            raise SceneError("there is nothing to compare: choose the original splat, or make it the active object")
-        pruned = settings.pruned or pruned_of(original)
+        original, pruned = chosen_pair(context)
         self.scenes = bridge.scene_from_object(original), shown_scene(pruned)
         places = (obj.matrix_world.copy() for obj in (original, pruned))
         self.placed = [bridge_graph.placed([part]) for part in zip(self.scenes, places, strict=True)]
@@ -46,6 +43,15 @@ class ComparedSplats:
         views = [(part.scene, part.seen_by(camera)) for part in self.placed]
         original, pruned = (rounded_to_8_bits(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views)
         return original, pruned
+
+
+def chosen_pair(context: bpy.types.Context) -> tuple[bpy.types.Object, bpy.types.Object]:
+    """(original, pruned): those chosen in the panel, or those that belong to the active object. Raises SceneError if one is missing."""
+    settings = context.scene.svrgs_looking
+    original = settings.original or job_result.pair_of(context.object)[0] or context.object
+    if not bridge.is_splat(original):
+        raise SceneError(tr("there is nothing to compare: choose the original splat, or make it the active object"))
+    return original, settings.pruned or pruned_of(original)
 
 
 def shown_scene(pruned: bpy.types.Object) -> Scene:
@@ -65,13 +71,13 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
         return named
     if bridge.values(original, bridge_graph.REMOVED) is not None:
         return original
-    raise SceneError(f"there is nothing to compare '{original.name}' with: prune it, or choose the pruned splat")
+    raise SceneError(tr("there is nothing to compare '{name}' with: prune it, or choose the pruned splat").format(name=original.name))
 
 
 class SVRGS_OT_compare(bpy.types.Operator):
     bl_idname = "svrgs.compare"
     bl_label = "Compare"
-    bl_description = "Draw the original and the pruned splat from the camera. Measure both against its photograph, if it has one"
+    bl_description = "Render original and pruned splat from the camera, side by side. Measure both against its photograph, if it has one"
     bl_options = {"REGISTER"}
 
     @classmethod
@@ -128,7 +134,8 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
             manager.progress_end()
         columns = max(1, round((len(rows) / 3) ** 0.5))
         show_in_editors(context, bridge_images.write_image(SHEET, contact_sheet(rows, columns)))
-        self.report({"INFO"}, f"{len(rows):,} cameras in '{SHEET}': original, pruned, difference; lowest PSNR between them: {worst:.1f} dB")
+        text = tr("{count:,} cameras in '{image}': original, pruned, difference; lowest PSNR between them: {worst:.1f} dB")
+        self.report({"INFO"}, text.format(count=len(rows), image=SHEET, worst=worst))
         return {"FINISHED"}
 
 
@@ -146,20 +153,26 @@ def measure(scene, picture, photo) -> dict:
 
 def summary(rows: list[dict], between: float) -> str:
     a, b = rows
-    text = f"{a['count']:,} to {b['count']:,} Gaussians, {a['bytes'] / 1e6:.1f} to {b['bytes'] / 1e6:.1f} MB; between them {between:.1f} dB"
-    return text if "psnr" not in a else f"{text}; against the photograph {a['psnr']:.2f} to {b['psnr']:.2f} dB"
+    texts = [
+        tr("{before:,} to {after:,} Gaussians").format(before=a["count"], after=b["count"]),
+        tr("{before:.1f} to {after:.1f} MB").format(before=a["bytes"] / 1e6, after=b["bytes"] / 1e6),
+        tr("between them {psnr:.1f} dB").format(psnr=between),
+    ]
+    if "psnr" in a:
+        texts.append(tr("against the photograph {before:.2f} to {after:.2f} dB").format(before=a["psnr"], after=b["psnr"]))
+    return "; ".join(texts)
 
 
 def _has_camera(cls, context) -> bool:
     if context.scene.svrgs_looking.compare_camera is not None or context.scene.camera is not None:
         return True
-    cls.poll_message_set("There is no camera: add one, or import the cameras of the dataset")
+    cls.poll_message_set(tr("There is no camera: add one, or import the cameras of the dataset"))
     return False
 
 
 @persistent
 def _forget_lost_images(*_):
-    """Images that were not packed are not saved with the file. Their figures are removed, too."""
+    """Images may have been deleted. Their figures are removed, too."""
     if any(bridge_images.is_lost(name) for name in (comparison_images.ORIGINAL, comparison_images.PRUNED, comparison_images.WIPE)):
         for scene in bpy.data.scenes:
             scene.svrgs_looking.compare_result = ""

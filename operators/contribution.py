@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import EnumProperty
 
 from ..svrgs_addon import native
@@ -33,7 +34,7 @@ class SVRGS_OT_contribution(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        problem = edit_guard.problem(context, context.object) if bridge.is_splat(context.object) else "Make a splat the active object first"
+        problem = edit_guard.problem(context, context.object) if bridge.is_splat(context.object) else tr("Make a splat the active object first")
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -41,7 +42,7 @@ class SVRGS_OT_contribution(bpy.types.Operator):
     def execute(self, context):
         chosen = chosen_cameras(context, self.cameras)
         if not chosen:
-            self.report({"ERROR"}, "there is no such camera: import the cameras of the dataset, or choose others")
+            self.report({"ERROR"}, tr("there is no such camera: import the cameras of the dataset, or choose others"))
             return {"CANCELLED"}
         obj = context.object
         try:
@@ -54,7 +55,8 @@ class SVRGS_OT_contribution(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         bridge.set_values(obj, ATTRIBUTE, "FLOAT", sums.astype("float32"))
-        self.report({"INFO"}, f"{int((hits == 0).sum()):,} of {scene.count:,} Gaussians add nothing to {len(views):,} images")
+        text = tr("{unseen:,} of {count:,} Gaussians add nothing to {images:,} images")
+        self.report({"INFO"}, text.format(unseen=int((hits == 0).sum()), count=scene.count, images=len(views)))
         return {"FINISHED"}
 
 

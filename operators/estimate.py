@@ -1,4 +1,4 @@
-"""Estimates how many Gaussians would stay and how long pruning takes. A child process does the work; Blender stays usable."""
+"""Estimates how many Gaussians would stay, how good the result would be and how long pruning takes. A child process does the work; Blender stays usable."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import threading
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import write_scene
 from . import bridge
-from .job import JobOperator, file_size, options_of, start_problem
+from .job import JobOperator, options_of, start_problem
 from .job_watch import redraw_panels
+from .splat_size import size_text
 
 MODULE = "svrgs_addon.jobs.estimate"
 INTERVAL = 0.1  # seconds between two looks whether it is done
@@ -24,7 +26,7 @@ _threads: list[threading.Thread] = []
 
 
 def of(obj: bpy.types.Object | None) -> dict:
-    """The last estimate of the active object: the result of jobs/estimate.py; {"busy": True}; or {"error": sentence}.
+    """The last estimate of the active object: the result of jobs/estimate.py; {"busy": True}; or {"error": sentence, "status": exit status}.
 
     {} if there is none, or if the settings or the splat have changed since.
     """
@@ -43,25 +45,38 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     """The last estimate of the splat in words."""
     found = of(obj)
     if "error" in found:
-        return [found["error"]]
-    kept, count = found["kept"], found["count"]
-    minutes, speed = found["seconds"] / 60, f"({found['steps_per_second']:.0f} steps/s)"
+        return [found["error"] or tr("the estimate ended with status {status}").format(**found)]
+    kept, count, minutes = found["kept"], found["count"], found["seconds"] / 60
+    stay = tr("At most {kept:,} of {count:,} would stay ({share:.0%})") if found["at_most"] else tr("About {kept:,} of {count:,} would stay ({share:.0%})")
+    seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled photographs")
+    if found["faint"]:
+        seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled photographs, {faint:,} dropped first as too faint")
+    time = tr("About {minutes:.0f} min ({speed:.0f} steps/s)") if minutes >= 1 else tr("Less than a minute ({speed:.0f} steps/s)")
     return [
-        f"{'At most' if found['at_most'] else 'About'} {kept:,} of {count:,} would stay ({kept / count:.0%})",
-        f"{file_size(obj, count)} → about {file_size(obj, kept)}",
-        f"{found['invisible']:,} are transparent, {found['unseen']:,} are in none of {found['views']} views, {found['faint']:,} are below the first cut",
-        f"About {minutes:.0f} min {speed}" if minutes >= 1 else f"Less than a minute {speed}",
+        stay.format(kept=kept, count=count, share=kept / count),
+        tr("{before} → about {after}").format(before=size_text(obj, count), after=size_text(obj, kept)),
+        quality(found),
+        seen.format(**found),
+        time.format(minutes=minutes, speed=found["steps_per_second"]),
+        *found["notes"],
     ]
+
+
+def quality(found: dict) -> str:
+    """The PSNRs of an estimate in words."""
+    if found["psnr_after"] is None:
+        return tr("PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal").format(**found)
+    return tr("PSNR about {psnr_after:.1f} dB or more after pruning (now {psnr_before:.1f} dB; without recovery about {psnr_removed:.1f} dB)").format(**found)
 
 
 class SVRGS_OT_estimate(JobOperator):
     bl_idname = "svrgs.estimate"
     bl_label = "Estimate"
-    bl_description = "Estimate within seconds how many Gaussians would stay and how long pruning would take"
+    bl_description = "Estimate within seconds how many Gaussians would stay, how good the result would be and how long pruning would take"
 
     @classmethod
     def poll(cls, context):
-        problem = "An estimate is being made" if of(context.object).get("busy") else start_problem(context)
+        problem = tr("An estimate is being made") if of(context.object).get("busy") else start_problem(context)
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -78,19 +93,19 @@ class SVRGS_OT_estimate(JobOperator):
         thread.start()
         if not bpy.app.background:
             bpy.app.timers.register(_finished, first_interval=INTERVAL)
-            return "Estimating from some views"
+            return tr("Estimating from some views")
         thread.join()
         _finished()
         found = of(obj)
         if "error" in found:
-            raise SplatError(found["error"])
+            raise SplatError(sentences(obj)[0])
         return "; ".join(sentences(obj))
 
 
 def _work(key: int, request: dict, temp_dir: tempfile.TemporaryDirectory):
     with temp_dir:
         status, result = subprocess_python.run([], MODULE, request)
-    _found[key] = result if "kept" in result else {"error": result.get("error", f"the estimate ended with status {status}")}
+    _found[key] = result if "kept" in result else {"error": result.get("error", ""), "status": status}
 
 
 def _finished() -> float | None:

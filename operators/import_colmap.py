@@ -1,8 +1,10 @@
-"""File > Import > COLMAP Cameras: cameras with their photographs, and the sparse points.
+"""File > Import > Cameras and Photographs: cameras with their photographs, and the sparse points.
 
 Cameras and points become children of an empty, the root, together with the splat that is active. The root takes the place of the
-splat, so moving the root moves all. A camera stores the size and the pixel aspect of its photograph and gives them to the scene when
-it becomes the scene's camera (active_camera.py).
+splat, so moving the root moves all. It is turned until the photographs stand upright; the numbers of splat and cameras stay.
+
+A camera stores the size and the pixel aspect of its photograph and gives them to the scene when it becomes the scene's camera
+(active_camera.py).
 """
 
 from __future__ import annotations
@@ -10,13 +12,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SplatError
-from . import bridge, undistort
+from . import bridge, dataset_paths, undistort
+from .bridge_framing import level
+from .frame import frame
 from .select import select
+from .translation import OWN
 
 DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras
 CLIP_END = 100  # in extents of all cameras
@@ -24,11 +30,13 @@ CLIP_END = 100  # in extents of all cameras
 
 class SVRGS_OT_import_colmap(bpy.types.Operator):
     bl_idname = "svrgs.import_colmap"
-    bl_label = "Import COLMAP Cameras"
-    bl_description = "Import the cameras, photographs and sparse points of a COLMAP dataset. They are placed with the active splat"
+    bl_label = "Import Cameras"
+    bl_description = "Import the cameras, photographs and sparse points of a dataset of COLMAP or transforms.json. They are placed with the active splat"
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
-    directory: StringProperty(name="Dataset", subtype="DIR_PATH", description="Folder of the dataset. It holds the image folder and the sparse model")
+    directory: StringProperty(
+        name="Dataset", subtype="DIR_PATH", description="Folder of the dataset. It holds the photographs, and a COLMAP model or transforms.json"
+    )
     filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
     images: StringProperty(name="Images", description="Name of the image folder in the dataset, such as images_4. Empty: images")
     photographs: BoolProperty(name="Photographs", default=True, description="Show each photograph as the background of its camera")
@@ -36,7 +44,16 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         name="Undistorted",
         description="Folder for undistorted copies of photographs with lens distortion. Empty: images_undistorted in the dataset",
     )
-    points: BoolProperty(name="Sparse Points", default=True, description="Import the sparse points as a mesh")
+    points: BoolProperty(name="Sparse Points", default=True, description="Import the sparse points as a mesh. It is hidden at first")
+    level: BoolProperty(
+        name="Level",
+        translation_context=OWN,
+        default=True,
+        description="Turn cameras and splat upright, as the photographs say. What you have moved already stays as it is",
+    )
+    frame: BoolProperty(
+        name="Frame", translation_context=OWN, default=True, description="Turn the 3D viewports to the splat, or to the cameras if there is none"
+    )
 
     def execute(self, context):
         folder = Path(bpy.path.abspath(self.directory))
@@ -45,34 +62,46 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        splat = context.object if bridge.is_splat(context.object) else None
+        active = context.object if bridge.is_splat(context.object) else None
         root, cameras = self.add_objects(context, folder.absolute(), photos)
+        levelled = level(root, photos.cameras) if self.level else ""
+        splat = active if bridge.root_of(active) == root else None
         select(context, [splat or root])
-        problem = photos.warning or (self.show_photographs(folder, cameras, photos.files) if self.photographs else "")
-        if problem:
-            self.report({"WARNING"}, problem)
-        shown = sum(bool(obj.data.background_images) for obj in cameras)
-        found = f"Imported {len(cameras):,} cameras, {shown:,} photographs and {len(photos.points):,} sparse points"
-        width, height = bridge.render_size(context.scene)
-        self.report({"INFO"}, f"{found}. The scene's camera is now '{context.scene.camera.name}', its resolution {width} x {height}")
+        if self.frame:
+            frame(context, [splat or root])
+        undistort.begin(photos.warnings)
+        if self.photographs:
+            self.show_photographs(folder, cameras, photos)
+        if problems := undistort.problems():
+            self.report({"WARNING"}, problems)
+        self.report({"INFO"}, "; ".join(filter(None, [*self.done(context, cameras, photos), joined(active, splat), levelled])))
         return {"FINISHED"}
 
-    def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], files: list[Path | None]) -> str:
-        """Gives cameras their photographs as backgrounds; starts undistorting where that is needed. Returns what went wrong."""
-        for obj, file in zip(cameras, files, strict=True):
+    def done(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> list[str]:
+        """What was imported, in words."""
+        shown, (done, total) = sum(bool(obj.data.background_images) for obj in cameras), undistort.progress()
+        parts = [tr("Imported {cameras:,} cameras and {photographs:,} photographs").format(cameras=len(cameras), photographs=shown)]
+        parts += [tr("{count:,} photographs are being undistorted first").format(count=total - done)] if total > done else []
+        parts += [tr("{count:,} sparse points, hidden").format(count=len(photos.points))] if self.points else []
+        render, text = context.scene.render, tr("the scene's camera is now '{name}', {width} x {height}")
+        return [*parts, text.format(name=context.scene.camera.name, width=render.resolution_x, height=render.resolution_y)]
+
+    def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], photos: PosedPhotos):
+        """Gives cameras their photographs as backgrounds; starts undistorting where that is needed."""
+        for obj, file in zip(cameras, photos.files, strict=True):
             undistort.show(obj, file)
-        if None not in files:
-            return ""
-        undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / "images_undistorted"
-        return undistort.start(cameras, folder, self.images, undistorted)
+        if photos.distorted:
+            undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / dataset_paths.UNDISTORTED
+            undistort.start(cameras, folder, self.images, undistorted, photos.distorted)
 
     def add_objects(self, context, folder: Path, photos: PosedPhotos) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
         """Adds points and cameras below a root. Returns root and cameras; the first becomes the scene's camera."""
-        name, has_splat = folder.name, bridge.is_splat(context.object)
+        name = folder.name
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
-        root, points = root_for(context.object, name, collection), []
-        root[bridge.DATASET], root[bridge.IMAGES] = str(folder), self.images
+        root, points = root_for(context.object, folder, collection), []
+        root[bridge.DATASET], root[bridge.IMAGES] = dataset_paths.stored(str(folder)), self.images
+        root[bridge.POINTS] = len(photos.points)
         if self.points and len(photos.points):
             points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
         cameras = [_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras]
@@ -82,7 +111,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         bridge.apply_camera_size(context.scene)
         context.view_layer.update()
         for obj in points:
-            obj.hide_set(has_splat)  # else the points would cover the splat
+            obj.hide_set(True)  # they would cover the splat, and without one they are black
         return root, cameras
 
     def invoke(self, context, event):
@@ -90,14 +119,22 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
 
-def root_for(obj: bpy.types.Object | None, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
-    """The root above the object; a new root in its place if it is a splat without one; else a new root with z up."""
+def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> str:
+    """What became of the active splat, in words. splat: the one that the cameras were joined to."""
+    if splat is not None:
+        return tr("joined to '{name}'").format(name=splat.name)
+    return tr("'{name}' keeps the cameras of another dataset").format(name=active.name) if active is not None else ""
+
+
+def root_for(obj: bpy.types.Object | None, folder: Path, collection: bpy.types.Collection) -> bpy.types.Object:
+    """The root above the object, if it has no cameras of another dataset; a new root in its place if it is a splat without one; else a
+    new root with z up."""
     root = bridge.root_of(obj)
-    if root is not None:
+    if root is not None and dataset_paths.dataset_of_root(root) in ("", dataset_paths.absolute(str(folder))):
         return root
-    if obj is None or not bridge.is_splat(obj):
-        return bridge.new_root(name, collection)
-    root = bridge.new_root(name, collection, obj.matrix_world)
+    if root is not None or obj is None or not bridge.is_splat(obj):
+        return bridge.new_root(folder.name, collection)
+    root = bridge.new_root(folder.name, collection, obj.matrix_world)
     bridge.parent_to_root(obj, root)
     return root
 
@@ -113,15 +150,16 @@ def _camera(camera: Camera, extent: float, collection: bpy.types.Collection) -> 
 
 
 def menu(self, context):
-    self.layout.operator(SVRGS_OT_import_colmap.bl_idname, text="COLMAP Cameras (folder)")
+    self.layout.operator(SVRGS_OT_import_colmap.bl_idname, text="Cameras and Photographs (COLMAP, transforms.json)")
 
 
 def register():
+    undistort.register()
     bpy.utils.register_class(SVRGS_OT_import_colmap)
     bpy.types.TOPBAR_MT_file_import.append(menu)
 
 
 def unregister():
-    undistort.forget()
     bpy.types.TOPBAR_MT_file_import.remove(menu)
     bpy.utils.unregister_class(SVRGS_OT_import_colmap)
+    undistort.unregister()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, CollectionProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
@@ -13,7 +14,9 @@ from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import check_readable, labels, read_scene, suffixes
 from ..svrgs_addon.files.repair import bake_filter, drop_nonfinite
 from . import bridge
+from .frame import frame
 from .select import select
+from .translation import OWN
 
 
 class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
@@ -26,7 +29,12 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in suffixes()), options={"HIDDEN"})
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
-    y_down: BoolProperty(name="Y Is Down", default=True, description="The file's y axis points down, as in 3DGS files. The object is turned upright")
+    y_down: BoolProperty(
+        name="Turn Upright (Y-Down File)", default=True, description="The file's y axis points down, as in 3DGS files. The object is turned upright"
+    )
+    frame: BoolProperty(
+        name="Frame", translation_context=OWN, default=True, description="Turn the 3D viewports to the splat. Gaussians far outside are not counted"
+    )
 
     def execute(self, context):
         paths, texts, objects = self.paths(), [], []
@@ -38,17 +46,23 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
                 self.report({"ERROR" if len(paths) == 1 else "WARNING"}, str(error))
                 continue
             objects.append(self.add(context, path.stem, scene))
-            text = f"{path.name}: {scene.count:,} Gaussians" + f" ({dropped:,} with values that are not finite were left out)" * bool(dropped)
-            texts.append(text + " (3D filter of Mip-Splatting baked in)" * filtered)
+            root = bridge.root_of(objects[-1])
+            texts.append(tr("{file}: {count:,} Gaussians").format(file=path.name, count=scene.count))
+            texts += [tr("{count:,} with values that are not finite were left out").format(count=dropped)] if dropped else []
+            texts += [tr("3D filter of Mip-Splatting baked in")] if filtered else []
+            texts += [tr("joined to the cameras of '{name}'").format(name=root.name)] if root is not None else []
         if not objects:
             return {"CANCELLED"}
         select(context, objects)
-        self.report({"INFO"}, "Imported " + "; ".join(texts))
+        if self.frame:
+            frame(context, objects)
+        self.report({"INFO"}, tr("Imported {splats}").format(splats="; ".join(texts)))
         return {"FINISHED"}
 
     def add(self, context, name, scene) -> bpy.types.Object:
         """Adds the splat as an object; with the cameras below one root if the active object belongs to a dataset."""
         obj = bridge.object_from_scene(name, scene, context.collection, bridge.AXES if self.y_down else Matrix())
+        obj[bridge.Y_DOWN] = self.y_down
         root = bridge.root_of(context.object)
         if root is not None and self.y_down:
             bridge.parent_to_root(obj, root)

@@ -1,103 +1,71 @@
-"""Background jobs: start, pause, cancel, resume, discard, load the result. job_watch.py follows the jobs that run."""
+"""The job of the active splat: start, stop, resume, discard, load the result. job_watch.py follows the jobs; job_list.py lists them all."""
 
 from __future__ import annotations
 
-import contextlib
 import datetime
+import os
 import re
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.app.translations import pgettext_n as n_
 
-from ..svrgs_addon.errors import FormatError, SplatError
+from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
-from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, edit_guard
-from .job_watch import BUSY, JOBS_FOLDER, WAITING, current, job_of, jobs, link, load_result, start_timer, unlink
+from . import bridge, dataset_paths, edit_guard, goals, job_queue, job_result
+from .job_watch import JOBS_FOLDER, current, delete_job, is_busy, is_resumable, job_of, link, load_result, start_timer
 from .native_check import native_problem
-from .option_properties import menu_name
 from .preferences import PACKAGE, threads
 
-BYTES_PER_GAUSSIAN = {0: 68, 1: 104, 2: 164, 3: 248}  # in a file, by SH degree
-
-
-def dataset_of(context) -> tuple[str, str]:
-    """(dataset, name of its image folder) to prune with: the chosen one, or that of the cameras imported with the splat."""
-    settings = context.scene.svrgs_prune
-    root = bridge.root_of(context.object)
-    if settings.colmap:
-        return bpy.path.abspath(settings.colmap), settings.images
-    return (root.get(bridge.DATASET, ""), settings.images or root.get(bridge.IMAGES, "")) if root is not None else ("", settings.images)
+STOP_NOW = n_("End the process at once, without waiting for a checkpoint. What was learned since the last one is lost")
 
 
 def options_of(context, obj: bpy.types.Object) -> dict:
     """The settings of the panel as the options of a job."""
-    s, total = context.scene.svrgs_prune, bridge.count(obj)
-    colmap, images = dataset_of(context)
+    s = context.scene.svrgs_prune
+    colmap, images = dataset_paths.dataset_of(context)
     options = {
         "colmap": colmap, "images": images, "method": s.method, "iterations": s.iterations, "recovery": s.recovery, "seed": s.seed,
         "threads": threads(context), "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
-    method = METHODS[s.method]
-    if method.lambda_f:
-        options["lambda_f"] = s.lambda_f
-    if method.first_cut:
+    if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
-    targets = {"SHARE": s.share / 100 * total, "COUNT": s.count, "SIZE": s.size * 1e6 / bytes_per_gaussian(obj)}
-    if s.goal in targets:
-        options["target_count"] = min(total, max(1, round(targets[s.goal])))
-    elif s.goal == "DROP":
-        options["max_drop"] = round(s.drop, 4)
-    return options
-
-
-def bytes_per_gaussian(obj: bpy.types.Object) -> int:
-    """Bytes that one Gaussian of the splat takes in a file."""
-    return BYTES_PER_GAUSSIAN[bridge.sh_degree(obj)]
-
-
-def file_size(obj: bpy.types.Object, count: int) -> str:
-    """The size of a file with this many of the splat's Gaussians, as text."""
-    size = count * bytes_per_gaussian(obj)
-    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
-
-
-def goal_problem(settings) -> str:
-    """Why the chosen method cannot reach the chosen goal; empty if it can."""
-    method, learns = METHODS[settings.method], settings.iterations > 0
-    name = menu_name(method)
-    if settings.goal == "LAMBDA" and method.ranks and not method.share:
-        return f"'{name}' only ranks the Gaussians: choose a percentage, a count or a size as the goal"
-    if settings.goal == "DROP" and not (method.supports_max_drop and learns):
-        return f"'{name}' cannot prune to a loss in dB: choose another goal or method" if learns else "A loss as the goal needs iterations: set more than 0"
-    return ""
+    return options | goals.options(s, obj)
 
 
 def start_problem(context) -> str:
     """Why the active object cannot be pruned now; empty if it can."""
     if not bridge.is_splat(context.object):
-        return "Select a Gaussian splat first"
+        return tr("Select a Gaussian splat first")
     if problem := edit_guard.problem(context, context.object):
         return problem
     job = job_of(context.object)
-    if job is not None and job.state in BUSY:
-        return "A job is running on this splat"
-    if job is not None and job.state in WAITING:
-        return "Resume or discard this splat's job first"
-    if not dataset_of(context)[0]:
-        return "Choose the dataset of the splat's photographs, or import its cameras"
-    return goal_problem(context.scene.svrgs_prune) or native_problem()
+    if job is not None and is_busy(job):
+        return job_queue.waiting_text(job) or tr("A job is running on this splat")
+    if job is not None and is_resumable(job):
+        return tr("Resume or discard this splat's job first")
+    _, pruned = job_result.pair_of(context.object)
+    if job_result.undecided(pruned):
+        return tr("Apply or discard the result first")
+    return dataset_paths.problem(context) or goals.problem(context.scene.svrgs_prune) or native_problem()
 
 
 def new_folder(context, name: str) -> Path:
     """The folder of a new job: in the chosen folder, or next to the .blend file, or in the extension's folder."""
-    folder = bpy.path.abspath(context.scene.svrgs_prune.folder)
-    if not folder and bpy.data.filepath:
-        folder = bpy.path.abspath(JOBS_FOLDER)
-    parent = Path(folder or bpy.utils.extension_path_user(PACKAGE, path="jobs", create=True))
+    parent = Path(job_folders(context)[0])
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")
     return parent / f"{re.sub('[^0-9A-Za-z_-]+', '_', name)[:40]}-{stamp}"
+
+
+def job_folders(context) -> list[str]:
+    """The folders in which jobs are made: the chosen one, that next to the .blend file, that of the extension. The first is for new jobs."""
+    chosen = bpy.path.abspath(context.scene.svrgs_prune.folder)
+    beside = bpy.path.abspath(JOBS_FOLDER) if bpy.data.filepath else ""
+    own = bpy.utils.extension_path_user(PACKAGE, path="jobs", create=False)
+    return [os.path.normpath(folder) for folder in (chosen, beside, own) if folder]
 
 
 class JobOperator(bpy.types.Operator):
@@ -129,11 +97,10 @@ class SVRGS_OT_job_start(JobOperator):
     def work(self, context) -> str:
         obj = context.object
         folder = JobFolder.create(new_folder(context, obj.name), bridge.scene_from_object(obj), options_of(context, obj), obj.name)
-        job = jobs.setdefault(str(folder.path), Job(folder))
-        job.start()
         link(obj, str(folder.path))
+        waits = job_queue.start(Job(folder))
         start_timer()
-        return f"Pruning {bridge.count(obj):,} Gaussians in the background"
+        return waits or tr("Pruning {count:,} Gaussians in the background").format(count=bridge.count(obj))
 
 
 class SVRGS_OT_set_lambda(bpy.types.Operator):
@@ -150,69 +117,72 @@ class SVRGS_OT_set_lambda(bpy.types.Operator):
 
 
 class CurrentJobOperator(JobOperator):
-    """Works on the job that the panel shows, while that is in one of `states`."""
+    """Works on the job that the panel shows."""
 
-    states: tuple[str, ...] = ()
-    poll_message = "No job is running"
+    @classmethod
+    def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
+        """Why this cannot be done with the job, in a sentence; '' if it can."""
+        raise NotImplementedError
 
     @classmethod
     def poll(cls, context):
         found = current(context)
-        if found is not None and found[1].state in cls.states:
-            return True
-        cls.poll_message_set(cls.poll_message)
-        return False
+        problem = cls.problem(context, *found) if found is not None else tr("There is no job")
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
 
     def work(self, context) -> str:
         found = current(context)
         if found is None:
-            raise SplatError(self.poll_message)
+            raise SplatError(tr("There is no job"))
         return self.work_on(context, *found)
 
 
-class SVRGS_OT_job_pause(CurrentJobOperator):
-    bl_idname = "svrgs.job_pause"
-    bl_label = "Pause"
-    bl_description = "Save a checkpoint and stop the job. Resume continues it"
-    states = BUSY
+class SVRGS_OT_job_stop(CurrentJobOperator):
+    bl_idname = "svrgs.job_stop"
+    bl_label = "Stop"
+    bl_description = "Finish the present step, save what was learned as a checkpoint, and stop. Resume continues there. Nothing is lost"
+
+    now: bpy.props.BoolProperty(name="Now", options={"SKIP_SAVE"}, description=STOP_NOW)
+
+    @classmethod
+    def description(cls, context, properties):
+        return tr(STOP_NOW if properties.now else cls.bl_description)
+
+    @classmethod
+    def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
+        return stop_problem(job)
 
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
-        job.pause()
-        return "Pausing: a checkpoint is being saved"
-
-
-class SVRGS_OT_job_cancel(CurrentJobOperator):
-    bl_idname = "svrgs.job_cancel"
-    bl_label = "Cancel"
-    bl_description = "Stop the job at once. The steps since the last checkpoint are lost"
-    states = BUSY
-
-    def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
-        job.cancel()
-        return "Cancelled: Resume continues from the last checkpoint"
+        return stop(job, self.now)
 
 
 class SVRGS_OT_job_resume(CurrentJobOperator):
     bl_idname = "svrgs.job_resume"
     bl_label = "Resume"
-    bl_description = "Continue the job from its last checkpoint"
-    states, poll_message = WAITING, "No job waits to be resumed"
+    bl_description = "Continue the job from its last checkpoint. While another job runs, it waits"
+
+    @classmethod
+    def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
+        return "" if is_resumable(job) else tr("No job waits to be resumed")
 
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
-        job.start()
-        start_timer()
-        return ". ".join(filter(None, (f"Pruning of '{obj.name}' continues", job.renamed)))
+        return resume(job, dataset_paths.dataset_of_job(context, obj))
 
 
 class SVRGS_OT_job_discard(CurrentJobOperator):
     bl_idname = "svrgs.job_discard"
     bl_label = "Discard"
-    bl_description = "Delete the job's files. The splat stays as it is"
-    states, poll_message = (*WAITING, "done"), "There is no stopped or finished job"
+    bl_description = "Delete the job's files: what it has learned, and its result if it has ended. Splat and cameras stay. This cannot be undone"
+
+    @classmethod
+    def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
+        return tr("Stop the job first") if is_busy(job) else ""
 
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
-        delete_job(obj)
-        return f"Discarded the job of '{obj.name}'"
+        delete_job(job)
+        return tr("Discarded the job of '{name}'").format(name=obj.name)
 
 
 class SVRGS_OT_job_load(CurrentJobOperator):
@@ -220,36 +190,62 @@ class SVRGS_OT_job_load(CurrentJobOperator):
     bl_label = "Load Result"
     bl_description = "Add the result of the finished job to the scene"
     bl_options = {"REGISTER", "UNDO"}
-    states, poll_message = ("done",), "There is no finished job"
 
     @classmethod
-    def poll(cls, context):
-        found = current(context)
-        if found is None or not super().poll(context):
-            return False
-        problem = edit_guard.problem(context, found[0])
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+    def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
+        return edit_guard.problem(context, obj) if job.state == "done" else tr("There is no finished job")
 
     def work_on(self, context, obj: bpy.types.Object, job: Job) -> str:
-        pruned = load_result(context, obj, job)
-        return f"Loaded {bridge.count(pruned):,} of {bridge.count(obj):,} Gaussians"
+        loaded = load_result(context, obj, job)
+        if not bridge.is_splat(obj):
+            return tr("Loaded {count:,} Gaussians").format(count=bridge.count(loaded))
+        return tr("Loaded {kept:,} of {count:,} Gaussians").format(kept=bridge.count(loaded), count=bridge.count(obj))
 
 
-def delete_job(obj: bpy.types.Object):
-    """Deletes the files of the splat's job, if it has one. Raises OSError."""
-    job = job_of(obj)
-    if job is not None:
-        with contextlib.suppress(FormatError):  # the files are gone already
-            job.folder.discard()
-        jobs.pop(str(job.folder.path), None)
-    unlink(obj)
+# --- what the buttons of the panel and of the list do
+
+
+def stop_problem(job: Job) -> str:
+    """Why the job cannot be stopped, in a sentence; '' if it can."""
+    if job.running and job.facts.get("finishing"):
+        return tr("The result is being measured: the job ends by itself")
+    return "" if is_busy(job) else tr("No job is running")
+
+
+def stop(job: Job, now: bool = False) -> str:
+    """Stops the job, or takes it out of the queue. now: without a checkpoint. Returns what was done, in a sentence."""
+    if job_queue.is_queued(job):
+        job_queue.leave(job)
+        return tr("'{name}' does not wait any more: Resume starts it").format(name=job.name)
+    if now and job.running:
+        job.kill()
+        return ". ".join((tr("Stopped at once"), resume_sentence(job)))
+    job.stop()
+    return tr(job.facts["text"])
+
+
+def resume(job: Job, dataset: str = "") -> str:
+    """Continues the job, or lets it wait. dataset: another place to look for its dataset. Returns a sentence. Raises SplatError, OSError."""
+    colmap = job.folder.request()["options"]["colmap"]
+    if not os.path.exists(colmap):
+        if not os.path.exists(dataset):
+            text = tr("{folder}: the dataset of this job is not there: with its splat active, find it in step 1 or choose it in step 2, then resume")
+            raise SplatError(text.format(folder=colmap))
+        job.folder.set_dataset(dataset)
+    waits = job_queue.start(job)
+    start_timer()
+    text = tr("Training of '{name}' continues") if job.folder.kind == TRAIN else tr("Pruning of '{name}' continues")
+    return ". ".join(filter(None, (waits or text.format(name=job.name), job.renamed)))
+
+
+def resume_sentence(job: Job) -> str:
+    """From where a job that has not ended well would be continued."""
+    template, values = job.resume_point()
+    return tr(template).format(**values)
 
 
 CLASSES = (
-    SVRGS_OT_job_start, SVRGS_OT_set_lambda, SVRGS_OT_job_pause, SVRGS_OT_job_cancel, SVRGS_OT_job_resume, SVRGS_OT_job_discard,
-    SVRGS_OT_job_load,
+    SVRGS_OT_job_start, SVRGS_OT_set_lambda, SVRGS_OT_job_stop, SVRGS_OT_job_resume, SVRGS_OT_job_discard, SVRGS_OT_job_load,
 )  # fmt: skip
 
 

@@ -12,19 +12,23 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.files.registry import read_scene
+from ..svrgs_addon.geometry.affine import transformed
+from ..svrgs_addon.geometry.moved_points import common_motion
 from ..svrgs_addon.jobs.job_folder import JobFolder
 from ..svrgs_addon.jobs.kept_share import BOUNDARY, lowest, merged, numbered
 from ..svrgs_addon.scene import Scene
 from . import bridge
-from .bridge_graph import REMOVED
+from .bridge_graph import HIDE_MODIFIER, REMOVED
+from .visibility import set_hidden
 
 SCORE, ROW, PROBABILITY = "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes, as is REMOVED
-ORIGINAL, PRUNED, KEPT = "svrgs_original", "svrgs_pruned", "svrgs_kept"  # properties of objects: the partner; the number of Gaussians that the job kept
+ORIGINAL, PRUNED = "svrgs_original", "svrgs_pruned"  # properties of objects: the partner
+KEPT = "svrgs_kept"  # property of a pruned splat until Apply: the number of Gaussians that the job kept
 PSNR = "svrgs_psnr"  # property of the pruned splat: dB on the test photographs before and after
-HIDE_MODIFIER = "SVR-GS Removed"  # the modifier that hides marked Gaussians, and its node group
 
 
 def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
@@ -33,13 +37,16 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
     probability = folder.probability()
     recovered = read_scene(folder / "pruned.ply")
     if recovered.count != kept.sum():
-        raise SceneError(f"{folder / 'pruned.ply'}: does not belong to this job's other files")
+        raise SceneError(tr("{file}: does not belong to this job's other files").format(file=folder / "pruned.ply"))
     if bridge.count(obj) != len(kept):
-        raise SceneError(f"'{obj.name}' has {bridge.count(obj):,} Gaussians, but {len(kept):,} when the job began: undo the edit, then load the result")
-    if pruned_of(obj) is not None:
-        discard_result(obj)
-    pruned = bridge.object_from_scene(f"{obj.name} pruned", recovered, obj.users_collection[0], obj.matrix_world)
-    pruned.parent, pruned.matrix_parent_inverse, pruned.matrix_basis = obj.parent, obj.matrix_parent_inverse, obj.matrix_basis
+        text = tr("'{name}' has {now:,} Gaussians, but {before:,} when the job began: undo the edit, then load the result")
+        raise SceneError(text.format(name=obj.name, now=bridge.count(obj), before=len(kept)))
+    motion = common_motion(read_scene(folder / "scene.ply").means, bridge.stored_values(obj, "position"))
+    if motion is None:
+        raise SceneError(tr("points of '{name}' were moved since the job began: undo the edit, then load the result").format(name=obj.name))
+    recovered = transformed(recovered, motion)
+    _make_room(obj)
+    pruned = bridge.copy_with(obj, f"{obj.name} pruned", recovered)
     rows = numbered(len(kept))
     for target, chosen in ((obj, slice(None)), (pruned, kept)):
         bridge.set_values(target, SCORE, "FLOAT", score[chosen])
@@ -48,22 +55,44 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
             bridge.set_values(target, PROBABILITY, "FLOAT", probability[chosen])
         _hide_removed(target)
     join(obj, pruned)
-    show(pruned, int(kept.sum()))
+    pruned[KEPT] = int(kept.sum())
+    show(pruned, pruned[KEPT])
     return pruned
+
+
+def _make_room(original: bpy.types.Object):
+    """For a new result: an earlier one that was applied becomes a splat of its own, hidden; any other is deleted."""
+    former = pruned_of(original)
+    if undecided(former):
+        discard_result(original)
+    elif former is not None:
+        former.pop(ORIGINAL, None)
+        original.pop(PRUNED, None)
+        set_hidden(former, True)
+    original.pop(KEPT, None)  # earlier versions left it when a result was applied; with it, the original would look undecided
 
 
 def join(original: bpy.types.Object, pruned: bpy.types.Object):
     """Stores in each splat that the other is its partner."""
-    original[PRUNED], pruned[ORIGINAL], pruned[KEPT] = pruned, original, bridge.count(pruned)
+    original[PRUNED], pruned[ORIGINAL] = pruned, original
+
+
+def settle(original: bpy.types.Object | None, pruned: bpy.types.Object):
+    """After Apply: both are ordinary splats, and the pruned one is shown."""
+    for obj in filter(None, (original, pruned)):
+        unmark(obj)
+        set_hidden(obj, obj != pruned)
+    for name in (KEPT, PSNR):
+        pruned.pop(name, None)
 
 
 def pair_of(obj: bpy.types.Object | None) -> tuple[bpy.types.Object | None, bpy.types.Object | None]:
-    """(original, pruned) if the object is one of a pair; None for a missing one."""
+    """(original, pruned) if the object is one of a pair; None for a missing one. If it is one of two pairs: that with an undecided result."""
     if obj is None:
         return None, None
-    if KEPT in obj and (original_of(obj) is not None or undecided(obj)):
-        return original_of(obj), obj
-    pruned = pruned_of(obj)
+    pruned, original = pruned_of(obj), original_of(obj)
+    if undecided(obj) or (original is not None and not undecided(pruned)):
+        return original, obj
     return (obj, pruned) if pruned is not None else (None, None)
 
 
@@ -84,7 +113,7 @@ def _in_file(obj: bpy.types.Object | None) -> bpy.types.Object | None:
 
 def undecided(pruned: bpy.types.Object | None) -> bool:
     """Whether the splat is a result that was not applied yet."""
-    return pruned is not None and REMOVED in pruned.data.attributes
+    return pruned is not None and KEPT in pruned and REMOVED in pruned.data.attributes
 
 
 def show(pruned: bpy.types.Object, count: int):
@@ -98,7 +127,7 @@ def show(pruned: bpy.types.Object, count: int):
     bridge.set_values(original, REMOVED, "BOOLEAN", score < limit)
     more = bool(limit <= BOUNDARY)
     for obj, hidden in ((original, not more), (pruned, more)):
-        obj.hide_viewport = obj.hide_render = hidden
+        set_hidden(obj, hidden)
 
 
 def marked_count(obj: bpy.types.Object) -> int:
@@ -123,7 +152,8 @@ def shown_gaussians(pruned: bpy.types.Object) -> Scene:
     back = ~bridge.stored_values(original, REMOVED) & (bridge.stored_values(original, SCORE) <= BOUNDARY)
     if not back.any():
         return scene
-    return merged(scene, rows, bridge.scene_from_object(original).select(back), bridge.stored_values(original, ROW)[back])
+    returned = transformed(bridge.scene_from_object(original).select(back), bridge.between(original, pruned))
+    return merged(scene, rows, returned, bridge.stored_values(original, ROW)[back])
 
 
 def unmark(obj: bpy.types.Object):
@@ -141,10 +171,18 @@ def discard_result(original: bpy.types.Object):
     """Deletes the result. The original is as it was before the job."""
     pruned = pruned_of(original)
     unmark(original)
-    original.hide_viewport = original.hide_render = False
+    set_hidden(original, False)
     original.pop(PRUNED, None)
     if pruned is not None:
         delete_object(pruned)
+
+
+def discard_original(original: bpy.types.Object, pruned: bpy.types.Object):
+    """Deletes the original of an applied result. If it was itself pruned from another splat, that one becomes the original."""
+    first = original_of(original)
+    delete_object(original)
+    if first is not None:
+        first[PRUNED], pruned[ORIGINAL] = pruned, first
 
 
 def delete_object(obj: bpy.types.Object):
@@ -218,7 +256,7 @@ def _free_original(original: bpy.types.Object, shared=None):
     if original.data != shared:
         bridge.remove_values(original, REMOVED)
     _show_removed(original)
-    original.hide_viewport = original.hide_render = False
+    set_hidden(original, False)
 
 
 def _rejoin(original: bpy.types.Object, pruned: bpy.types.Object):

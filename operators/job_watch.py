@@ -15,23 +15,33 @@ import os
 import bpy
 from bpy.app.handlers import persistent
 
-from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.errors import FormatError, SplatError
+from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, edit_guard, job_pictures, job_result
+from . import bridge, edit_guard, job_pictures, job_queue, job_result, train_result
+from .job_queue import jobs
 from .select import in_view_layer
 
 FOLDER = "svrgs_job"  # property of a splat
 JOBS_FOLDER = "//svrgs_jobs"  # folder of jobs next to the .blend file
 INTERVAL = 0.2  # seconds between two calls of the timer
-WAITING = ("paused", "cancelled", "interrupted", "failed")  # states in which a job can be resumed
+RESUMABLE = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed")  # states in which a job can be resumed, unless it is in the queue
 BUSY = ("new", "starting", "running")
 
-jobs: dict[str, Job] = {}  # by folder
 links: dict[int, str] = {}  # by session_uid of a splat, which undo does not change: the folder of its job
+in_file: dict[int, str] = {}  # by session_uid of a splat: the folder of the finished job whose result it is; see applied_jobs.py
 
 
 # --- the job of a splat
+
+
+def is_busy(job: Job) -> bool:
+    """Whether the job runs, in any Blender, or waits in the queue."""
+    return job.state in BUSY or job_queue.is_queued(job)
+
+
+def is_resumable(job: Job) -> bool:
+    return job.state in RESUMABLE and not job_queue.is_queued(job)
 
 
 def job_of(obj: bpy.types.Object | None) -> Job | None:
@@ -49,9 +59,10 @@ def job_of(obj: bpy.types.Object | None) -> Job | None:
 def folder_of(obj: bpy.types.Object | None) -> str:
     """The folder of the splat's job: where it was started, or next to the .blend file if both were moved; empty: no job."""
     path = obj.get(FOLDER) if obj is not None else None
-    if not isinstance(path, str) or not path:
+    if obj is None or not isinstance(path, str) or not path:
         return ""
-    moved = bpy.path.abspath(f"{JOBS_FOLDER}/{os.path.basename(path)}") if bpy.data.filepath else path
+    path = os.path.normpath(bpy.path.abspath(path, library=obj.library))
+    moved = os.path.normpath(bpy.path.abspath(f"{JOBS_FOLDER}/{os.path.basename(path)}")) if bpy.data.filepath else path
     return moved if not os.path.exists(path) and os.path.exists(moved) else path
 
 
@@ -60,9 +71,9 @@ def current(context) -> tuple[bpy.types.Object, Job] | None:
 
     None if there is no such job.
     """
-    original, _ = job_result.pair_of(context.object)
-    for obj in (context.object, original):
-        if (job := job_of(obj)) is not None and (job.state != "done" or job_result.pruned_of(obj) is None):
+    original, pruned = job_result.pair_of(context.object)
+    for obj in (context.object, original if job_result.undecided(pruned) else None):
+        if (job := job_of(obj)) is not None and (job.state != "done" or not job_result.undecided(job_result.pruned_of(obj))):
             return obj, job
     if bridge.is_splat(context.object):
         return None
@@ -86,12 +97,23 @@ def unlink(obj: bpy.types.Object):
     links.pop(obj.session_uid, None)
 
 
+def delete_job(job: Job):
+    """Deletes the files of a job that has ended or waits, and takes it from its splat or its cameras. Raises OSError."""
+    job_queue.leave(job)
+    with contextlib.suppress(FormatError):  # the files are gone already
+        job.folder.discard()
+    jobs.pop(str(job.folder.path), None)
+    for obj in bpy.data.objects:
+        if folder_of(obj) == str(job.folder.path):
+            unlink(obj)
+
+
 @persistent
 def _after_undo(*_):
     """Gives splats back the jobs that they had before the undo."""
     for obj in bpy.data.objects:
         folder = links.get(obj.session_uid)
-        if folder is not None and obj.get(FOLDER) != folder:
+        if folder is not None and folder_of(obj) != folder:
             obj[FOLDER] = folder
 
 
@@ -99,30 +121,31 @@ def _after_undo(*_):
 def _after_update(scene, *_):
     """Takes the job away from a copy of a splat. A splat that was loaded or appended with its job keeps it."""
     for obj in scene.objects:
-        if FOLDER in obj and not obj.library and links.get(obj.session_uid) != obj[FOLDER]:
-            if _has_owner(obj[FOLDER]):
+        folder = folder_of(obj)
+        if folder and not obj.library and links.get(obj.session_uid) != folder:
+            if owner_of(folder) is not None:
                 del obj[FOLDER]
             else:
-                links[obj.session_uid] = obj[FOLDER]
+                links[obj.session_uid] = folder
 
 
-def _has_owner(folder: str) -> bool:
-    """Whether a splat in the file is known to have the job in this folder."""
-    return any(links.get(obj.session_uid) == folder and obj.users_collection for obj in bpy.data.objects)
+def owner_of(folder: str) -> bpy.types.Object | None:
+    """The splat in the file that is known to have the job in this folder."""
+    return next((obj for obj in bpy.data.objects if links.get(obj.session_uid) == folder and obj.users_collection), None)
 
 
 # --- the timer
 
 
 def tick() -> float | None:
-    """Reads the messages of every running job. Returns the seconds until the next call; None if no job is left."""
+    """Reads the messages of every running job, and starts the next one of the queue. Returns the seconds until the next call; None if no job is left."""
     for job in [job for job in jobs.values() if job.running]:
         try:
             _update(job)
         except Exception as error:  # any error: Blender removes a timer that raises, and then no job would be followed
             job.abort(str(error) or type(error).__name__)
             redraw_panels()
-    return INTERVAL if any(job.running for job in jobs.values()) else None
+    return INTERVAL if job_queue.advance() else None
 
 
 def _update(job: Job):
@@ -147,11 +170,16 @@ def _load_if_possible(job: Job):
     with contextlib.suppress(SplatError, OSError):  # the button Load Result reports the error
         load_result(bpy.context, splats[0], job)
         if not bpy.app.background:
-            bpy.ops.ed.undo_push(message="Prune Splat")
+            bpy.ops.ed.undo_push(message="Train Splat" if job.folder.kind == TRAIN else "Prune Splat")
 
 
 def load_result(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
-    """Adds the result of a finished job to the scene."""
+    """Adds the result of a finished job to the scene. obj: the splat that was pruned, or the root of the cameras that a splat was trained from."""
+    if job.folder.kind == TRAIN:
+        trained = train_result.load(context, obj, job.folder)
+        in_file[trained.session_uid] = str(job.folder.path)
+        unlink(obj)
+        return trained
     pruned = job_result.load(context, obj, job.folder)
     result = job.folder.result()
     psnr = [result[side].get("psnr") for side in ("before", "after")]
@@ -174,10 +202,10 @@ def redraw_panels():
 
 @persistent
 def _after_load(*_):
-    """Another file has been opened: only the jobs that run in this Blender stay. All links go, because the splats are others."""
+    """Another file has been opened: only the jobs that run or wait in this Blender stay. All links go, because the splats are others."""
     links.clear()
-    for path in [path for path, job in jobs.items() if not job.running]:
-        del jobs[path]
+    in_file.clear()
+    job_queue.forget_ended()
 
 
 HANDLERS = {"load_post": _after_load, "undo_post": _after_undo, "redo_post": _after_undo, "depsgraph_update_post": _after_update}
@@ -193,7 +221,6 @@ def unregister():
         getattr(bpy.app.handlers, event).remove(handler)
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
-    for job in jobs.values():
-        job.detach()
-    jobs.clear()
+    job_queue.forget_all()
     links.clear()
+    in_file.clear()

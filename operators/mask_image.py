@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon import native
-from ..svrgs_addon.errors import SceneError
+from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.native import Rasterizer, RenderOptions
 from ..svrgs_addon.render import color_maps
 from ..svrgs_addon.report.pictures import with_color_bar
@@ -29,7 +31,7 @@ def refresh(context: bpy.types.Context) -> dict:
     _inputs[scene.session_uid] = _inputs_now(depsgraph)
     placed = bridge_graph.splats(depsgraph, scene_cache.read)
     if placed is None:
-        raise SceneError("there is no visible splat: import one")
+        raise SceneError(tr("there is no visible splat: import one"))
     obj = bridge_graph.camera(depsgraph)
     camera = placed.seen_by(_sized(bridge.camera_from_object(obj, scene), scene.svrgs_looking.mask_size))
     native.set_threads(threads(context))
@@ -59,8 +61,13 @@ def _inputs_now(depsgraph: bpy.types.Depsgraph) -> tuple:
 def recolor(settings, context):
     """After the user has chosen other colours: colours the last mask again."""
     scene = settings.id_data
-    if scene.session_uid in _masks and settings.mask_result:
+    if not settings.mask_result:
+        return
+    if scene.session_uid in _masks:
         _write(scene, json.loads(settings.mask_result))
+    else:  # the image was saved with the file, the mask was not
+        with contextlib.suppress(SplatError, NativeError):  # without camera or splat, the saved picture stays
+            refresh(context)
 
 
 def _sized(camera, longer: int):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bpy.app.translations import pgettext_iface as tr
+
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError
 
@@ -11,5 +13,5 @@ def native_problem() -> str:
     try:
         native.best_level()
     except NativeError:  # it is missing, or built for another computer, or of another version
-        return "The native library does not load: install the extension's zip again"
+        return tr("The native library does not load: install the extension's zip again")
     return ""

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ..svrgs_addon.finetune.methods import METHODS
+from ..svrgs_addon.finetune.methods import DEFAULT, METHODS, PAPER_METHOD
 from ..svrgs_addon.finetune.methods.base import Method
 from ..svrgs_addon.jobs.options import PruneOptions
 from ..svrgs_addon.option_kinds import options_of
 
 PROPERTY_TYPES = {bool: BoolProperty, int: IntProperty, float: FloatProperty, str: StringProperty, Path: StringProperty}
+RELATIVE = (
+    {"PATH_SUPPORTS_BLEND_RELATIVE"} if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties else set()
+)  # options of paths that take '//'
+CHOICES = {"RECOMMENDED": DEFAULT, "PAPER": PAPER_METHOD}  # items of the short menu, except OTHER -> method
+FIRST_OTHER = "maskgs"  # what OTHER chooses first: the nearest to the default at small counts (docs/results.md)
 UNSET = {int: 0, float: 0.0, str: "", Path: "", bool: False}  # the default of a property whose option has no default
 
 
@@ -27,7 +33,7 @@ def option_property(name: str, /, **overrides):
     if kind.type in (int, float):
         arguments |= {key: value for key, value in (("min", kind.minimum), ("max", kind.maximum)) if value is not None}
     elif kind.type is Path:
-        arguments |= {"subtype": "DIR_PATH"}
+        arguments |= {"subtype": "DIR_PATH", "options": RELATIVE}
     if kind.type in (str, Path):
         arguments["default"] = str(arguments["default"])
     if option.default_help and kind.type in (str, Path):
@@ -35,25 +41,31 @@ def option_property(name: str, /, **overrides):
     return PROPERTY_TYPES[kind.type](**(arguments | overrides))
 
 
+def method_choice_property(**more):
+    """The short menu of methods, which shows and sets the property `method`."""
+    items = [(key, METHODS[name].label, _tooltip(METHODS[name])) for key, name in CHOICES.items()]
+    items.append(("OTHER", "Other…", "One of the methods of other papers and variants. Choose it under Advanced"))
+    return EnumProperty(name="Method", items=items, get=_choice, set=_choose, description="How pruning decides which Gaussians are removed", **more)
+
+
+def _choice(settings) -> int:
+    return next((number for number, name in enumerate(CHOICES.values()) if name == settings.method), len(CHOICES))
+
+
+def _choose(settings, number: int):
+    if number != _choice(settings):
+        settings.method = [*CHOICES.values(), FIRST_OTHER][number]
+
+
 def method_property(**more):
     """The menu of the methods that prune. Blender stores the number of a method in .blend files. more: further arguments of the property."""
-    items = [(name, menu_name(method), _tooltip(method), "NONE", method.number) for name, method in METHODS.items() if method.prunes]
+    items = [(name, method.label, _tooltip(method), "NONE", method.number) for name, method in METHODS.items() if method.prunes]
     return EnumProperty(name="Method", items=items, default=PruneOptions.method, description="How pruning decides which Gaussians are removed", **more)
-
-
-def menu_name(method: Method) -> str:
-    """How the menu calls a method."""
-    return method.label or method.name
 
 
 def method_sentence(method: Method) -> str:
     """What the method does."""
     return capitalised(method.help)
-
-
-def lambda_sentence(method: Method) -> str:
-    """What λ_F means in this method; empty where it has none."""
-    return f"λ_F: {method.lambda_f_help}" if method.lambda_f_help else ""
 
 
 def capitalised(text: str) -> str:
@@ -62,5 +74,4 @@ def capitalised(text: str) -> str:
 
 
 def _tooltip(method: Method) -> str:
-    amount = f"Keeps {method.share:.0%} unless a goal is set" if method.share else "Needs a percentage, a count or a size" if method.ranks else ""
-    return ". ".join(filter(None, (method_sentence(method), lambda_sentence(method), amount)))
+    return ". ".join(filter(None, (method_sentence(method), method.lambda_f_help and f"λ_F: {method.lambda_f_help}")))

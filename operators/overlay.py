@@ -26,7 +26,7 @@ from ..svrgs_addon.render.live_view import LiveView, Picture
 from ..svrgs_addon.render.passes import overlay_rgba
 from ..svrgs_addon.render.quads import Quads, colors, painted, quads
 from ..svrgs_addon.scene import Scene
-from . import bridge, bridge_gpu, bridge_graph, scene_cache
+from . import bridge, bridge_gpu, bridge_graph, viewport_wipe
 from .preferences import threads
 from .viewport import redraw
 
@@ -93,8 +93,8 @@ class Overlay:
 
     def __init__(self):
         self._shaders: bridge_gpu.Shaders | None = None
-        self.views: dict[int, View] = {}  # by region
-        self.cloud: Cloud | None = None
+        self.views: dict[tuple[int, str], View] = {}  # by region and side
+        self.clouds: dict[str, Cloud] = {}  # by side
         self.changes = 0  # number of changes in the scene: an exact picture depends on the meshes that hide splats
         self.handle = bpy.types.SpaceView3D.draw_handler_add(self.draw, (), "WINDOW", "POST_VIEW")
 
@@ -104,15 +104,19 @@ class Overlay:
             view.live.close()
 
     def draw(self):
-        context, space = bpy.context, bpy.context.space_data
-        if not context.scene.svrgs_looking.overlay or space.shading.type not in SHADING or not space.overlay.show_overlays:
+        context, settings = bpy.context, bpy.context.scene.svrgs_looking
+        if not settings.overlay or context.space_data.shading.type not in SHADING:
             return
         try:
             camera = bridge_graph.region_camera(context.region, context.region_data)
-            self.cloud = cloud = self.visible_cloud(context)
-            if cloud is not None:
+            sides = viewport_wipe.sides(context.scene, viewport_wipe.shown(bridge_graph.splats_in_view(context), settings.overlay_shown))
+            self.clouds = {side.name: self.cloud_of(side, settings) for side in sides if side.shown}
+            self.close_views(context.region)
+            depth = bridge_gpu.scene_depth(context.region.width, context.region.height) if self.clouds else None
+            if depth is not None:
                 native.set_threads(threads(context))
-                self.draw_cloud(context, cloud, camera)
+                for side in sides:
+                    self.draw_cloud(context, self.clouds[side.name], self.view_of(context.region, side.name), camera, depth, side.columns)
         except (SplatError, NativeError):  # an object of scale 0, or no native library: the panels report it
             return
 
@@ -123,48 +127,47 @@ class Overlay:
             self._shaders = bridge_gpu.Shaders()
         return self._shaders
 
-    def visible_cloud(self, context) -> Cloud | None:
-        """The splats that this viewport shows; None if there is none."""
-        settings = context.scene.svrgs_looking
-        found = bridge_graph.splats_in_view(context)
-        key = settings.overlay_shown, settings.overlay_moving, *((scene_cache.number(obj), tuple(map(tuple, matrix))) for obj, matrix in found)
-        if not found:
-            return None
-        if self.cloud is not None and self.cloud.key == key:
-            return self.cloud
-        placed = bridge_graph.placed([(scene_cache.read(obj), matrix) for obj, matrix in found])
-        values = [scene_cache.read_values(obj, settings.overlay_shown) for obj, _ in found]
+    def cloud_of(self, side: viewport_wipe.Side, settings) -> Cloud:
+        """The splats of one side of the viewport; the last ones if nothing has changed."""
+        key = settings.overlay_shown, settings.overlay_moving, *side.key
+        known = self.clouds.get(side.name)
+        if known is not None and known.key == key:
+            return known
+        placed = bridge_graph.placed([(part.scene, part.matrix) for part in side.shown])
+        values = [part.values for part in side.shown]
         return Cloud(key, placed, painted(placed.scene, values), settings.overlay_moving)
 
-    def view_of(self, region: bpy.types.Region) -> View:
-        """The region's view. Views of closed regions are removed."""
-        if region.as_pointer() not in self.views:
-            open_now = {r.as_pointer() for w in bpy.context.window_manager.windows for area in w.screen.areas for r in area.regions}
-            for closed in self.views.keys() - open_now:
-                self.views.pop(closed).live.close()
-            self.views[region.as_pointer()] = View()
-        return self.views[region.as_pointer()]
+    def view_of(self, region: bpy.types.Region, side: str) -> View:
+        """The region's view of a side."""
+        key = region.as_pointer(), side
+        if key not in self.views:
+            self.views[key] = View()
+        return self.views[key]
 
-    def draw_cloud(self, context, cloud: Cloud, camera: Camera):
-        region, space = context.region, context.space_data
-        view = self.view_of(region)
-        found = bridge_gpu.scene_depth(region.width, region.height)
-        if found is None:
+    def close_views(self, region: bpy.types.Region):
+        """Removes the views of closed regions, and those of sides that this region no longer has."""
+        if not [key for key in self.views if key[0] != region.as_pointer() or key[1] not in self.clouds]:
             return
-        depth_texture, depth = found
-        local = cloud.placed.seen_by(camera)
+        open_now = {r.as_pointer() for w in bpy.context.window_manager.windows for area in w.screen.areas for r in area.regions}
+        for key in list(self.views):
+            if key[0] not in open_now or (key[0] == region.as_pointer() and key[1] not in self.clouds):
+                self.views.pop(key).live.close()
+
+    def draw_cloud(self, context, cloud: Cloud, view: View, camera: Camera, depth, columns: tuple[float, float]):
+        """Draws in some columns of the viewport. depth: its depth buffer (H, W)."""
+        space, local = context.space_data, cloud.placed.seen_by(camera)
         view_key = local.key + repr(cloud.key).encode()
         if view.is_at_rest(view_key):
-            key = view_key, self.changes, space.shading.type, space.shading.show_xray
+            key = view_key, self.changes, space.shading.type, space.shading.show_xray, space.overlay.show_overlays
             view.live.request(key, DrawRequest(cloud, local, depth_of_projection(context.region_data.window_matrix, depth) / cloud.placed.unit))
             picture = view.live.picture()
             if picture is not None and picture.key == key and picture.error is None:
-                bridge_gpu.draw_over_viewport(self.shaders, self.exact_texture(view, cloud, picture))
+                bridge_gpu.draw_over_viewport(self.shaders, self.exact_texture(view, cloud, picture), columns)
                 return
         if not bpy.app.timers.is_registered(_redraw_once):
             bpy.app.timers.register(_redraw_once, first_interval=REST_SECONDS / 2)
         started = time.perf_counter()
-        bridge_gpu.draw_over_viewport(self.shaders, self.draw_quads(context, view, cloud, camera, depth_texture))
+        bridge_gpu.draw_over_viewport(self.shaders, self.draw_quads(context, view, cloud, camera, depth), columns)
         view.adapt(time.perf_counter() - started)
 
     def exact_texture(self, view: View, cloud: Cloud, picture: Picture) -> gpu.types.GPUTexture:
@@ -174,7 +177,7 @@ class Overlay:
             cloud.set_colors(quad_colors)
         return view.texture[1]
 
-    def draw_quads(self, context, view: View, cloud: Cloud, camera: Camera, depth_texture: gpu.types.GPUTexture) -> gpu.types.GPUTexture:
+    def draw_quads(self, context, view: View, cloud: Cloud, camera: Camera, depth) -> gpu.types.GPUTexture:
         modelview = context.region_data.view_matrix @ cloud.placed.matrix
         if cloud.colors is None:
             cloud.set_colors(colors(cloud.scene, cloud.quads.rows, cloud.placed.seen_by(camera)))
@@ -184,14 +187,13 @@ class Overlay:
         if view.target is None or (view.target.width, view.target.height) != (width, height):
             view.target = bridge_gpu.Target(width, height)
         small, P = camera.resized(width, height), context.region_data.window_matrix
+        near, enlarge = thresholds().near * cloud.placed.unit - step_back(P), min(cloud.scene.count / count, LARGEST_SCALE**2)
         constants = {
-            "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]), "size": (width, height),
-            "parallel": float(camera.orthographic), "depth_scale": P[2][2], "depth_shift": P[2][3],
-            "near": thresholds().near * cloud.placed.unit - step_back(P),
-            "enlarge": min(cloud.scene.count / count, LARGEST_SCALE**2), "antialiased": float(cloud.scene.antialiased), "reduction": reduction,
+            "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]), "view": (width, height, near, enlarge),
+            "mode": (float(camera.orthographic), float(cloud.scene.antialiased), P[2][2], P[2][3]),
         }  # fmt: skip
         lists = {"order": bridge_gpu.texture(order, "R32F"), "geometry": cloud.geometry, "colors": cloud.colors}
-        bridge_gpu.draw_quads(self.shaders, view.target, lists, depth_texture, constants, count)
+        bridge_gpu.draw_quads(self.shaders, view.target, lists, bridge_gpu.depth_texture(depth, reduction), constants, count)
         return view.target.texture
 
 

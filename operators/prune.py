@@ -1,24 +1,31 @@
 """The operator svrgs.prune, for scripts: runs `svrgs prune` in a child process and waits for it.
 
-The button Prune of the panel is svrgs.job_start in job.py, which does not wait.
+With a window the result appears in the scene. Without one (`blender -b`) it is also written into a file: Blender does not save the
+scene. The button Prune of the panel is svrgs.job_start in job.py, which does not wait.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 from pathlib import Path
 
 import bpy
-from bpy.props import StringProperty
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.blender import subprocess_python
+from ..svrgs_addon.cli.batch_list import default_output
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.files.registry import read_scene, write_scene
+from ..svrgs_addon.files.registry import format_to_write, read_scene, write_scene
 from . import bridge, edit_guard, job_result
-from .option_properties import method_property, option_property
+from .option_properties import RELATIVE, method_property, option_property
 from .preferences import threads
 from .select import select
+from .visibility import set_hidden
+
+BACKGROUND = bpy.app.background
 
 
 class SVRGS_OT_prune(bpy.types.Operator):
@@ -27,11 +34,22 @@ class SVRGS_OT_prune(bpy.types.Operator):
     bl_description = "Remove the Gaussians that the photographs do not need, then recover the quality. The original stays, hidden"
     bl_options = {"REGISTER", "UNDO"}
 
-    scene: StringProperty(name="Scene", subtype="FILE_PATH", description="Splat file to prune. Empty: the active splat")
-    colmap: option_property("colmap", name="Dataset", description="COLMAP dataset: photographs and model. Empty: the dataset of the imported cameras")
+    scene: StringProperty(name="Scene", subtype="FILE_PATH", options=RELATIVE, description="Splat file to prune. Empty: the active splat")
+    colmap: option_property(
+        "colmap",
+        name="Dataset",
+        options=RELATIVE,
+        description="Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported cameras",
+    )
     images: option_property("images")
-    out: StringProperty(name="Output", subtype="FILE_PATH", description="File for the pruned splat, which is also added to the scene. Empty: no file")
-    report_folder: StringProperty(name="Report", subtype="DIR_PATH", description="Folder for an HTML report. Empty: no report")
+    out: StringProperty(
+        name="Output",
+        subtype="FILE_PATH",
+        options=RELATIVE,
+        description="File for the pruned splat, which is also added to the scene. Empty: no file, or NAME_pruned.ply in background mode",
+    )
+    overwrite: BoolProperty(name="Overwrite", description="Replace the output if it exists")
+    report_folder: StringProperty(name="Report", subtype="DIR_PATH", options=RELATIVE, description="Folder for an HTML report. Empty: no report")
     method: method_property()
     lambda_f: option_property(
         "lambda_f",
@@ -52,7 +70,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
     def poll(cls, context):
         if context.mode == "OBJECT":
             return True
-        cls.poll_message_set("Leave Edit Mode first")
+        cls.poll_message_set(tr("Leave Edit Mode first"))
         return False
 
     def execute(self, context):
@@ -63,48 +81,79 @@ class SVRGS_OT_prune(bpy.types.Operator):
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        name = source.name if source else Path(self.scene).stem
-        obj = bridge.object_from_scene(f"{name} pruned", pruned, context.collection, source.matrix_world if source else bridge.AXES)
-        root = bridge.root_of(source)
-        if source is not None and root is not None:
-            bridge.parent_to_root(obj, root)
-            obj.matrix_basis = source.matrix_basis
+        if source is not None:
+            obj = bridge.copy_with(source, f"{source.name} pruned", pruned)
+        else:
+            obj = bridge.object_from_scene(f"{Path(self.scene).stem} pruned", pruned, context.collection)
         if source is not None:
             job_result.join(source, obj)
-            source.hide_viewport = source.hide_render = True
+            set_hidden(source, True)
+            set_hidden(obj, False)
         select(context, [obj])
         before, psnr = result["before"], [figures.get("psnr") for figures in (result["before"], result)]
-        change = f", {psnr[1] - psnr[0]:+.2f} dB" if None not in psnr else ""  # null if images and photographs are identical
-        self.report({"INFO"}, f"Kept {result['count']:,} of {before['count']:,} Gaussians{change}")
+        texts = [tr("Kept {kept:,} of {count:,} Gaussians").format(kept=result["count"], count=before["count"])]
+        texts += [tr("PSNR changed by {difference:+.2f} dB").format(difference=psnr[1] - psnr[0])] if None not in psnr else []  # null: identical images
+        self.report({"INFO"}, ". ".join([*texts, *result["notes"]]))
         return {"FINISHED"}
 
     def prune(self, source: bpy.types.Object | None, temp_dir: Path, threads: int):
-        """(the JSON result, the pruned scene). Prints the result as one line, as `svrgs prune --json` does."""
-        scene = Path(bpy.path.abspath(self.scene))
+        """(the JSON result, the pruned scene). Prints the result as one line, as `svrgs prune --json` does.
+
+        In it, `scene` is the .blend if the active splat was pruned, and `out` is null if no file was written.
+        """
+        scene = origin = absolute(self.scene)
         if source is not None or not self.scene:
             gaussians = bridge.scene_from_object(source)  # raises SceneError if there is no splat
             if problem := edit_guard.problem(bpy.context, source):
                 raise SplatError(problem)
-            scene = temp_dir / "scene.ply"
+            scene, origin = str(temp_dir / "scene.ply"), bpy.data.filepath
+        out = self.output(source)
+        if source is not None:
             write_scene(scene, gaussians)
-        out = Path(bpy.path.abspath(self.out)) if self.out else temp_dir / "pruned.ply"
-        status, result = subprocess_python.run(["prune", str(scene), "--out", str(out), *self.arguments(source), "--threads", str(threads)])
+        written = out or temp_dir / "pruned.ply"
+        status, result = subprocess_python.run(["prune", scene, "--out", str(written), *self.arguments(source), "--threads", str(threads)])
         if status or "count" not in result:
-            raise SplatError(result.get("error", f"pruning ended with status {status}"))
-        print(json.dumps(result), flush=True)
-        return result, read_scene(out)
+            raise SplatError(result.get("error", tr("pruning ended with status {status}").format(status=status)))
+        print(json.dumps(result | {"scene": origin or None, "out": str(out) if out else None}), flush=True)
+        return result, read_scene(written)
+
+    def output(self, source: bpy.types.Object | None) -> Path | None:
+        """The file to write; None: none. Raises SplatError if there is no place for it, and if it exists and may not be replaced."""
+        if self.out:
+            out = Path(absolute(self.out))
+            if out.is_dir():
+                raise SplatError(tr("{file}: is a folder; give the name of a file").format(file=out))
+            format_to_write(out)
+        elif not BACKGROUND:
+            return None
+        elif source is None:
+            out = default_output(Path(absolute(self.scene)), "out=")
+        elif bpy.data.filepath:
+            out = default_output(Path(bpy.data.filepath).with_name(bpy.path.clean_name(source.name)), "out=")
+        else:
+            raise SplatError(tr("name a file for the result with out=: in background mode it lies beside the .blend, and this one has not been saved"))
+        if out.exists() and not self.overwrite:
+            raise SplatError(tr("{file}: exists; name another output with out=, or replace it with overwrite=True").format(file=out))
+        return out
 
     def arguments(self, source: bpy.types.Object | None) -> list[str]:
         """The options of `svrgs prune`: those of the operator, and the dataset that was imported with the splat."""
         root = bridge.root_of(source) or {}
         colmap, images = (self.colmap, self.images) if self.colmap else (root.get(bridge.DATASET, ""), self.images or root.get(bridge.IMAGES, ""))
         given = {
-            "--colmap": bpy.path.abspath(colmap), "--images": images, "--report": bpy.path.abspath(self.report_folder),
+            "--colmap": absolute(colmap), "--images": images, "--report": absolute(self.report_folder),
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
             "--max-drop": self.max_drop,
         }  # fmt: skip
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
         return [*options, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in ("iterations", "recovery", "seed")), "--quiet", "--json"]
+
+
+def absolute(path: str) -> str:
+    """The absolute path; empty stays empty. Raises SplatError for a path that begins with // while the .blend is not saved."""
+    if path.startswith("//") and not bpy.data.filepath:
+        raise SplatError(tr("{path}: begins at the folder of the .blend, which has not been saved; save it, or give the whole path").format(path=path))
+    return os.path.abspath(bpy.path.abspath(path)) if path else ""
 
 
 def register():

@@ -6,32 +6,52 @@ All properties are read-only. They are worked out whenever a panel is drawn, and
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.app.translations import pgettext_n as n_
 from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.finetune.methods.base import Method
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, edit_guard, estimate, former_methods, job_pictures, job_result
-from .job import dataset_of, file_size, goal_problem
-from .job_watch import BUSY, WAITING, current
+from . import (
+    bridge,
+    camera_match,
+    dataset_paths,
+    edit_guard,
+    estimate,
+    former_methods,
+    goals,
+    job_pictures,
+    job_queue,
+    job_result,
+    orphan_jobs,
+)  # fmt: skip
+from .job import resume_sentence
+from .job_watch import current, is_busy, is_resumable
 from .native_check import native_problem
-from .option_properties import lambda_sentence, method_sentence
+from .option_properties import CHOICES, method_sentence
+from .splat_size import size_text
 
 SILENT_SECONDS = 60.0  # after this time without a sign of life, the panel says so
-WAITING_TEXT = {"paused": "Paused", "cancelled": "Cancelled", "interrupted": "An interrupted job was found", "failed": "The job failed"}
+STOPPED_TEXT = {  # state -> what the panel says, and that with a progress; others: STOPPED
+    "queued": (n_("Not started yet"), n_("Not started yet")),
+    "interrupted": (n_("An interrupted job was found"), n_("An interrupted job was found at {share:.0%}")),
+    "failed": (n_("The job failed"), n_("The job failed at {share:.0%}")),
+}
+STOPPED = n_("Stopped"), n_("Stopped at {share:.0%}")
 
 
 def stage(context) -> str:
-    """BROKEN (no native library), BUSY, WAITING or FINISHED (a job), RESULT or APPLIED (a pruned splat), READY (a splat), NOTHING."""
+    """BROKEN (no native library), BUSY, WAITING or FINISHED (a job), RESULT (a pruned splat, not applied), READY (a splat), NOTHING."""
     if native_problem():
         return "BROKEN"
     if (found := current(context)) is not None:
         _, job = found
-        return "BUSY" if job.state in BUSY else "WAITING" if job.state in WAITING else "FINISHED"
+        return "BUSY" if is_busy(job) else "WAITING" if is_resumable(job) else "FINISHED"
     _, pruned = job_result.pair_of(context.object)
-    if pruned is not None:
-        return "RESULT" if job_result.undecided(pruned) else "APPLIED"
+    if job_result.undecided(pruned):
+        return "RESULT"
     return "READY" if bridge.is_splat(context.object) else "NOTHING"
 
 
@@ -42,57 +62,71 @@ def sentences(context) -> list[str]:
     if (found := current(context)) is not None:
         return _of_job(found[1])
     original, pruned = job_result.pair_of(context.object)
-    if pruned is not None:
-        return (_of_result if job_result.undecided(pruned) else _of_applied)(original, pruned)
-    return _of_ready(context) if bridge.is_splat(context.object) else ["Select a splat, or import one in step 1"]
+    if pruned is not None and job_result.undecided(pruned):
+        return _of_result(original, pruned)
+    return _of_ready(context) if bridge.is_splat(context.object) else [tr("Select a splat, or import one in step 1")]
 
 
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
-    texts = ["Estimating from some views …"] if found.get("busy") else estimate.sentences(context.object) if found else []
-    texts += filter(None, [edit_guard.problem(context, context.object), goal_problem(context.scene.svrgs_prune)])
-    return texts if dataset_of(context)[0] else [*texts, "Choose the dataset of the splat's photographs, or import its cameras in step 1"]
+    texts: list[str] = [tr("Estimating from some views …")] if found.get("busy") else estimate.sentences(context.object) if found else []
+    texts += filter(None, [camera_match.sentence(context), edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
+    return [*texts, *filter(None, [dataset_paths.problem(context), orphan_jobs.sentence(context), _of_applied(context.object)])]
 
 
 def _of_job(job: Job) -> list[str]:
-    if job.state in BUSY:
-        silent = [f"No sign of life for {job.seconds_silent:.0f} s: Cancel ends the job"] if job.seconds_silent > SILENT_SECONDS else []
-        return [job.facts.get("text") or "Working", *_figures(job.facts), *silent]
-    if job.state not in WAITING:
-        return ["A finished job was found: load its result, or discard it and prune again"]
-    progress = f" at {_progress_share(job.facts):.0%}" if job.facts.get("total") else ""
-    return [WAITING_TEXT[job.state] + progress, *filter(None, [job.facts.get("text")]), *_figures(job.facts)]
+    if job_queue.is_queued(job):
+        return [tr("{waiting}: one job runs at a time").format(waiting=job_queue.waiting_text(job))]
+    if is_busy(job):
+        without = [". ".join((tr("Stop Now does not wait for it"), resume_sentence(job)))] if job.stopping else []
+        texts = [tr(job.facts.get("text") or n_("Working")), *_figures(job.facts), *filter(None, [job.facts.get("note")]), *without]
+        silent = tr("No sign of life for {seconds:.0f} s: Stop ends the job").format(seconds=job.seconds_silent)
+        return [*texts, silent] if job.seconds_silent > SILENT_SECONDS else texts
+    if not is_resumable(job):
+        return [tr("A finished job was found: load its result, or discard it and start again")]
+    state = tr(STOPPED_TEXT.get(job.state, STOPPED)[bool(job.facts.get("total"))]).format(share=job.progress)
+    return [state, *map(tr, filter(None, [job.facts.get("text")])), resume_sentence(job), *_figures(job.facts)]
 
 
 def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
-    texts = [f"{count:,}{f' of {bridge.count(original):,}' if original else ''} Gaussians, {file_size(pruned, count)}"]
+    text = tr("{kept:,} of {count:,} Gaussians, {size}") if original else tr("{kept:,} Gaussians, {size}")
+    texts = [text.format(kept=count, count=bridge.count(original) if original else 0, size=size_text(pruned, count))]
     if job_result.PSNR in pruned:
         before, after = pruned[job_result.PSNR]
-        texts.append(f"PSNR {before:.2f} → {after:.2f} dB, {kept:,} recovered")
-    return [*texts, f"{count - kept:,} more than were recovered: shown as in the original"] if count > kept else texts
+        text = tr("Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB")
+        if count != kept:
+            text = tr("Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB; not measured at this setting")
+        texts.append(text.format(kept=kept, before=before, after=after))
+    return [*texts, tr("{count:,} more than were recovered: shown as in the original").format(count=count - kept)] if count > kept else texts
 
 
-def _of_applied(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
-    text = f"Pruned to {bridge.count(pruned):,} Gaussians, {file_size(pruned, bridge.count(pruned))}"
-    return [text, f"The original '{original.name}' ({bridge.count(original):,} Gaussians) is hidden"] if original is not None else [text]
+def _of_applied(obj: bpy.types.Object) -> str:
+    """Of one of a pair that was applied: what the other one is."""
+    original, pruned = job_result.pair_of(obj)
+    if original is None or pruned is None:
+        return ""
+    other = original if obj == pruned else pruned
+    text = tr("Pruned from '{name}', {count:,} Gaussians") if other == original else tr("Pruned to '{name}', {count:,} Gaussians")
+    hidden = tr("which is hidden") if other.hide_get() and other.hide_render else ""
+    return ", ".join(filter(None, (text.format(name=other.name, count=bridge.count(other)), hidden)))
 
 
 def _figures(facts: dict) -> list[str]:
     if not facts.get("count"):
         return []
-    return [f"{facts['count']:,} Gaussians" + (f", PSNR {facts['psnr']:.2f} dB" if facts.get("psnr") else "")]
+    text = tr("{count:,} Gaussians, PSNR {psnr:.2f} dB") if facts.get("psnr") else tr("{count:,} Gaussians")
+    return [text.format(count=facts["count"], psnr=facts.get("psnr"))]
 
 
-def _progress_share(facts: dict) -> float:
-    return facts.get("iteration", 0) / max(1, facts.get("total", 1))
-
-
-def _time_left_text(facts: dict) -> str:
-    if not facts.get("total"):
-        return "Starting"
-    left = facts.get("seconds_left", 0)
-    return f"{_progress_share(facts):.0%}, " + (f"{left / 60:.0f} min left" if left >= 90 else f"{left:.0f} s left")
+def _time_left_text(job: Job) -> str:
+    if job_queue.is_queued(job):
+        return tr("Waiting")
+    if not job.facts.get("total"):
+        return tr("Starting")
+    left = job.facts.get("seconds_left", 0)
+    text = tr("{share:.0%}, {minutes:.0f} min left") if left >= 90 else tr("{share:.0%}, {seconds:.0f} s left")
+    return text.format(share=job.progress, minutes=left / 60, seconds=left)
 
 
 # --- getters of the properties
@@ -108,8 +142,9 @@ def _from_job(value, default):
     return get
 
 
-_progress = _from_job(lambda job: _progress_share(job.facts), 0.0)
-_time_left = _from_job(lambda job: _time_left_text(job.facts), "")
+_progress = _from_job(lambda job: job.progress, 0.0)
+_time_left = _from_job(_time_left_text, "")
+_stopping = _from_job(lambda job: job.stopping, False)
 _plot = _from_job(lambda job: job_pictures.plot_icon(job.folder), 0)
 _preview = _from_job(lambda job: job_pictures.preview_icon(job.folder), 0)
 
@@ -130,7 +165,20 @@ def _sentences(_) -> str:
 
 
 def _dataset(_) -> str:
-    return dataset_of(bpy.context)[0]
+    return dataset_paths.dataset_of(bpy.context)[0]
+
+
+def _lost_dataset(_) -> str:
+    return dataset_paths.lost(bridge.root_of(bpy.context.object))
+
+
+def _orphan(_) -> str:
+    return orphan_jobs.sentence(bpy.context) if stage(bpy.context) == "READY" else ""
+
+
+def _original(_) -> str:
+    original, pruned = job_result.pair_of(bpy.context.object)
+    return original.name if original is not None and not job_result.undecided(pruned) else ""
 
 
 def _method() -> Method:
@@ -138,36 +186,34 @@ def _method() -> Method:
 
 
 def _method_help(_) -> str:
-    return method_sentence(_method())
+    method, sentence = _method(), tr(method_sentence(_method()))
+    return sentence if method.name in CHOICES.values() else f"{tr(method.label)}: {sentence}"
 
 
-def _lambda_help(_) -> str:
-    return lambda_sentence(_method())
+def _goal_help(_) -> str:
+    return goals.sentence(bpy.context.scene.svrgs_prune)
+
+
+def _strength_help(_) -> str:
+    return goals.strength_sentence(bpy.context.scene.svrgs_prune)
 
 
 def _method_renamed(_) -> str:
     return former_methods.sentence_of(bpy.context.scene)
 
 
-def _own_strength(_) -> str:
-    method = _method()
-    return f"Keeps {method.share:.0%} of the Gaussians" if method.share else "" if method.ranks else "The method's own weight decides"
-
-
-def _uses_lambda(_) -> bool:
-    return _method().lambda_f > 0
-
-
 def _subject(_) -> str:
     found = current(bpy.context)
     _, pruned = job_result.pair_of(bpy.context.object)
-    obj = found[0] if found is not None else pruned or bpy.context.object
+    obj = found[0] if found is not None else pruned if job_result.undecided(pruned) else bpy.context.object
     return obj.name if obj is not None else ""
 
 
 def _size(_) -> str:
     obj = bpy.context.object
-    return f"{bridge.count(obj):,} Gaussians, {file_size(obj, bridge.count(obj))}" if bridge.is_splat(obj) else ""
+    if not bridge.is_splat(obj):
+        return ""
+    return tr("{kept:,} Gaussians, {size}").format(kept=bridge.count(obj), size=size_text(obj, bridge.count(obj)))
 
 
 def _marked(_) -> int:
@@ -183,12 +229,15 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     time_left: StringProperty(get=_time_left)
     plot: IntProperty(get=_plot)  # icon
     preview: IntProperty(get=_preview)  # icon
+    stopping: BoolProperty(get=_stopping)  # the job was asked to stop and has not ended yet
     dataset: StringProperty(get=_dataset)
+    lost_dataset: StringProperty(get=_lost_dataset)  # that the dataset of the imported cameras is not where it was; else empty
+    orphan: StringProperty(get=_orphan)  # that a job of the active splat was found; else empty
+    original: StringProperty(get=_original)  # name of the original of an applied result; empty: none
     method_help: StringProperty(get=_method_help)
-    lambda_help: StringProperty(get=_lambda_help)
+    goal_help: StringProperty(get=_goal_help)
+    strength_help: StringProperty(get=_strength_help)  # empty: the method has no λ_F
     method_renamed: StringProperty(get=_method_renamed)
-    uses_lambda: BoolProperty(get=_uses_lambda)
-    own_strength: StringProperty(get=_own_strength)
     size: StringProperty(get=_size)
     marked: IntProperty(get=_marked)  # Gaussians of the active splat that are marked as removed
 

@@ -11,6 +11,7 @@ from functools import partial
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
@@ -64,15 +65,15 @@ class SVRGS_engine(bpy.types.RenderEngine):
     def picture(self, depsgraph) -> dict | None:
         """The passes of the whole image, rows from the top; None if the user has stopped the render."""
         scene, meshes = depsgraph.scene, depsgraph.scene.svrgs_looking.meshes
-        self.show_progress("Reading splats", 0.0)
+        self.show_progress(tr("Reading splats"), 0.0)
         placed = bridge_graph.splats(depsgraph)
         if placed is None:
-            raise SceneError("there is no splat to render: import one, and check that its camera icon in the Outliner is on")
+            raise SceneError(tr("there is no splat to render: import one, and check that its camera icon in the Outliner is on"))
         view = bridge_panorama.view_of(bridge_graph.camera(depsgraph, self.camera_override), scene)
-        self.show_progress("Reading meshes", 0.1)
+        self.show_progress(tr("Reading meshes"), 0.1)
         triangles = bridge_meshes.triangles(depsgraph, cut=meshes == "CUT")
         catchers = bridge_meshes.triangles(depsgraph, catchers=True) if meshes == "SPLIT" else None  # elsewhere they show and hide nothing
-        self.show_progress(f"Drawing {placed.scene.count:,} Gaussians", 0.2)
+        self.show_progress(tr("Drawing {count:,} Gaussians").format(count=placed.scene.count), 0.2)
         transparent = scene.render.film_transparent or meshes == "CUT"
         background = None if transparent else tuple(scene.svrgs_looking.background)
 

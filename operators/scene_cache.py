@@ -16,40 +16,49 @@ from . import bridge, bridge_graph
 
 @dataclass(frozen=True)
 class Entry:
-    """The visible Gaussians of a splat, sorted along a Morton curve."""
+    """The visible Gaussians of a splat, or all of them, sorted along a Morton curve."""
 
     scene: Scene
     rows: Any  # (N,) the row of each Gaussian in the object
     data: int  # session_uid of the object's data
+    values: dict[str, Any] = field(default_factory=dict)  # (N,) of attributes that were asked for, None if there is none
     number: int = field(default_factory=itertools.count().__next__)  # every entry has another number
 
 
-_entries: dict[int, Entry] = {}  # by session_uid of the object
+# By session_uid of the object, the address of its evaluated data (nodes may show others beside its own), and whether it holds all Gaussians.
+_entries: dict[tuple[int, int, bool], Entry] = {}
 
 
-def read(obj: bpy.types.Object) -> Scene:
-    """bridge_graph.visible_scene(obj) of an evaluated object, sorted: Gaussians close in space are close in memory."""
-    return _entry(obj).scene
+def read(obj: bpy.types.Object, whole: bool = False) -> Scene:
+    """bridge_graph.visible_scene(obj) of an evaluated object, sorted: Gaussians close in space are close in memory.
+
+    whole: all Gaussians of the object instead, without modifiers; it need not be evaluated.
+    """
+    return _entry(obj, whole).scene
 
 
-def number(obj: bpy.types.Object) -> int:
-    """A number for keys: it changes when read(obj) returns another scene."""
-    return _entry(obj).number
+def number(obj: bpy.types.Object, whole: bool = False) -> int:
+    """A number for keys: it changes when read(obj, whole) returns another scene."""
+    return _entry(obj, whole).number
 
 
 def read_values(obj: bpy.types.Object, name: str):
     """(N,) values of an attribute in the order of read(obj); None if there is no such attribute."""
-    values = bridge.values(obj, name)
-    return None if values is None else values[_entry(obj).rows]
+    entry = _entry(obj)
+    if name not in entry.values:
+        values = bridge.values(obj, name)
+        entry.values[name] = None if values is None else values[entry.rows]
+    return entry.values[name]
 
 
-def _entry(obj: bpy.types.Object) -> Entry:
-    uid = obj.original.session_uid
-    if uid not in _entries:
+def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
+    key = obj.original.session_uid, 0 if whole else obj.data.as_pointer(), whole
+    if key not in _entries:
+        obj = obj.original if whole else obj
         scene, rows = bridge.scene_from_object(obj), bridge_graph.visible_rows(obj)
-        rows = rows[morton_order(scene.means[rows])]
-        _entries[uid] = Entry(scene.select(rows), rows, obj.original.data.session_uid)
-    return _entries[uid]
+        rows = morton_order(scene.means) if whole else rows[morton_order(scene.means[rows])]
+        _entries[key] = Entry(scene.select(rows), rows, obj.original.data.session_uid)
+    return _entries[key]
 
 
 def forget_updated(depsgraph: bpy.types.Depsgraph):
@@ -58,9 +67,9 @@ def forget_updated(depsgraph: bpy.types.Depsgraph):
         return
     there = {obj.session_uid for obj in bpy.data.objects}
     changed = {update.id.original.session_uid for update in depsgraph.updates if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry}
-    for uid, entry in list(_entries.items()):
-        if uid not in there or uid in changed or entry.data in changed:
-            del _entries[uid]
+    for key, entry in list(_entries.items()):
+        if key[0] not in there or key[0] in changed or entry.data in changed:
+            del _entries[key]
 
 
 @persistent

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from . import bridge, compositor_nodes, splat_layer
 
@@ -25,7 +26,7 @@ class SVRGS_OT_set_up_rendering(bpy.types.Operator):
         splat_layer.remove(scene, context.evaluated_depsgraph_get())
         scene.render.engine = "SVRGS"
         use_standard(scene)
-        self.report({"INFO"}, f"The engine is SVR-GS, the view transform Standard. {camera_words(scene)}")
+        self.report({"INFO"}, ". ".join([tr("The engine is SVR-GS, the view transform Standard"), camera_words(scene)]))
         return {"FINISHED"}
 
 
@@ -52,7 +53,7 @@ class SVRGS_OT_set_up_compositing(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         if not any(bridge.is_splat(obj) for obj in context.scene.objects):
-            cls.poll_message_set("There is no splat in the scene: import one")
+            cls.poll_message_set(tr("There is no splat in the scene: import one"))
             return False
         return _is_no_layer(cls, context)
 
@@ -62,8 +63,8 @@ class SVRGS_OT_set_up_compositing(bpy.types.Operator):
             scene.render.engine = EEVEE
         layer = splat_layer.add(scene, context.evaluated_depsgraph_get())
         compositor_nodes.insert(scene, layer)
-        words = f"{splat_layer.engine_name(scene)} renders the meshes with a transparent film, the scene '{layer.name}' renders the splats."
-        self.report({"INFO"}, f"{words} The compositor puts them together")
+        text = tr("{engine} renders the meshes with a transparent film, the scene '{scene}' renders the splats. The compositor puts them together")
+        self.report({"INFO"}, text.format(engine=splat_layer.engine_name(scene), scene=layer.name))
         return {"FINISHED"}
 
 
@@ -75,17 +76,19 @@ def use_standard(scene: bpy.types.Scene):
 def camera_words(scene: bpy.types.Scene) -> str:
     """Gives the scene the resolution of its camera's photograph, if it has one. Returns a sentence about camera and resolution."""
     if scene.camera is None:
-        return "The scene has no camera yet: add one"
+        return tr("The scene has no camera yet: add one")
     photograph = scene.camera.type == "CAMERA" and bridge.SIZE in scene.camera.data
     bridge.apply_camera_size(scene)
     width, height = bridge.render_size(scene)
-    return f"The camera is '{scene.camera.name}', the resolution {width} x {height}" + ", as its photograph" * photograph
+    text = tr("The camera is '{name}', the resolution {width} x {height}")
+    text = tr("The camera is '{name}', the resolution {width} x {height}, as its photograph") if photograph else text
+    return text.format(name=scene.camera.name, width=width, height=height)
 
 
 def _is_no_layer(cls, context) -> bool:
     main = context.scene.svrgs_looking.layer_of
     if main is not None:
-        cls.poll_message_set(f"This scene renders the splats of '{main.name}': go to that scene")
+        cls.poll_message_set(tr("This scene renders the splats of '{name}': go to that scene").format(name=main.name))
     return main is None
 
 

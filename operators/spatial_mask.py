@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.errors import NativeError, SplatError
 from . import bridge_images, mask_image
@@ -21,7 +22,7 @@ class SVRGS_OT_spatial_mask(bpy.types.Operator):
     def poll(cls, context):
         if context.scene.camera is not None:
             return True
-        cls.poll_message_set("The scene has no camera: add one, or import the cameras of the dataset")
+        cls.poll_message_set(tr("There is no camera: add one, or import the cameras of the dataset"))
         return False
 
     def execute(self, context):
@@ -31,7 +32,7 @@ class SVRGS_OT_spatial_mask(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         show_in_editors(context, bpy.data.images[mask_image.NAME])
-        self.report({"INFO"}, f"Spatial mask of {result['camera']}: mean {result['mean']:.3g}, largest {result['largest']:.3g}")
+        self.report({"INFO"}, tr("Spatial mask of {camera}: mean {mean:.3g}, largest {largest:.3g}").format(**result))
         return {"FINISHED"}
 
 
@@ -84,7 +85,7 @@ def _follow_in(context):
 
 @persistent
 def _after_load(*_):
-    """An image that was not packed is not saved with the file. Its figures are removed, too."""
+    """The image may have been deleted. Its figures are removed, too."""
     if bridge_images.is_lost(mask_image.NAME):
         for scene in bpy.data.scenes:
             scene.svrgs_looking.mask_result = ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
 from . import bridge, bridge_graph, compositor_nodes
 
@@ -59,11 +60,11 @@ def missing(scene: bpy.types.Scene) -> str:
         return ""
     engine, layer = engine_name(scene), layer_of(scene)
     if layer is None:
-        return f"{engine} does not draw splats: a render shows grey dots, or nothing"
+        return tr("{engine} does not draw splats: a render shows grey dots, or nothing").format(engine=engine)
     if not compositor_nodes.are_complete(scene, layer):
-        return "The compositing of the splats is not complete: set it up again"
+        return tr("The compositing of the splats is not complete: set it up again")
     new = next((obj.name for obj in splats if obj.visible_camera), None)
-    return f"{engine} renders '{new}' as grey dots: set up compositing again" if new is not None else ""
+    return tr("{engine} renders '{name}' as grey dots: set up compositing again").format(engine=engine, name=new) if new is not None else ""
 
 
 def engine_name(scene: bpy.types.Scene) -> str:

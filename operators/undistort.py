@@ -1,4 +1,7 @@
-"""Photographs as backgrounds of their cameras. Photographs with lens distortion are undistorted first, by a child process."""
+"""Photographs as backgrounds of their cameras. Photographs with lens distortion are undistorted first, by a child process.
+
+status() says what the last import of cameras lacks, and how far undistorting is.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,12 @@ import threading
 from pathlib import Path
 
 import bpy
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.blender.posed_photos import read_in_child
+from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.errors import SplatError
+from . import bridge, dataset_paths
 from .job_watch import redraw_panels
 
 INTERVAL = 0.5  # seconds between two looks whether it is done
@@ -18,43 +24,61 @@ WAIT = bpy.app.background  # without a window there are no timers, so the operat
 class UndistortThread(threading.Thread):
     """Waits for the child process that undistorts. It ends with Blender; the process then still finishes its files."""
 
-    def __init__(self, cameras: list[bpy.types.Object], folder: Path, images: str, target: Path):
+    def __init__(self, cameras: list[bpy.types.Object], folder: Path, images: str, target: Path, total: int):
         super().__init__(daemon=True)
-        self.cameras = [obj.session_uid for obj in cameras]  # in the order of the dataset
+        self.cameras = {obj.data[bridge.IMAGE]: obj.session_uid for obj in cameras}  # by image name
         self.request = folder, images, target
-        self.files: list[Path | None] = []
-        self.problem = ""
+        self.photos: PosedPhotos | None = None
+        self.problems: tuple[str, ...] = ()
+        self.error = ""  # why nothing was undistorted
+        self.progress = 0, total  # photographs
 
     def run(self):
         try:
-            self.files = read_in_child(*self.request).files
+            self.photos = read_in_child(*self.request, tell=self._tell)
+            self.problems = self.photos.warnings
         except (SplatError, OSError) as error:
-            self.problem = f"{error}; the photographs of lenses with distortion are not shown"
+            self.error = str(error)
+
+    def _tell(self, done: int, total: int):
+        self.progress = done, total
 
 
 _threads: list[UndistortThread] = []  # those that run
-_problems: list[str] = []  # of the threads that have ended since the last start()
+_problems: list[str] = []  # of the last import of cameras
 
 
-def start(cameras: list[bpy.types.Object], folder: Path, images: str, target: Path) -> str:
-    """Undistorts the photographs of the dataset into the folder `target`, then shows each as the background of its camera.
+def begin(problems: tuple[str, ...]):
+    """Sets the problems of a new import of cameras; those of the one before are forgotten."""
+    _problems[:] = problems
 
-    Returns what went wrong; with a window it returns at once, and status() says it later.
-    """
-    _problems.clear()
-    _threads.append(UndistortThread(cameras, folder, images, target))
+
+def start(cameras: list[bpy.types.Object], folder: Path, images: str, target: Path, total: int):
+    """Undistorts the `total` photographs of the dataset that need it into the folder `target`, then shows each as the background of its
+    camera. With a window it returns at once; status() says how far it is and what went wrong."""
+    _threads.append(UndistortThread(cameras, folder, images, target, total))
     _threads[-1].start()
     if WAIT:
         _threads[-1].join()
         _finish_threads()
     elif not bpy.app.timers.is_registered(_finish_threads):
         bpy.app.timers.register(_finish_threads, first_interval=INTERVAL, persistent=True)
-    return " ".join(_problems)
+
+
+def progress() -> tuple[int, int]:
+    """(photographs done, photographs in all) that are being undistorted."""
+    return sum(thread.progress[0] for thread in _threads), sum(thread.progress[1] for thread in _threads)
+
+
+def problems() -> str:
+    """What is missing or went wrong since the last import of cameras; mostly empty."""
+    return ". ".join(_problems)
 
 
 def status() -> str:
-    """That photographs are being undistorted, or what went wrong; mostly empty."""
-    return "Undistorting the photographs …" if _threads else " ".join(_problems)
+    """How many photographs are undistorted, and problems(); mostly empty."""
+    done, total = progress()
+    return ". ".join(filter(None, [tr("Undistorting photographs: {done:,} of {total:,}").format(done=done, total=total) if _threads else "", problems()]))
 
 
 def show(obj: bpy.types.Object, file: Path | None):
@@ -64,6 +88,7 @@ def show(obj: bpy.types.Object, file: Path | None):
         return
     background = data.background_images.new()
     background.image = bpy.data.images.load(str(file), check_existing=True)
+    background.image.filepath = dataset_paths.stored(str(file))
     background.frame_method, background.alpha = "STRETCH", 1.0
     data.show_background_images = True
 
@@ -80,17 +105,33 @@ def _finish_threads() -> float | None:
     for thread in [thread for thread in _threads if not thread.is_alive()]:
         _threads.remove(thread)
         _finish(thread)
-        redraw_panels()
+    redraw_panels()
     return INTERVAL if _threads else None
 
 
 def _finish(thread: UndistortThread):
     """Shows the photographs. Cameras that were deleted since, or belong to a closed file, are skipped."""
-    cameras = {obj.session_uid: obj for obj in bpy.data.objects if obj.type == "CAMERA"}
-    for uid, file in zip(thread.cameras, thread.files, strict=False):  # after an error there are no files
-        if uid in cameras:
-            show(cameras[uid], file)
-    if thread.problem:
-        _problems.append(thread.problem)
-    elif not WAIT:
+    objects = {obj.session_uid: obj for obj in bpy.data.objects if obj.type == "CAMERA"}
+    for camera, file in zip(thread.photos.cameras, thread.photos.files, strict=True) if thread.photos else ():
+        obj = objects.get(thread.cameras.get(camera.name))
+        if obj is not None:
+            show(obj, file)
+    failed = [tr("{error}; the photographs of lenses with distortion are not shown").format(error=thread.error)] if thread.error else []
+    _problems.extend(problem for problem in (*thread.problems, *failed) if problem not in _problems)
+    if thread.photos and not WAIT:
         bpy.ops.ed.undo_push(message="Undistort Photographs")
+
+
+@persistent
+def _after_load(*_):
+    """Another file was opened: what was said is about the one before."""
+    _problems.clear()
+
+
+def register():
+    bpy.app.handlers.load_post.append(_after_load)
+
+
+def unregister():
+    bpy.app.handlers.load_post.remove(_after_load)
+    forget()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.render import color_maps
-from . import bridge, comparison_images, mask_image, overlay, splat_layer, undistort
+from . import bridge, camera_match, mask_image, overlay, splat_layer, splat_transforms, undistort, viewport_wipe
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
@@ -27,7 +28,21 @@ SHOWN = [
 
 def _about(_) -> str:
     obj = bpy.context.object
-    return f"{bridge.count(obj):,} Gaussians, SH degree {bridge.sh_degree(obj)}" if bridge.is_splat(obj) else ""
+    if not bridge.is_splat(obj):
+        return ""
+    return tr("{count:,} Gaussians, SH degree {degree}").format(count=bridge.count(obj), degree=bridge.sh_degree(obj))
+
+
+def _moved(_) -> int:
+    return splat_transforms.moved_count(bpy.context.object)
+
+
+def _cameras(_) -> str:
+    return camera_match.cameras_of(bpy.context.object)
+
+
+def _roots(_) -> str:
+    return "\n".join(camera_match.roots(bpy.context.scene))
 
 
 def _is_splat(_, obj) -> bool:  # not a lambda below: Blender evaluates annotations where `bridge` is unknown
@@ -38,12 +53,19 @@ def _photographs(_) -> str:
     return undistort.status()
 
 
+def _wiping(settings) -> bool:
+    return viewport_wipe.pair(settings.id_data) is not None
+
+
 def _not_drawn(settings) -> str:
     return splat_layer.missing(settings.id_data)
 
 
 class SVRGS_PG_view(bpy.types.PropertyGroup):
     about: StringProperty(get=_about, options={"HIDDEN"})  # one line about the active splat; empty if no splat is active
+    moved: IntProperty(get=_moved, options={"HIDDEN"})  # Gaussians of the active splat whose points were moved without their shapes
+    cameras: StringProperty(get=_cameras, options={"HIDDEN"})  # the cameras of the active splat in words; empty if it has none
+    roots: StringProperty(get=_roots, options={"HIDDEN"})  # names of the empties above imported cameras, one a line
     photographs: StringProperty(get=_photographs, options={"HIDDEN"})  # status of undistorting photographs; mostly empty
     background: FloatVectorProperty(
         name="Background", subtype="COLOR_GAMMA", min=0, max=1, size=3, description="Colour behind the Gaussians. Black, as in training"
@@ -70,8 +92,9 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
         name="Camera", type=bpy.types.Object, poll=lambda _, obj: obj.type == "CAMERA", description="Camera to compare from. Empty: the scene's camera"
     )
     wipe: FloatProperty(
-        name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=comparison_images.redraw, description="Original on the left, pruned on the right"
+        name="Wipe", min=0, max=1, default=0.5, subtype="FACTOR", update=viewport_wipe.moved, description="Original on the left, pruned on the right"
     )
+    wiping: BoolProperty(get=_wiping, options={"HIDDEN"})  # whether Wipe in Viewport is on
     compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned, between
 
     overlay: BoolProperty(name="Draw Splats", default=True, update=overlay.switch, description="Draw splats in Solid and Material Preview viewports")

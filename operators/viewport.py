@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import bpy
 import gpu
-from gpu_extras.presets import draw_texture_2d
+from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon import native
 from ..svrgs_addon.camera import Camera
@@ -20,7 +20,7 @@ from ..svrgs_addon.render.composite import composite
 from ..svrgs_addon.render.live_view import LiveView, Picture
 from ..svrgs_addon.render.meshes import Triangles
 from ..svrgs_addon.render.passes import linear_rgba
-from . import bridge_gpu, bridge_graph, bridge_meshes, scene_cache
+from . import bridge_gpu, bridge_graph, bridge_meshes, scene_cache, viewport_wipe
 from .bridge_images import working_space
 from .preferences import threads
 
@@ -49,59 +49,93 @@ def draw_view(rasterizer, request: DrawRequest, reduction: int):
     return linear_rgba(picture, request.transparent, request.working_space)
 
 
-class Viewport:
-    """One Rendered viewport: its scene, and the picture that it shows."""
+class Pane:
+    """A part of a viewport: all of it, or one side of the wipe."""
 
     def __init__(self):
         self.live = LiveView(draw_view)
+        self.key: tuple = ()
         self.placed: bridge_graph.PlacedScene | None = None
+        self.texture: tuple[Picture, gpu.types.GPUTexture] | None = None
+
+    def place(self, side: viewport_wipe.Side) -> bridge_graph.PlacedScene:
+        """The splats of the side as one scene; the last one if nothing has changed. Raises SceneError."""
+        if self.placed is None or self.key != side.key:
+            self.key, self.placed = side.key, bridge_graph.placed([(part.scene, part.matrix) for part in side.shown])
+        return self.placed
+
+    def draw(self, region: bpy.types.Region, columns: tuple[float, float]):
+        """Draws the newest picture, if there is one without an error."""
+        picture = self.live.picture()
+        if picture is None or picture.error is not None:
+            return
+        if self.texture is None or self.texture[0] is not picture:
+            self.texture = picture, bridge_gpu.picture_texture(picture.result)
+        bridge_gpu.draw_linear(self.texture[1], region.width, region.height, columns)
+
+
+class Viewport:
+    """One Rendered viewport: its scene, and the pictures that it shows."""
+
+    def __init__(self):
+        self.panes: dict[str, Pane] = {}  # by name of the side
+        self.shown: list[viewport_wipe.Shown] = []
         self.triangles: Triangles | None = None
         self.problem = ""
         self.version = 0  # raised by every change of the scene
-        self.texture: tuple[Picture, gpu.types.GPUTexture] | None = None
         _open.add(self)
 
     def __del__(self):
-        self.live.close()
+        for pane in self.panes.values():
+            pane.live.close()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a better picture is on its way."""
+        return any(pane.live.busy for pane in self.panes.values())
 
     def update(self, depsgraph: bpy.types.Depsgraph):
         """Reads the scene after a change."""
         scene_cache.forget_updated(depsgraph)
         self.version += 1
         try:
-            self.placed, self.problem = bridge_graph.splats(depsgraph, scene_cache.read), ""
+            self.shown, self.problem = [part for found in bridge_graph.placed_splats(depsgraph) for part in viewport_wipe.shown([found])], ""
             self.triangles = bridge_meshes.triangles(depsgraph)
         except SplatError as error:
-            self.placed, self.problem = None, str(error)
+            self.shown, self.problem = [], str(error)
 
     def draw(self, context: bpy.types.Context, scene: bpy.types.Scene) -> str:
-        """Draws the newest picture, and asks for a better one. Returns a line for the user."""
-        if self.placed is None or self.triangles is None:
-            return self.problem or "There is no visible splat: import one"
+        """Draws the newest pictures, and asks for better ones. Returns a line for the user."""
+        if not self.shown or self.triangles is None:
+            return self.problem or tr("there is no visible splat: import one")
         try:
             native.set_threads(threads(context))
-        except NativeError as error:
+            sides = viewport_wipe.sides(context.scene, self.shown)
+            for closed in self.panes.keys() - {side.name for side in sides}:
+                self.panes.pop(closed).live.close()
+            texts = [self._draw_side(context, scene, side) for side in sides]
+        except (SplatError, NativeError) as error:
             return str(error)
-        camera = bridge_graph.region_camera(context.region, context.region_data)
-        request = DrawRequest(self.placed, self.triangles, camera, tuple(scene.svrgs_looking.background), scene.render.film_transparent, working_space())
-        key = self.version, camera.key, request.background, request.transparent
-        self.live.request(key, request)
-        if self.live.busy and not bpy.app.timers.is_registered(_refresh):
+        if self.busy and not bpy.app.timers.is_registered(_refresh):
             bpy.app.timers.register(_refresh, first_interval=REFRESH)
-        picture = self.live.picture()
+        return " | ".join(texts)
+
+    def _draw_side(self, context: bpy.types.Context, scene: bpy.types.Scene, side: viewport_wipe.Side) -> str:
+        if side.name not in self.panes:
+            self.panes[side.name] = Pane()
+        pane = self.panes[side.name]
+        assert self.triangles is not None  # see draw()
+        placed, camera = pane.place(side), bridge_graph.region_camera(context.region, context.region_data)
+        background, transparent = tuple(scene.svrgs_looking.background), scene.render.film_transparent
+        key = self.version, side.key, camera.key, background, transparent
+        pane.live.request(key, DrawRequest(placed, self.triangles, camera, background, transparent, working_space()))
+        pane.draw(context.region, side.columns)
+        picture = pane.live.picture()
         if picture is None:
-            return "Drawing"
+            return tr("Drawing")
         if picture.error is not None:
             return str(picture.error)
-        self._draw_picture(picture, context.region)
-        return f"{self.placed.scene.count:,} Gaussians" + ", coarse" * (picture.reduction > 1)
-
-    def _draw_picture(self, picture: Picture, region: bpy.types.Region):
-        if self.texture is None or self.texture[0] is not picture:
-            self.texture = picture, bridge_gpu.picture_texture(picture.result)
-        gpu.state.blend_set("ALPHA_PREMULT")
-        draw_texture_2d(self.texture[1], (0, 0), region.width, region.height)
-        gpu.state.blend_set("NONE")
+        return (tr("{count:,} Gaussians, coarse") if picture.reduction > 1 else tr("{count:,} Gaussians")).format(count=placed.scene.count)
 
 
 def redraw(shading: set[str]):
@@ -114,7 +148,7 @@ def redraw(shading: set[str]):
 
 def _refresh() -> float | None:
     redraw({"RENDERED"})
-    return REFRESH if any(viewport.live.busy for viewport in _open) else None
+    return REFRESH if any(viewport.busy for viewport in _open) else None
 
 
 def register():

@@ -3,6 +3,7 @@
 import json
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from .spatial_mask import draw_image
 from .wrapped_label import native_library_works, wrapped_label
@@ -26,15 +27,20 @@ class ComparePanel:  # the base of Panel classes, which have a layout
         column.use_property_decorate = False
         for name in ("original", "pruned", "compare_camera"):
             column.prop(settings, name)
-        row = layout.row(align=True)
+        column = layout.column(align=True)
+        column.operator("svrgs.viewport_wipe", icon="ARROW_LEFTRIGHT", depress=settings.wiping)
+        row = column.row(align=True)
         row.operator("svrgs.compare", icon="IMAGE_ALPHA")
         row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
-        image = bpy.data.images.get(WIPE)
-        if image is None or not settings.compare_result:
-            wrapped_label(layout, "Compare draws both from the camera", "INFO")
+        image = bpy.data.images.get(WIPE) if settings.compare_result else None
+        if image is not None or settings.wiping:
+            layout.prop(settings, "wipe", slider=True)
+        if image is None:
+            wrapped_label(layout, tr("Renders original and pruned side by side"), "INFO")
             return
-        draw_image(layout, image)
-        layout.prop(settings, "wipe", slider=True)
+        if not settings.wiping:
+            draw_image(layout, image)
+            layout.operator("svrgs.open_image", icon="WINDOW").name = WIPE
         table(layout, json.loads(settings.compare_result))
 
 
@@ -48,19 +54,19 @@ class SVRGS_PT_compare_image(ComparePanel, bpy.types.Panel):
 
 def table(layout, result: dict):
     """Figures of both splats, side by side."""
-    lines: list[tuple[str, ...]] = [("", "Original", "Pruned")]
+    lines: list[tuple[str, ...]] = [("", tr("Original"), tr("Pruned"))]
     rows = result["original"], result["pruned"]
-    lines.append(("Gaussians", *(f"{row['count']:,}" for row in rows)))
+    lines.append((tr("Gaussians"), *(f"{row['count']:,}" for row in rows)))
     lines.append(("MB", *(f"{row['bytes'] / 1e6:.1f}" for row in rows)))
     for key, text in (("psnr", "{:.2f}"), ("ssim", "{:.4f}"), ("flip", "{:.4f}")):
         if key in rows[0]:
             lines.append((key.upper(), *(text.format(row[key]) for row in rows)))
     box = layout.box()
-    box.label(text=f"{result['camera']}: {result['between']:.1f} dB between them")
+    box.label(text=tr("{camera}: {psnr:.1f} dB between them").format(camera=result["camera"], psnr=result["between"]), translate=False)
     grid = box.grid_flow(row_major=True, columns=3, even_columns=True, align=True)
     for line in lines:
         for text in line:
-            grid.label(text=text)
+            grid.label(text=text, translate=False)
 
 
 CLASSES = (SVRGS_PT_compare, SVRGS_PT_compare_image)

@@ -1,6 +1,7 @@
 """Step 4: export of the active splat, with the number of Gaussians and the size of the file."""
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from .wrapped_label import wrapped_label
 
@@ -17,9 +18,9 @@ class SVRGS_PT_export(bpy.types.Panel):
         if not state.size:
             layout.label(text="Select the splat to export", icon="INFO")
             return
-        layout.label(text=f"{context.object.name}: {state.size}")
+        layout.label(text=f"{context.object.name}: {state.size}", translate=False)
         if state.marked:
-            wrapped_label(layout, f"{state.marked:,} of them are marked as removed, but would be exported: press Apply first", "INFO")
+            wrapped_label(layout, tr("{count:,} hidden Gaussians stay out of the file. Apply deletes them").format(count=state.marked), "INFO")
         layout.operator("svrgs.export_ply", icon="EXPORT")
 
 

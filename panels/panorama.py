@@ -1,10 +1,12 @@
 """Properties of a panoramic camera: Blender shows those of panoramas for Cycles only."""
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.app.translations import pgettext_n as n_
 
 from .wrapped_label import wrapped_label
 
-LIMITS = (("latitude_min", "Latitude Min"), ("latitude_max", "Max"), ("longitude_min", "Longitude Min"), ("longitude_max", "Max"))
+LIMITS = (("latitude_min", n_("Latitude Min")), ("latitude_max", n_("Max")), ("longitude_min", n_("Longitude Min")), ("longitude_max", n_("Max")))
 
 
 class SVRGS_PT_panorama(bpy.types.Panel):
@@ -22,7 +24,7 @@ class SVRGS_PT_panorama(bpy.types.Panel):
         layout.use_property_split = True
         layout.prop(camera, "panorama_type")
         if camera.panorama_type != "EQUIRECTANGULAR":
-            wrapped_label(layout, "SVR-GS renders panoramas of the type Equirectangular only", "INFO")
+            wrapped_label(layout, tr("SVR-GS renders panoramas of the type Equirectangular only"), "INFO")
             return
         for limits in (LIMITS[:2], LIMITS[2:]):
             column = layout.column(align=True)

@@ -6,10 +6,12 @@ import bpy
 
 from .wrapped_label import wrapped_label
 
-PRESETS = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
-GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # goal -> its property; LAMBDA has a row of its own
-ADVANCED = ("seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder")
-ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK", "APPLIED": "CHECKMARK"}  # stage -> icon of the first sentence
+PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
+GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # goal -> its property; the strength has rows of its own
+ADVANCED = (
+    "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder",
+)  # fmt: skip
+ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK"}  # stage -> icon of the first sentence
 
 
 class SVRGS_PT_prune(bpy.types.Panel):
@@ -23,7 +25,7 @@ class SVRGS_PT_prune(bpy.types.Panel):
         state = context.window_manager.svrgs_prune_state
         stage = state.stage
         if stage not in ("BROKEN", "NOTHING", "READY"):
-            self.layout.label(text=state.subject, icon="OUTLINER_OB_POINTCLOUD")
+            self.layout.label(text=state.subject, icon="OUTLINER_OB_POINTCLOUD", translate=False)
         draw = {"READY": draw_settings, "BUSY": draw_progress, "RESULT": draw_share}.get(stage)
         if draw is not None:
             draw(self.layout, context, state)
@@ -36,7 +38,7 @@ class SVRGS_PT_prune(bpy.types.Panel):
             for picture in filter(None, (state.plot, state.preview)):
                 row.template_icon(icon_value=picture, scale=6)
             self.layout.label(text="Blue: Gaussians. Orange: PSNR")
-        draw_buttons(self.layout, stage)
+        draw_buttons(self.layout, stage, state)
 
 
 class SVRGS_PT_prune_advanced(bpy.types.Panel):
@@ -54,6 +56,7 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
     def draw(self, context):
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
+        column.prop(context.scene.svrgs_prune, "method", text="All Methods")
         for name in ADVANCED:
             column.prop(context.scene.svrgs_prune, name)
 
@@ -63,30 +66,28 @@ def draw_settings(layout, context, state):
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(settings, "colmap", placeholder=state.dataset)
-    column.prop(settings, "method")
+    column.prop(settings, "method_choice")
     wrapped_label(column, state.method_help)
     if state.method_renamed:
         wrapped_label(column, state.method_renamed, "INFO")
     column.prop(settings, "goal")
     if settings.goal in GOALS:
         column.prop(settings, GOALS[settings.goal])
-    elif state.uses_lambda:
+    elif settings.goal == "LAMBDA" and state.strength_help:
         draw_strength(column.column(align=True), settings)
-        wrapped_label(column, state.lambda_help)
-    elif state.own_strength:
-        column.label(text=state.own_strength, icon="INFO")
-    column.prop(settings, "iterations")
-    column.prop(settings, "recovery")
+        wrapped_label(column, state.strength_help)
+    wrapped_label(column, state.goal_help)
     row = layout.row(align=True)
     row.operator("svrgs.estimate", icon="VIEWZOOM")
     row.operator("svrgs.job_start", icon="PLAY")
 
 
 def draw_strength(column, settings):
-    column.prop(settings, "strength", slider=True, text=f"λ_F = {settings.lambda_f * 1e4:.3g}e-4")
-    row = column.row(align=True)
-    for value in PRESETS:
-        row.operator("svrgs.set_lambda", text=f"{value * 1e4:g}e-4").value = value
+    column.prop(settings, "amount", slider=True)
+    if settings.method_choice == "PAPER":
+        row = column.row(align=True)
+        for value in PAPER_VALUES:
+            row.operator("svrgs.set_lambda", text=f"{value * 1e4:g}e-4").value = value
 
 
 def draw_progress(layout, _, state):
@@ -97,11 +98,10 @@ def draw_share(layout, _, state):
     layout.prop(bpy.data.objects[state.subject], "svrgs_share", slider=True)
 
 
-def draw_buttons(layout, stage: str):
+def draw_buttons(layout, stage: str, state):
     row = layout.row(align=True)
     if stage == "BUSY":
-        row.operator("svrgs.job_pause", icon="PAUSE")
-        row.operator("svrgs.job_cancel", icon="X")
+        row.operator("svrgs.job_stop", icon="PAUSE", text="Stop Now" if state.stopping else "Stop").now = state.stopping
     elif stage == "WAITING":
         row.operator("svrgs.job_resume", icon="PLAY")
         row.operator("svrgs.job_discard", icon="TRASH")
@@ -111,8 +111,11 @@ def draw_buttons(layout, stage: str):
     elif stage == "RESULT":
         row.operator("svrgs.apply", icon="CHECKMARK")
         row.operator("svrgs.discard", text="Discard Result", icon="TRASH").what = "RESULT"
-    elif stage == "APPLIED":
-        row.operator("svrgs.discard", text="Discard Original", icon="TRASH").what = "ORIGINAL"
+    elif stage == "READY":
+        if state.orphan:
+            row.operator("svrgs.adopt_job", icon="LINKED")
+        if state.original:
+            row.operator("svrgs.discard", text="Discard Original", icon="TRASH").what = "ORIGINAL"
 
 
 CLASSES = (SVRGS_PT_prune, SVRGS_PT_prune_advanced)

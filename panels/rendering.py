@@ -1,6 +1,7 @@
 """Render: what renders of the scene show of its splats, and what to do. In the 3D View and in the Properties editor."""
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from .wrapped_label import wrapped_label
 
@@ -44,7 +45,8 @@ def draw_rendering(layout, context):
 def draw_standard(layout, scene):
     """A button where the view transform changes the colours of the training."""
     if scene.view_settings.view_transform != "Standard":
-        wrapped_label(layout, f"The view transform {scene.view_settings.view_transform} changes the colours of the training", "INFO")
+        text = tr("The view transform {name} changes the colours of the training")
+        wrapped_label(layout, text.format(name=tr(scene.view_settings.view_transform)), "INFO")
         layout.operator("svrgs.use_standard", icon="COLOR")
 
 

@@ -3,8 +3,9 @@
 import json
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
-from .wrapped_label import native_library_works, wrapped_label
+from .wrapped_label import native_library_works, sidebar_units, wrapped_label
 
 IMAGE = "SVR-GS Spatial Mask"
 TICKS = 5
@@ -25,12 +26,12 @@ class SpatialMaskPanel:  # the base of Panel classes, which have a layout
         row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
         image = bpy.data.images.get(IMAGE)
         if image is None or not settings.mask_result:
-            wrapped_label(layout, "Refresh draws F, the normalised number of Gaussians in each pixel", "INFO")
+            wrapped_label(layout, tr("Refresh draws F, the normalised number of Gaussians in each pixel"), "INFO")
             return
         draw_image(layout, image)
         result = json.loads(settings.mask_result)
         legend(layout, settings.mask_top or result["largest"])
-        layout.label(text=f"{result['camera']}: mean {result['mean']:.3g}, {result['milliseconds']} ms")
+        layout.label(text=tr("{camera}: mean {mean:.3g}, {milliseconds} ms").format(**result), translate=False)
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
@@ -53,10 +54,10 @@ class SVRGS_PT_spatial_mask_image(SpatialMaskPanel, bpy.types.Panel):
     bl_space_type = "IMAGE_EDITOR"
 
 
-def draw_image(layout, image, scale=10.0):
-    """The preview of the image, as wide as the panel allows."""
+def draw_image(layout, image):
+    """The preview of the image, as wide as the sidebar."""
     if image.preview is not None:
-        layout.template_icon(image.preview.icon_id, scale=scale)
+        layout.template_icon(image.preview.icon_id, scale=sidebar_units())
 
 
 def legend(layout, top: float):
@@ -65,7 +66,7 @@ def legend(layout, top: float):
     for k in range(TICKS):
         cell = row.row()
         cell.alignment = "LEFT" if k == 0 else "RIGHT" if k == TICKS - 1 else "CENTER"
-        cell.label(text=f"{top * k / (TICKS - 1):.2g}")
+        cell.label(text=f"{top * k / (TICKS - 1):.2g}", translate=False)
 
 
 CLASSES = (SVRGS_PT_spatial_mask, SVRGS_PT_spatial_mask_image)

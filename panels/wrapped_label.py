@@ -1,21 +1,33 @@
 """Text of several lines in a sidebar, which is narrow."""
 
+import re
+import unicodedata
+
 import bpy
 
 CHARACTER_WIDTH = 6.8  # pixels, on average
 SIDEBAR_WIDTH = 300  # pixels, if there is no window to ask
+MARGINS, BUTTON_HEIGHT = 50, 20  # pixels: of the sidebar's tabs and panels; of one row
+WIDE = "\u3040-\u30ff\u3400-\u9fff"  # Chinese and Japanese characters: a line may end after each of them
+MARKS = "、。，：；！？）》”"  # punctuation that begins no line
+PIECES = re.compile(f"\\s*(?:[{WIDE}][{MARKS}]*|[^\\s{WIDE}]+)")
 
 
 def wrapped_label(layout, sentence: str, icon: str = "NONE"):
-    """Labels for a sentence, broken into lines that fit the region. icon: of the first line."""
+    """Labels for a sentence in the user's language, broken into lines that fit the region. icon: of the first line."""
     column, line, length = layout.column(align=True), "", _characters_per_line() - 3 * (icon != "NONE")
-    for word in sentence.split():
-        if line and len(line) + len(word) >= length:
-            column.label(text=line, icon=icon)
+    for piece in PIECES.findall(sentence):
+        if line and _width(line + piece) > length:
+            column.label(text=line, icon=icon, translate=False)
             line, icon = "", "BLANK1" if icon != "NONE" else icon
-        line = f"{line} {word}".strip()
+        line = (line + piece).lstrip()
     if line:
-        column.label(text=line, icon=icon)
+        column.label(text=line, icon=icon, translate=False)
+
+
+def _width(text: str) -> int:
+    """In characters of Latin letters; a Chinese character is twice as wide."""
+    return sum(2 if unicodedata.east_asian_width(character) in "WF" else 1 for character in text)
 
 
 def native_library_works(layout, context) -> bool:
@@ -26,6 +38,16 @@ def native_library_works(layout, context) -> bool:
     return not problem
 
 
+def sidebar_units() -> float:
+    """Width of the sidebar's content, in heights of a button."""
+    return max(5.0, (_sidebar_width() - MARGINS) / BUTTON_HEIGHT)
+
+
 def _characters_per_line() -> float:
+    return _sidebar_width() / CHARACTER_WIDTH - 3
+
+
+def _sidebar_width() -> float:
+    """Pixels, without the scale of the interface."""
     region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
-    return (region.width / scale if region is not None and scale else SIDEBAR_WIDTH) / CHARACTER_WIDTH - 3
+    return region.width / scale if region is not None and scale else SIDEBAR_WIDTH

@@ -1,16 +1,21 @@
 """The command line inside Blender: `blender -b --python svrgs_addon/batch.py -- prune SCENE… --out DIR`.
 
+It needs nothing but Blender: this file may be that of a checkout whose wheels/ is filled, or that of the installed extension, enabled
+or not. It runs under plain Python too.
+
 Any command works. `prune` prints one JSON line per scene and skips finished scenes unless --overwrite is given. If a scene
 fails, it reports the scene, continues with the others, and exits with a status that is not 0. The work runs in a child process of
-Blender's own Python: its libraries cannot conflict with those of Blender, and a crash cannot end Blender. The script runs under
-plain Python too.
+Blender's own Python: its libraries cannot conflict with those of Blender, and a crash cannot end Blender.
 """
 
+import importlib
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
+
+ROOT = str(Path(__file__).resolve().parents[1])
 
 
 def main() -> int:
@@ -18,15 +23,42 @@ def main() -> int:
     words = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
     if words[:1] == ["prune"]:
         words = [*words, "--batch"]
-    root = str(Path(__file__).resolve().parents[1])
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))}
-    child = subprocess.Popen([sys.executable, "-m", "svrgs_addon", *words], env=environment)
+    exit_status = part("exit_status")
+    return exit_status.guarded(lambda: run(words), lambda sentence: print(f"svrgs: {sentence}", file=sys.stderr))
+
+
+def part(name: str):
+    """A module of svrgs_addon. A script has no package, so it cannot import relatively."""
+    if ROOT not in sys.path:
+        sys.path.insert(0, ROOT)
+    return importlib.import_module(f"svrgs_addon.{name}")
+
+
+def run(words: list[str]) -> int:
+    packages, library = part("blender.packages"), part("library_path")
+    own, extensions = blender_folders()
+    variables = part("blender.subprocess_python").environment(packages.find(own, extensions))
+    variables[library.LIBRARY_VARIABLE] = str(library.library_path(folder / "svrgs_addon" for folder in extensions))
+    child = subprocess.Popen([sys.executable, "-m", "svrgs_addon", *words], env=variables)
     numbers = [signal.SIGINT, signal.SIGTERM]
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # not on Windows, and not under nohup
         numbers.append(signal.SIGHUP)
     for number in numbers:
         signal.signal(number, lambda *_: stop(child))
     return child.wait()
+
+
+def blender_folders() -> tuple[list[Path], list[Path]]:
+    """(folders of packages that Blender brings along, folders of this extension in Blender); both empty under plain Python.
+
+    Blender as a module has its packages, but not on sys.path. The extension need not be enabled.
+    """
+    bpy = sys.modules.get("bpy")  # only Blender has imported it already
+    if bpy is None:
+        return [], []
+    own = Path(bpy.utils.resource_path("LOCAL"), "python", "lib", f"python{sys.version_info[0]}.{sys.version_info[1]}", "site-packages")
+    extensions = [Path(repo.directory) / "svrgs" for repo in bpy.context.preferences.extensions.repos]
+    return [own], [folder for folder in extensions if folder.is_dir()]
 
 
 def stop(child: subprocess.Popen):

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
 import numpy as np
+
+from .errors import SceneError
+
+MAX_PIXELS = 1e9  # of a focal length or principal point
+MAX_DISTANCE = 1e15  # of a camera from the world's origin; nothing farther is rendered
 
 
 @dataclass(frozen=True)
@@ -28,6 +34,12 @@ class Camera:
         """Camera centre -Rᵀ t in world coordinates, (3,) float64."""
         R, t = self.viewmat[:3, :3], self.viewmat[:3, 3]
         return -R.T @ t
+
+    @property
+    def usable(self) -> bool:
+        """Whether pose and intrinsics are finite and not absurdly large, and both focal lengths are positive."""
+        in_range = (np.abs(self.K) < MAX_PIXELS).all() and (np.abs(self.viewmat) < MAX_DISTANCE).all()
+        return bool(in_range and self.K[0, 0] > 0 and self.K[1, 1] > 0)
 
     @property
     def key(self) -> bytes:
@@ -76,3 +88,12 @@ def view_stem(name: str) -> str:
     """The image name without its extension. Folders are kept. A suffix that is a number, as in 'frame.0001', is no extension and is kept."""
     path = PurePosixPath(name)
     return str(path if path.suffix[1:].isdecimal() else path.with_suffix(""))
+
+
+def refuse_same_stems(cameras: Iterable[Camera], advice: str):
+    """Raises SceneError if the files of one view, which are named after its stem, would replace those of another. advice: what to do."""
+    by_stem: dict[str, Camera] = {}
+    for camera in cameras:
+        other = by_stem.setdefault(view_stem(camera.name), camera)
+        if other is not camera:
+            raise SceneError(f"views '{other.name}' and '{camera.name}' would be written to the same files; {advice}")

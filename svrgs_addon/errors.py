@@ -14,7 +14,10 @@ class SceneError(SplatError):
 
 
 class NativeError(Exception):
-    """The native library is missing, has another interface version, or reports a failure. The command line exits with status 1."""
+    """The native library is missing, has another interface version or reports a failure; or a package cannot be loaded.
+
+    The command line exits with status 1.
+    """
 
 
 class Cancelled(Exception):

@@ -6,13 +6,18 @@ Exit status 0: done. 1: failure of the program or the system. 2: wrong usage or 
 from __future__ import annotations
 
 import json
+import logging
 import math
+import re
 import sys
 from collections.abc import Callable
 
 from .errors import Cancelled, NativeError, SplatError
+from .packages import import_reason
 
 STOPPED = 130
+# Control characters of ASCII and Latin-1, separators of lines and paragraphs, changes of the writing direction.
+CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
 def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
@@ -23,7 +28,7 @@ def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
     try:
         return run()
     except SplatError as error:
-        tell(str(error))
+        tell(printable(str(error)))
         return 2
     except Cancelled:
         tell("stopped; continue from the last checkpoint with --resume")
@@ -31,9 +36,36 @@ def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
     except KeyboardInterrupt:
         tell("interrupted")
         return STOPPED
-    except (NativeError, MemoryError, OSError) as error:
-        tell(str(error) or "out of memory")
-        return 1
+    except ImportError as error:
+        tell(f"the package {error.name or 'that is needed'} cannot be loaded ({import_reason(error)})")
+    except MemoryError as error:
+        tell("out of memory" + (f": {printable(str(error))}" if str(error) else ""))
+    except (NativeError, OSError) as error:
+        tell(printable(str(error)))
+    except RuntimeError as error:
+        if "start new thread" not in str(error):
+            raise
+        tell("no further thread can be started: memory or the number of threads is limited (ulimit -v, -u); raise the limit, or use fewer --threads")
+    return 1
+
+
+def printable(text: str) -> str:
+    """The text with control characters replaced by escapes such as \\x1b, so that a name in it cannot command the terminal or add a line."""
+    return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+class OneLine(logging.Formatter):
+    """One line for each record, without control characters."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
+def log_to_stderr() -> None:
+    """Sends warnings of this process to stderr, as sentences of svrgs."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(OneLine("svrgs: %(message)s"))
+    logging.basicConfig(handlers=[handler], level=logging.WARNING)
 
 
 def answer(work: Callable[[dict], dict]) -> int:
@@ -41,6 +73,7 @@ def answer(work: Callable[[dict], dict]) -> int:
 
     An expected error is printed as {"error": sentence}. Returns the exit status.
     """
+    log_to_stderr()
     request, result = json.load(sys.stdin), {}
 
     def run() -> int:

@@ -8,20 +8,29 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
-from .camera import Camera
 from .errors import SceneError
+
+if TYPE_CHECKING:  # importing NumPy needs memory
+    from .camera import Camera
 
 # Measured as the growth of the process in bytes (docs/reliability.md).
 READING = 1.3  # bytes per byte of a splat file: its arrays, and copies of some of them during repair
 ROW_FLOATS = 13  # 4-byte values per Gaussian without SH: mean 3, log-scale 3, quaternion 4, opacity logit, existence logit, source row
 SH_MOMENT = 2  # bytes of Adam moments per SH coefficient; other values have moments of their own size, 4 bytes
+STATISTICS = 8  # bytes per Gaussian: the statistics of densification
 ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densification adds
 PROJECTED = 150  # bytes per projected Gaussian
-RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 400  # bytes per pixel of a view: rendering, fine-tuning, metrics
-CGROUP = Path("/sys/fs/cgroup")
+RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 100  # bytes per pixel of a view: rendering, fine-tuning, metrics
+LPIPS_PIXEL = 2000  # bytes per pixel of a view: LPIPS
+COMPARED_PIXEL = 60  # bytes per pixel of each view of which two scenes are shown in a report
+NUMPY_ADDRESSES, PHOTOGRAPH_ADDRESSES = 200_000_000, 800_000_000  # bytes of addresses needed by NumPy; by pycolmap, OpenImageIO and SciPy too
+CGROUP, OWN_CGROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+CGROUP_2 = ("memory.max", "memory.current", "inactive_file")  # files with limit and use, and name of the cached files in memory.stat
+CGROUP_1 = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
 
 
 def reading(file_bytes: int) -> int:
@@ -40,9 +49,26 @@ def tuning(count: int, coefficients: int, cameras: Sequence[Camera], kept_photog
     coefficients: SH coefficients per channel, K. cameras: all views; the largest one counts. kept_photographs: memory budget of
     cached photographs in bytes; at most 3 bytes per pixel of all views are counted.
     """
-    photographs = min(kept_photographs, 3 * sum(camera.width * camera.height for camera in cameras))
     row, moments = _trained_row(coefficients)
-    return int(row + moments + PROJECTED) * count + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + photographs
+    return int(row + moments + PROJECTED) * count + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + _kept(cameras, kept_photographs)
+
+
+def measuring(count: int, cameras: Sequence[Camera], kept_photographs: int, lpips: bool) -> int:
+    """Bytes of memory needed to evaluate `count` Gaussians that are in memory already. cameras: the views; the largest one counts.
+
+    kept_photographs: as for tuning(). lpips: whether LPIPS is measured too.
+    """
+    pixel = RENDERED_PIXEL + MEASURED_PIXEL + LPIPS_PIXEL * lpips
+    return PROJECTED * count + pixel * _pixels(cameras) + _kept(cameras, kept_photographs)
+
+
+def comparing(count: int, cameras: Sequence[Camera], shown: Sequence[Camera], kept_photographs: int, lpips: bool) -> int:
+    """Bytes of memory needed to compare two scenes in memory, the larger one with `count` Gaussians, in figures and pictures.
+
+    cameras, kept_photographs, lpips: as for measuring(). shown: the views with pictures.
+    """
+    pictures = COMPARED_PIXEL * sum(camera.width * camera.height for camera in shown)
+    return measuring(count, cameras, kept_photographs, lpips) + pictures
 
 
 def growing(count: int, added: int, coefficients: int, cameras: Sequence[Camera]) -> int:
@@ -53,6 +79,11 @@ def growing(count: int, added: int, coefficients: int, cameras: Sequence[Camera]
     (row, moments), largest = _trained_row(coefficients), 4 * 3 * coefficients
     new = (1 + ADDED_COPIES) * row + moments + PROJECTED
     return new * added + largest * (count + added) + MEASURED_PIXEL * _pixels(cameras)
+
+
+def checkpoint(count: int, coefficients: int) -> int:
+    """Bytes on disk of a checkpoint of `count` Gaussians. coefficients: SH coefficients per channel."""
+    return (sum(_trained_row(coefficients)) + STATISTICS) * count
 
 
 def _trained_row(coefficients: int) -> tuple[int, int]:
@@ -66,7 +97,7 @@ def shortage(what: str, needed: int) -> str:
     free = available()
     if free is None or needed <= free:
         return ""
-    return f"{what} needs about {_gigabytes(needed)} of memory, but only {_gigabytes(free)} are available"
+    return f"{what} needs about {size_text(needed)} of memory, but only {size_text(free)} are available"
 
 
 def refuse_excess(what: str, needed: int) -> None:
@@ -75,9 +106,22 @@ def refuse_excess(what: str, needed: int) -> None:
         raise SceneError(sentence)
 
 
+def refuse_few_addresses(least: int) -> None:
+    """Raises SceneError if the process may have less than `least` bytes of addresses (ulimit -v).
+
+    Call it before NumPy and pycolmap are imported: with too few, they fail in ways that a program cannot catch, or never return.
+    """
+    limit = _address_limit()
+    if limit is not None and limit < least:
+        raise SceneError(f"this process may use only {size_text(limit)} of memory (ulimit -v), but needs at least {size_text(least)}; raise the limit")
+
+
 def available() -> int | None:
-    """Bytes that this process can still allocate without swapping, a container's limit included; None if the system does not report it."""
-    limits = [limit for limit in (_system_available(), _cgroup_available()) if limit is not None]
+    """Bytes that this process can still allocate without swapping; None if the system does not report it.
+
+    The limits of containers (cgroups) and of the process (ulimit -v) are included.
+    """
+    limits = [limit for limit in (_system_available(), _cgroup_available(), _addresses_available()) if limit is not None]
     return min(limits) if limits else None
 
 
@@ -95,14 +139,29 @@ def peak() -> int | None:
     return most if sys.platform == "darwin" else most * 1024
 
 
+def _kept(cameras: Sequence[Camera], budget: int) -> int:
+    """Bytes of cached photographs of 8 bits per channel within the budget."""
+    return min(budget, 3 * sum(camera.width * camera.height for camera in cameras))
+
+
 def _pixels(cameras: Sequence[Camera]) -> int:
     """Number of pixels of the largest view."""
     return max(camera.width * camera.height for camera in cameras)
 
 
-def _gigabytes(value: int) -> str:
-    """Bytes as text in GB, or in MB below 0.1 GB."""
-    return f"{value / 1e9:.1f} GB" if value >= 1e8 else f"{value / 1e6:.1f} MB"
+def size_text(value: float) -> str:
+    """Bytes as text: '1.2 GB', '150.0 MB', '12 bytes'."""
+    for limit, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if value >= limit:
+            return f"{value / limit:.1f} {unit}"
+    return f"{value:.0f} bytes"
+
+
+def part_text(part: int, whole: int) -> str:
+    """Two numbers of bytes, the first below the second, as text: '0.1 of 21.7 MB', or '12 bytes of 21.7 MB are missing'."""
+    number, unit = size_text(whole).split()
+    shown = f"{part * float(number) / whole:.1f}" if unit != "bytes" else str(part)
+    return f"{shown} of {number} {unit}" if shown != number else f"{size_text(whole - part)} of {number} {unit} are missing"
 
 
 def _system_available() -> int | None:
@@ -120,11 +179,54 @@ def _proc_bytes(file: str, name: str) -> int:
 
 
 def _cgroup_available() -> int | None:
-    """Bytes below the limit of the container (cgroup v2), where cached files count as free; None without a limit."""
+    """Bytes below the nearest limit of the containers (cgroups, version 1 or 2), where cached files count as free; None without a limit."""
+    left = [_below_limit(folder, *names) for folder, names in _cgroups()]
+    return min((value for value in left if value is not None), default=None)
+
+
+def _cgroups() -> Iterator[tuple[Path, tuple[str, str, str]]]:
+    """The folders of the cgroups of this process and of those around them, and the names of their files.
+
+    In a container, the path of the process in /proc may not exist below /sys/fs/cgroup; then only the root, which is the container's, does.
+    """
     try:
-        limit = (CGROUP / "memory.max").read_text().strip()
-        used = int((CGROUP / "memory.current").read_text())
-        facts = dict(line.split() for line in (CGROUP / "memory.stat").read_text().splitlines())
-        return None if limit == "max" else max(0, int(limit) - used + int(facts.get("inactive_file", 0)))
+        lines = [line.split(":", 2) for line in OWN_CGROUPS.read_text().splitlines()]
+    except OSError:
+        lines = []
+    paths = {controllers: path for _, controllers, path in lines}
+    own_2 = paths.get("", "/")
+    own_1 = next((path for controllers, path in paths.items() if "memory" in controllers.split(",")), "/")
+    for root, own, names in ((CGROUP, own_2, CGROUP_2), (CGROUP / "unified", own_2, CGROUP_2), (CGROUP / "memory", own_1, CGROUP_1)):
+        inner = PurePosixPath(own.lstrip("/"))
+        for part in (inner, *inner.parents):
+            if ".." not in part.parts:  # above the root of a namespace
+                yield root / part, names
+
+
+def _below_limit(folder: Path, limit_file: str, use_file: str, cached_name: str) -> int | None:
+    """Bytes that may still be used in one cgroup; None if it has no limit or does not exist."""
+    try:
+        limit, used = (folder / limit_file).read_text().strip(), int((folder / use_file).read_text())
+        facts = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+        return None if limit == "max" else max(0, int(limit) - used + int(facts.get(cached_name, 0)))
+    except (OSError, ValueError):
+        return None
+
+
+def _address_limit() -> int | None:
+    """Largest number of bytes of addresses of this process (ulimit -v); None without a limit."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
+def _addresses_available() -> int | None:
+    """Bytes of addresses that this process can still have; None without a limit."""
+    limit = _address_limit()
+    try:
+        return None if limit is None else max(0, limit - _proc_bytes("self/status", "VmSize"))
     except (OSError, ValueError):
         return None

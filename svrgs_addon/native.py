@@ -13,10 +13,10 @@ import numpy as np
 
 from .camera import Camera
 from .errors import NativeError
+from .library_path import LIBRARY_VARIABLE
 from .native_library import (
     GRADS,
     INTERFACE_VERSION,
-    LIBRARY_VARIABLE,
     LOSS_IMAGES,
     PARAMETERS,
     AdamStruct,

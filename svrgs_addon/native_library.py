@@ -8,23 +8,19 @@ from __future__ import annotations
 
 import ctypes as c
 import functools
-import os
-import sys
-from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
 from .camera import Camera
 from .errors import Cancelled, NativeError
+from .library_path import library_path
 from .outputs import OUTPUTS
 
 INTERFACE_VERSION = 11
-LIBRARY_VARIABLE = "SVRGS_LIBRARY"  # environment variable: path of another build of the library, for measurements
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 GRADS = (*PARAMETERS, "masks", "means2d")
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # images whose gradients backward() accepts
-_LIBRARY = {"win32": "svrgs.dll", "darwin": "libsvrgs.dylib"}.get(sys.platform, "libsvrgs.so")
 _CANCELLED = 3  # of enum svrgs_status
 _LEVEL_NAMES, _MASK_KIND_NAMES, _SKIP_NAMES, _STAGE_NAMES = range(4)  # enum svrgs_names
 
@@ -120,9 +116,7 @@ MachineStruct = _struct("MachineStruct", fma=c.c_double, read=c.c_double, update
 @functools.cache
 def library() -> c.CDLL:
     """The loaded library. Raises NativeError if it is missing, does not load, or has another interface version."""
-    path = Path(os.environ.get(LIBRARY_VARIABLE) or Path(__file__).with_name(_LIBRARY))
-    if not path.exists():
-        raise NativeError(f"the native library {path} is missing: build it with 'make setup', or install the extension's wheel")
+    path = library_path()
     try:
         loaded = c.CDLL(str(path))
         loaded.svrgs_last_error.restype = c.c_char_p
@@ -255,8 +249,11 @@ def peaks(level: str) -> dict[str, float]:
 
 
 def set_threads(count: int):
-    """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not depend on it."""
-    library().svrgs_set_threads(c.c_int32(count))
+    """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not depend on it.
+
+    More than 32 threads, or 8 per core, would only slow each other down: a larger count is taken as this one.
+    """
+    library().svrgs_set_threads(c.c_int32(min(count, 2**31 - 1)))
 
 
 def threads() -> int:

@@ -13,6 +13,8 @@ from typing import Any
 
 from .errors import SceneError
 
+MAX_SHOWN = 80  # characters of a word in a message
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -35,10 +37,10 @@ class Kind:
         """Parses a word of the command line. Raises ValueError with one sentence if it is not valid."""
         try:
             value = (self.parse or self.type)(word)
-        except ValueError:
-            raise ValueError(f"'{word}' is not {self.wanted}") from None
-        if not self.good(value):
-            raise ValueError(f"'{word}' is not {self.wanted}")
+        except ValueError:  # also a number of thousands of digits
+            value = None
+        if value is None or not self.good(value):
+            raise ValueError(f"'{word if len(word) < MAX_SHOWN else word[:MAX_SHOWN] + '...'}' is not {self.wanted}")
         return value
 
     def fits(self, value: Any) -> bool:
@@ -57,18 +59,13 @@ def _colour(word: str) -> tuple[float, ...]:
     return tuple(float(part) for part in word.split(","))
 
 
-def _finite(low: float) -> Callable[[float], bool]:
-    """A test for finite numbers of at least `low`."""
-    return lambda value: low <= value < math.inf
-
-
 FLAG, TEXT, PATH = Kind(bool), Kind(str), Kind(Path)
 FILE = Kind(Path, "a file that exists", lambda value: Path(value).is_file())
 COUNT = Kind(int, "a whole number of 0 or more", lambda value: value >= 0, minimum=0)
 POSITIVE = Kind(int, "a whole number of 1 or more", lambda value: value > 0, minimum=1)
 SH_DEGREE = Kind(int, "a degree of 0 to 3", choices=(0, 1, 2, 3))
-WEIGHT = Kind(float, "a weight of 0 or more", _finite(0), minimum=0)
-GIGABYTES = Kind(float, "a number of gigabytes", _finite(0), minimum=0)
+WEIGHT = Kind(float, "a weight of 0 to 1e9", lambda value: 0 <= value <= 1e9, minimum=0, maximum=1e9)
+GIGABYTES = Kind(float, "a number of gigabytes of 0 to 1,000,000", lambda value: 0 <= value <= 1e6, minimum=0, maximum=1e6)
 DECIBELS = Kind(float, "a number of dB above 0", lambda value: 0 < value < math.inf, minimum=0)
 SHARE = Kind(float, "a share above 0 and up to 1", lambda value: 0 < value <= 1, minimum=0, maximum=1)
 SMALL_SHARE = Kind(float, "a share of 0 or more, below 1", lambda value: 0 <= value < 1, minimum=0, maximum=0.99)

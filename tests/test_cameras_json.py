@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -47,8 +48,8 @@ def test_cameras_json_conventions(tmp_path):
 @pytest.mark.parametrize(
     "key, value",
     [
-        ("img_name", "../a"), ("width", 0), ("width", 10**6), ("height", 48.5), ("fx", -1), ("fx", None),
-        ("fy", float("nan")), ("position", [1, 2]), ("position", [1, 2, float("inf")]), ("position", [10**400, 0, 0]),
+        ("img_name", "../a"), ("img_name", "a\0"), ("img_name", "a\ud800"), ("width", 0), ("width", 10**6), ("height", 48.5), ("fx", -1), ("fx", None),
+        ("fy", float("nan")), ("position", [1, 2]), ("position", [1, 2, float("inf")]), ("position", [10**400, 0, 0]), ("position", [1e38, 0, 0]), ("fx", 1e30),
         ("rotation", [[1, 0, 0]] * 3), ("rotation", [[1, 0], [0, 1]]), ("rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
     ],
 )  # fmt: skip
@@ -59,6 +60,14 @@ def test_unusable_cameras_json_entries(tmp_path, key, value):
     (tmp_path / "cameras.json").write_text(json.dumps([{k: v for k, v in GOOD_ENTRY.items() if k != key}]))
     with pytest.raises(FormatError, match=f"lacks '{key}'"):
         load_cameras_json(tmp_path / "cameras.json")
+
+
+def test_only_regular_files_are_read(tmp_path):
+    """A pipe would be waited for, and the device has no end."""
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", "/dev/zero", tmp_path):
+        with pytest.raises(FormatError, match="is not a regular file"):
+            load_cameras_json(path)
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", "[1]", "[" * 100_000, "\xff"])

@@ -28,8 +28,8 @@ def work(tiny, tmp_path) -> Path:
 
 
 def no_photographs(work: Path):
-    for name in ("01.png", "04.png", "05.png", "09.png"):
-        (work / "data/images" / name).unlink()
+    for i in range(9):
+        (work / f"data/images/{i:02}.png").unlink()
 
 
 def no_image_folder(work: Path):
@@ -58,6 +58,16 @@ def no_points(work: Path):
     tiny_dataset.write_colmap(work / "data/sparse/0", tiny_dataset.views(), np.zeros((0, 3)))
 
 
+def points_behind_the_cameras(work: Path):
+    tiny_dataset.write_colmap(work / "data/sparse/0", tiny_dataset.views(), np.full((9, 3), 1e4))
+
+
+def a_tiny_model(work: Path):
+    """All points are nearer than the rasterizer draws."""
+    views = [replace(view, viewmat=np.vstack([np.c_[view.viewmat[:3, :3], view.viewmat[:3, 3] / 1000], [[0, 0, 0, 1]]])) for view in tiny_dataset.views()]
+    tiny_dataset.write_colmap(work / "data/sparse/0", views, np.zeros((9, 3)))
+
+
 def broken_photograph(work: Path):
     (work / "data/images/00.png").write_bytes(b"no image")
 
@@ -79,7 +89,26 @@ def empty_splat(work: Path):
 
 def same_stems(work: Path):
     cameras = [replace(camera, name=name) for camera, name in zip(tiny_dataset.views(2), ("a.png", "a.jpg"), strict=True)]
+    for number, camera in enumerate(cameras):
+        shutil.copy(work / f"data/images/{number:02}.png", work / "data/images" / camera.name)
     tiny_dataset.write_colmap(work / "data/sparse/0", cameras, np.zeros((0, 3)))
+
+
+def link_loop(work: Path):
+    (work / "data/loop").symlink_to("pool")
+    (work / "data/pool").symlink_to("loop")
+
+
+def far_view(work: Path):
+    first, *rest = tiny_dataset.views()
+    viewmat = first.viewmat.copy()
+    viewmat[0, 3] = 1e38
+    tiny_dataset.write_colmap(work / "data/sparse/0", [replace(first, viewmat=viewmat), *rest], np.zeros((9, 3)))
+
+
+def huge_focal_length(work: Path):
+    views = [replace(view, K=view.K * 1e30) for view in tiny_dataset.views()]
+    tiny_dataset.write_colmap(work / "data/sparse/0", views, np.zeros((9, 3)))
 
 
 def nothing(work: Path):
@@ -89,17 +118,21 @@ def nothing(work: Path):
 DATA = "--colmap {data}"
 PRUNE = f"prune {{data}}/scene.ply {DATA} --quiet --out {{work}}/o.ply --report {{work}}/report"
 TRAIN = f"train {DATA} --iterations 5 --quiet --out {{work}}/o.ply"
+INFO = "info {data}/scene.ply"
 EVAL = f"eval {{data}}/scene.ply {DATA}"
 RENDER = f"render {{data}}/scene.ply {DATA} --out {{work}}/out"
 COMPARE = f"compare {{data}}/scene.ply {{data}}/scene.ply {DATA} --out {{work}}/out"
 
 REFUSED = [  # what is broken, the command, what the sentence says
-    *((no_photographs, command, ("4 of 12 photographs are missing: 01.png, 04.png, 05.png, ...",)) for command in (PRUNE, TRAIN, EVAL, COMPARE)),
+    *((no_photographs, command, ("9 of 12 photographs are missing: 00.png, 01.png, 02.png, ...",)) for command in (PRUNE, TRAIN, EVAL, COMPARE)),
     *((no_image_folder, command, ("no image folder",)) for command in (PRUNE, EVAL)),
     *((no_model, command, ("holds no COLMAP model",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
     *((no_views, command, ("no view with a pose",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
     *((panorama, command, ("EQUIRECTANGULAR",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
-    *((truncated_splat, command, ("scene.ply", "is truncated")) for command in ("info {data}/scene.ply", PRUNE, EVAL, RENDER, COMPARE)),
+    *(
+        (truncated_splat, command, ("scene.ply is incomplete: ", " kB; copy or export it again"))
+        for command in ("info {data}/scene.ply", PRUNE, EVAL, RENDER, COMPARE)
+    ),
     *((splat_elsewhere, command, ("scene.ply", "none of its Gaussians is near")) for command in (PRUNE, EVAL, COMPARE)),
     *((empty_splat, command, ("scene.ply", "no usable Gaussian")) for command in (PRUNE, EVAL, RENDER, COMPARE)),
     *((broken_photograph, command, ("00.png", "cannot be read as an image")) for command in (PRUNE, EVAL)),
@@ -108,7 +141,13 @@ REFUSED = [  # what is broken, the command, what the sentence says
     (one_view, f"{EVAL} --split train", ("no train views",)),
     (one_view, f"{RENDER} --views train", ("no train views",)),
     (no_points, TRAIN, ("no 3-D points",)),
-    (same_stems, RENDER, ("'a.jpg' and 'a.png'", "same files")),
+    *((damage, TRAIN, ("no training view sees any of the 9 sparse points", "0.2")) for damage in (points_behind_the_cameras, a_tiny_model)),
+    *(
+        (damage, command, ("00.png", "focal length or pose that is not usable"))
+        for damage in (far_view, huge_focal_length)
+        for command in (TRAIN, EVAL, RENDER)
+    ),
+    *((same_stems, command, ("'a.jpg' and 'a.png'", "same files")) for command in (RENDER, f"{COMPARE} --holdout 1")),
     *((nothing, f"{command} --lpips-weights {{work}}/no.pt", ("--lpips-weights", "no.pt")) for command in (PRUNE, TRAIN, EVAL, COMPARE)),
     (nothing, f"{PRUNE} --method dropout", ("method 'dropout' is unknown", "svr, ")),
     (nothing, f"{TRAIN} --method dropout", ("method 'dropout' is unknown",)),
@@ -127,6 +166,13 @@ REFUSED = [  # what is broken, the command, what the sentence says
     (nothing, f"{PRUNE} --engine cuda", ("--engine",)),
     (nothing, f"{RENDER} --views 00,99", ("there is no view '99'", "0 to 11")),
     (nothing, f"{RENDER} --views \N{SUPERSCRIPT TWO}", ("there is no view",)),
+    (nothing, f"{RENDER} --views {'9' * 5000}", ("there is no view '9999999", "...'")),
+    (nothing, f"{EVAL} --holdout {'9' * 5000}", ("--holdout", "999...' is not a whole number")),
+    (nothing, f"{PRUNE} --image-memory 1e300", ("--image-memory", "0 to 1,000,000")),
+    (nothing, f"{PRUNE} --lambda-m 1e300", ("--lambda-m", "0 to 1e9")),
+    (nothing, f"{EVAL} --image-memory 1", ("--image-memory",)),
+    (link_loop, f"prune {{data}}/scene.ply {DATA} --out {{data}}/loop", ("loop", "Too many levels of symbolic links")),
+    (link_loop, "prune {data} --out {data}/loop", ("loop", "Too many levels of symbolic links")),
     (nothing, f"{RENDER} --outputs rgb,normals", ("output 'normals' is unknown",)),
     (nothing, f"{RENDER} --format gif", ("--format",)),
     (nothing, f"{RENDER} --background 0,0,2", ("--background",)),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import os
 import shutil
 import struct
+import sys
 import threading
 
 import numpy as np
@@ -105,6 +107,87 @@ def test_rigs_and_frames_are_not_looked_at(tmp_path):
     for name in ("rigs", "frames"):
         (tmp_path / "sparse/0" / f"{name}.bin").write_bytes(b"\xff" * 100)
     assert len(load_dataset(tmp_path, cameras_only=True).cameras) == 9
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_image_names_may_hold_spaces_and_other_bytes(tmp_path, text):
+    """COLMAP writes names as they are: in a text file, the name is the rest of the line."""
+    names = ["a b.png", "left eye/c  d.png", "λ 1.png", "trailing .png"]
+    make_dataset(tmp_path, names, text=text)
+    data = load_dataset(tmp_path)
+    assert [camera.name for camera in data.cameras] == sorted(names) and not data.notes
+    assert all(np.array_equal(data.image(k), photo(names.index(name))) for k, name in enumerate(sorted(names)))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes on Linux only")
+@pytest.mark.parametrize("text", [False, True])
+def test_image_names_need_not_be_utf_8(tmp_path, text):
+    make_dataset(tmp_path, ["caf_.png"], text=text)
+    path = tmp_path / "sparse/0" / ("images.txt" if text else "images.bin")
+    path.write_bytes(path.read_bytes().replace(b"caf_", b"caf\xe9"))
+    (tmp_path / "images/caf_.png").rename(tmp_path / "images" / os.fsdecode(b"caf\xe9.png"))
+    data = load_dataset(tmp_path)
+    assert data.cameras[0].name == os.fsdecode(b"caf\xe9.png") and np.array_equal(data.image(0), photo(0))
+
+
+def test_another_number_than_0_is_found(tmp_path):
+    make_dataset(tmp_path, below="sparse/1")
+    assert len(load_dataset(tmp_path).cameras) == 9
+    shutil.copytree(tmp_path / "sparse/1", tmp_path / "sparse/2")
+    with pytest.raises(FormatError, match=r"holds several models, but no sparse/0; name one of .*sparse/1, .*sparse/2"):
+        load_dataset(tmp_path)
+    assert len(load_dataset(tmp_path / "sparse/2").cameras) == 9
+
+
+# --- links, as SECURITY.md describes them
+
+
+@pytest.mark.parametrize("linked", ["photograph", "folder"])
+def test_links_in_the_image_folder_are_followed(tmp_path, linked):
+    make_dataset(tmp_path / "a")
+    place = tmp_path / "a/images" / ("" if linked == "folder" else "00.png")
+    place.rename(tmp_path / "elsewhere")
+    place.symlink_to(tmp_path / "elsewhere")
+    assert np.array_equal(load_dataset(tmp_path / "a").image(0), photo(0))
+
+
+def test_a_link_to_anything_but_a_file_is_not_opened(tmp_path):
+    """A pipe would be waited for, and the device has no end."""
+    make_dataset(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    for name, target in (("00.png", tmp_path / "pipe"), ("01.png", "/dev/zero")):
+        (tmp_path / "images" / name).unlink()
+        (tmp_path / "images" / name).symlink_to(target)
+    assert "2 of 9 photographs are missing: 00.png, 01.png" in load_dataset(tmp_path).notes[0]
+
+
+# --- missing photographs
+
+
+def test_missing_photographs_are_left_out_and_named(tmp_path, caplog):
+    """The others stay test or training views: pictures that were held out before are never trained on."""
+    make_dataset(tmp_path)
+    for name in ("00.png", "03.png", "04.png", "07.png"):
+        (tmp_path / "images" / name).unlink()
+    data = load_dataset(tmp_path)
+    assert [camera.name for camera in data.cameras] == ["01.png", "02.png", "05.png", "06.png", "08.png"]
+    assert (data.test_indices, data.train_indices) == ([4], [0, 1, 2, 3])
+    assert [np.array_equal(data.image(k), photo(i)) for k, i in enumerate((1, 2, 5, 6, 8))] == [True] * 5
+    sentence = f"{tmp_path}/images: 4 of 9 photographs are missing: 00.png, 03.png, 04.png, ...; the other 5 are used"
+    assert data.notes == (sentence,) and caplog.messages == [sentence]
+    centres = np.array([data.cameras[k].position for k in data.train_indices])
+    assert np.isclose(data.extent, 1.1 * np.linalg.norm(centres - centres.mean(0), axis=1).max())
+
+
+def test_control_characters_of_names_are_not_repeated(tmp_path):
+    make_dataset(tmp_path, ["a.png", "b\x1b[31m.png"])
+    (tmp_path / "images/b\x1b[31m.png").unlink()
+    assert r"missing: b\x1b[31m.png;" in load_dataset(tmp_path).notes[0]
+
+
+def test_nothing_is_noted_where_nothing_is_missing(tmp_path, caplog):
+    make_dataset(tmp_path)
+    assert load_dataset(tmp_path).notes == () and not caplog.messages
 
 
 # --- scaled photographs

@@ -15,11 +15,13 @@ from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.photographs.dataset import load_dataset
 
 
-def test_missing_photographs_are_counted_and_named(tmp_path):
+def test_photographs_are_refused_if_fewer_than_a_third_are_there(tmp_path):
     make_dataset(tmp_path)
-    for name in ("01.png", "03.png", "04.png", "07.png"):
-        (tmp_path / "images" / name).unlink()
-    with pytest.raises(SceneError, match=r"4 of 9 photographs are missing: 01\.png, 03\.png, 04\.png, \.\.\."):
+    for i in range(6):
+        (tmp_path / f"images/{i:02}.png").unlink()
+    assert len(load_dataset(tmp_path).cameras) == 3
+    (tmp_path / "images/06.png").unlink()
+    with pytest.raises(SceneError, match=r"images: 7 of 9 photographs are missing: 00\.png, 01\.png, 02\.png, \.\.\.; at least a third must be there: give"):
         load_dataset(tmp_path)
 
 
@@ -40,6 +42,15 @@ def test_no_views_and_no_points(tmp_path):
         load_dataset(tmp_path, need_points=True)
     make_model([]).write_binary(tmp_path / "sparse/0")
     with pytest.raises(SceneError, match="no view"):
+        load_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_two_images_of_one_name_are_refused(tmp_path, text):
+    make_dataset(tmp_path, ["a.png", "b.png", "c.png"], text=text)
+    path = tmp_path / "sparse/0" / ("images.txt" if text else "images.bin")
+    path.write_bytes(path.read_bytes().replace(b"c.png", b"a.png"))
+    with pytest.raises(FormatError, match="names the photograph 'a.png' twice"):
         load_dataset(tmp_path)
 
 
@@ -80,10 +91,10 @@ def test_truncated_binary_models(tmp_path, name):
     data = path.read_bytes()
     for size in range(len(data)):
         path.write_bytes(data[:size])
-        with pytest.raises(FormatError, match=f"{name}.bin is truncated"):
+        with pytest.raises(FormatError, match=f"{name}.bin is incomplete"):
             load_dataset(tmp_path, cameras_only=True)
     path.write_bytes(struct.pack("<Q", 2**60) + data[8:])
-    with pytest.raises(FormatError, match="truncated"):
+    with pytest.raises(FormatError, match="incomplete"):
         load_dataset(tmp_path, cameras_only=True)
 
 

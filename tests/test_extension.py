@@ -44,10 +44,13 @@ def extension_zip(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def data(tiny, tmp_path_factory) -> Path:
     """tiny/: a dataset and its splat; renders/: what `svrgs render` makes of them; varied/: cameras of other shapes; distorted/: a lens
-    with distortion. NAME.npz: the cameras."""
+    with distortion; z_up/, rolled/: the cameras of tiny/ in other directions, without photographs; nerfstudio/: tiny/ as
+    transforms.json. NAME.npz: the cameras."""
     import scenes
     from svrgs_addon.cli.main import main as run_svrgs
     from svrgs_addon.files.images import write_image
+    from svrgs_addon.photographs.colmap import read_model
+    from transforms_dataset import write_transforms
 
     folder = tmp_path_factory.mktemp("data")
     (folder / "tiny").symlink_to(tiny.folder)
@@ -58,12 +61,27 @@ def data(tiny, tmp_path_factory) -> Path:
         write_image(folder / "varied/images" / view.name, np.full((view.height, view.width, 3), 0.5))
     write_colmap(folder / "distorted/sparse/0", tiny.cameras[:2], tiny.truth.means, distortion=(0.1, 0.01, 0.0, 0.0))
     (folder / "distorted/images").symlink_to(tiny.folder / "images")
+    write_colmap(folder / "z_up/sparse/0", [view.moved(turn(np.pi / 2, "x")) for view in tiny.cameras], tiny.truth.means)
+    (folder / "nerfstudio").mkdir()
+    (folder / "nerfstudio/images").symlink_to(tiny.folder / "images")
+    write_transforms(folder / "nerfstudio", read_model(tiny.folder / "sparse/0"))
+    rolled = [replace(view, viewmat=turn(2.1 * i, "z") @ view.viewmat) for i, view in enumerate(tiny.cameras)]
+    write_colmap(folder / "rolled/sparse/0", rolled, tiny.truth.means)
     for name, cameras in {"tiny": tiny.cameras, "varied": sorted(views, key=lambda view: view.name)}.items():
         np.savez(
             folder / f"{name}.npz", viewmats=[c.viewmat for c in cameras], Ks=[c.K for c in cameras],
             sizes=[(c.width, c.height) for c in cameras], names=[c.name for c in cameras], points=tiny.truth.means,
         )  # fmt: skip
     return folder
+
+
+def turn(angle: float, axis: str) -> np.ndarray:
+    """(4, 4) rotation about an axis; angle in radians."""
+    first, second = {"x": (1, 2), "z": (0, 1)}[axis]
+    matrix = np.eye(4)
+    matrix[[first, second], [first, second]] = np.cos(angle)
+    matrix[second, first], matrix[first, second] = np.sin(angle), -np.sin(angle)
+    return matrix
 
 
 def write_colmap(folder: Path, views: list, points: np.ndarray, distortion: tuple = ()):
@@ -106,6 +124,6 @@ def test_inside_blender(python, extension_zip, data, tmp_path):
     folder = ROOT / "tests/blender"
     chosen = [str(folder / word) if word.endswith(".py") else word for word in shlex.split(os.environ.get("SVRGS_BLENDER_TESTS", ""))] or [str(folder)]
     words = ["-m", "pytest", "-q", "--durations=8", "-p", "no:cacheprovider", "--rootdir", folder, "-c", os.devnull, *chosen]
-    done = subprocess.run([python, *map(str, words)], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    done = subprocess.run([python, *map(str, words)], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=1200)
     assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-2000:]
     print(done.stdout)

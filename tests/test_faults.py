@@ -101,7 +101,7 @@ def test_space_that_ends_within_the_file(old, name, share):
 def test_too_little_space_is_known_before(old, monkeypatch):
     usage = type("Usage", (), {"free": 1000})
     monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
-    refused(old, "scene.ply", r"needs [\d.]+ MB, but only 0.0 MB are free")
+    refused(old, "scene.ply", r"needs 2.3 MB, but only 1.0 kB are free")
 
 
 # --- runs that cannot go on

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.files.images import image_size, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
+from svrgs_addon.files.images import image_size, library_path, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
 
 oiio = pytest.importorskip("OpenImageIO")
 
@@ -174,3 +177,56 @@ def test_pixels_that_are_not_numbers_are_refused(tmp_path):
     path = store(tmp_path / "a.exr", np.full((2, 2, 3), np.nan, np.float32))
     with pytest.raises(FormatError, match="not numbers"):
         read_image(path)
+
+
+def test_openimageio_gets_bytes_only_for_paths_that_are_not_utf_8():
+    """That of Blender 5.2 takes no bytes."""
+    assert library_path(Path("folder/größe.png")) == "folder/größe.png"
+    assert library_path(os.fsdecode(b"folder/\xff.png")) == b"folder/\xff.png"
+
+
+# --- what is an image at all
+
+
+@pytest.mark.parametrize("suffix", ["bmp", "ppm", "tif", "png"])
+def test_further_formats_are_read(tmp_path, suffix):
+    assert np.array_equal(read_pixels(store(tmp_path / f"a.{suffix}", RGB)), RGB)
+
+
+def test_hdr_is_scene_linear(tmp_path):
+    image = read_image(store(tmp_path / "a.hdr", np.full((2, 2, 3), [0.0, 0.5, 4.0], np.float32)))
+    assert np.allclose(image[0, 0], [0, 0.735357, 1], atol=1e-2)
+
+
+@pytest.mark.parametrize("name", ["zeros.png", "zeros.jpg", "text.tif"])
+def test_files_that_begin_like_no_image_are_not_given_to_a_reader(tmp_path, monkeypatch, name):
+    """A reader of OpenImageIO looks through zeros to the end, at 60 ms a megabyte."""
+    (tmp_path / name).write_bytes(bytes(10_000) if "zeros" in name else b"no image" * 100)
+    monkeypatch.setattr(oiio.ImageInput, "open", lambda *_: pytest.fail("the file was given to OpenImageIO"))
+    with pytest.raises(FormatError, match=f"{name}: cannot be read as an image .it begins like no JPEG, PNG"):
+        image_size(tmp_path / name)
+
+
+def test_a_damaged_image_is_given_only_to_the_reader_of_its_kind(tmp_path, monkeypatch):
+    (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff\xe0" + bytes(1000))
+    store(tmp_path / "b.png", RGB).rename(tmp_path / "b.jpg")  # the suffix of another kind: every reader may try
+    asked, open_ = [], oiio.ImageInput.open
+    monkeypatch.setattr(oiio.ImageInput, "open", lambda *words: (asked.append(oiio.get_int_attribute("try_all_readers")), open_(*words))[1])
+    with pytest.raises(FormatError, match="a.jpg: cannot be read as an image"):
+        read_pixels(tmp_path / "a.jpg")
+    assert np.array_equal(read_pixels(tmp_path / "b.jpg"), RGB)
+    assert asked == [0, 1] and oiio.get_int_attribute("try_all_readers") == 1
+
+
+def test_a_large_file_with_the_suffix_of_another_kind_is_refused(tmp_path):
+    with open(tmp_path / "a.png", "wb") as file:
+        file.write(b"\xff\xd8\xff\xe0")
+        file.truncate(100 * 2**20)
+    with pytest.raises(FormatError, match="a.png: cannot be read as an image .it begins like a JPEG file.; give its name the suffix .jpg"):
+        image_size(tmp_path / "a.png")
+
+
+def test_what_is_no_file_is_not_opened(tmp_path):
+    os.mkfifo(tmp_path / "a.png")
+    with pytest.raises(FormatError, match="a.png: is not a file"):
+        image_size(tmp_path / "a.png")

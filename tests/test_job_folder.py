@@ -77,7 +77,7 @@ def test_a_zero_is_not_left_to_the_default(tmp_path):
     assert options.visible_mask is False and options.images == ""
 
 
-LINKS = ["messages.jsonl", "log.txt", "metrics.csv", "pruned.ply", "state.json", "pause", "previews", "previews/0000001.png", "recovered.ply.job"]
+LINKS = ["messages.jsonl", "log.txt", "metrics.csv", "pruned.ply", "state.json", "stop", "previews", "previews/0000001.png", "recovered.ply.job"]
 
 
 @pytest.mark.parametrize("name", LINKS)

@@ -1,4 +1,4 @@
-"""A job in a process of its own: started, followed, paused, cancelled, killed, orphaned; its folder, honest and hostile."""
+"""A job in a process of its own: started, followed, stopped, killed, orphaned; its folder, honest and hostile."""
 
 from __future__ import annotations
 
@@ -64,30 +64,101 @@ def test_the_score_orders_the_source_as_the_job_did(done, tiny):
     assert np.abs(pruned.means - source.means[kept]).max() < 0.2, "recovered Gaussians stay in the source's order, near where they were"
 
 
-def test_cancel_is_answered_within_a_second_and_the_job_can_go_on(tiny, tmp_path, jobs):
+def test_stop_saves_a_checkpoint_and_resume_goes_on_there(tiny, tmp_path, jobs):
     job = Job(create(tmp_path / "job", tiny, **LONG))
     jobs.append(job)
     job.start()
-    follow(job, at_work)
-    started = time.monotonic()
-    job.cancel()
+    follow(job, lambda job: job.facts.get("iteration", 0) > 200 or not job.running)
+    job.stop()
+    assert job.stopping
     follow(job)
-    assert time.monotonic() - started < 1
-    assert job.state == "cancelled" and job.folder.state()["state"] == "cancelled"
+    assert job.state == job.folder.state()["state"] == "stopped" and not job.stopping
+    saved = job.folder.checkpoint()
+    assert saved > 200 and job.resume_point() == ("Resume continues at {share:.0%}", {"share": saved / 20_000})
     job.start()
-    assert not (job.folder / "cancel").exists()
-    follow(job, at_work)
-    assert job.state == "running"
+    assert not (job.folder / "stop").exists()
+    heard = follow(job, at_work)
+    assert job.state == "running" and min(message["iteration"] for message in heard if message["type"] == "PROGRESS") > saved
 
 
-def test_cancel_while_the_job_is_still_reading(tiny, tmp_path, jobs):
+def test_stop_while_the_job_is_still_reading(tiny, tmp_path, jobs):
     job = Job(create(tmp_path / "job", tiny, **LONG))
     jobs.append(job)
     job.start()
     follow(job, lambda job: job.state == "running")
-    job.cancel()
+    job.stop()
     follow(job, seconds=2)
-    assert job.state == "cancelled"
+    assert job.state == "stopped" and job.resume_point() == ("Resume starts it from the beginning", {})
+
+
+def test_a_job_that_gives_no_sign_of_life_is_killed_and_says_from_where_it_goes_on(tiny, tmp_path, jobs, monkeypatch):
+    monkeypatch.setattr("svrgs_addon.jobs.job_process.NO_REACTION", 1.0)
+    job = Job(create(tmp_path / "job", tiny, **LONG))
+    jobs.append(job)
+    job.start()
+    follow(job, at_work)
+    os.kill(job._process.pid, signal.SIGSTOP)  # as if its disk did not answer
+    time.sleep(2)  # no renewal is under way any more
+    job.stop()
+    follow(job, seconds=20)
+    assert job.state == "stopped" and job.facts["text"] == "It gave no sign of life and was ended"
+    assert job.resume_point() == ("Resume starts it from the beginning: no checkpoint was saved", {})
+
+
+def test_a_job_that_is_slow_to_save_is_not_killed(tiny, tmp_path, jobs, monkeypatch):
+    """Only one that gives no sign of life is."""
+    monkeypatch.setattr("svrgs_addon.jobs.job_process.NO_REACTION", 3.0)
+    job = Job(create(tmp_path / "job", tiny, **LONG))
+    jobs.append(job)
+    job.start()
+    follow(job, at_work)
+    monkeypatch.setattr(job.folder, "raise_flag", lambda: None)  # it hears nothing, and goes on
+    job.stop()
+    until = time.monotonic() + 5
+    follow(job, lambda job: time.monotonic() > until)
+    assert job.running and job.stopping
+    job.kill()
+    follow(job)
+    assert job.state == "stopped" and job.facts["text"] == ""
+
+
+@pytest.mark.parametrize("state", ["paused", "cancelled"])
+def test_states_of_earlier_versions_are_read(tiny, tmp_path, jobs, state):
+    folder = create(tmp_path / "job", tiny, **SHORT)
+    folder.write_json("state.json", {"state": state, "iteration": 3, "total": 60})
+    (folder / "cancel").touch()
+    job = Job(JobFolder(folder.path))
+    jobs.append(job)
+    assert job.state == state
+    job.start()
+    follow(job)
+    assert job.state == "done" and not (folder / "cancel").exists()
+
+
+def test_an_aborted_job_stays_failed_whatever_its_process_wrote_before(tiny, tmp_path, jobs, monkeypatch):
+    monkeypatch.setattr("svrgs_addon.jobs.job_process.REFRESH_EVERY", 0.0)
+    job = Job(create(tmp_path / "job", tiny, **LONG))
+    jobs.append(job)
+    job.start()
+    follow(job, at_work)
+    job.folder.write_json("state.json", {"state": "running"})
+    job.abort("its folder is gone")
+    job.refresh()
+    assert job.state == "failed" and job.facts["text"] == "its folder is gone"
+
+
+def test_a_job_that_another_process_continued_is_seen(tiny, tmp_path, jobs, monkeypatch):
+    monkeypatch.setattr("svrgs_addon.jobs.job_process.REFRESH_EVERY", 0.0)
+    job = Job(create(tmp_path / "job", tiny, **SHORT))
+    jobs.append(job)
+    job.folder.write_json("state.json", {"state": "stopped"})
+    seen = Job(JobFolder(job.folder.path))
+    job.start()
+    seen.refresh()
+    assert seen.state in ("starting", "running")
+    follow(job)
+    seen.refresh()
+    assert seen.state == "done"
 
 
 def result_bytes(job: Job) -> list[bytes]:
@@ -104,16 +175,16 @@ def undisturbed(tiny, tmp_path_factory) -> list[bytes]:
     return result_bytes(job)
 
 
-@pytest.mark.parametrize("pauses", [1, 3])
-def test_paused_jobs_end_as_if_they_had_not_been(undisturbed, tiny, tmp_path, jobs, pauses):
+@pytest.mark.parametrize("stops", [1, 3])
+def test_stopped_jobs_end_as_if_they_had_not_been(undisturbed, tiny, tmp_path, jobs, stops):
     job = Job(create(tmp_path / "job", tiny, **MEDIUM))
     jobs.append(job)
-    for k in range(pauses):
+    for k in range(stops):
         job.start()
         follow(job, lambda job, k=k: job.facts.get("iteration", 0) > 400 * (k + 1) or not job.running)
-        job.pause()
+        job.stop()
         follow(job)
-        assert job.state == job.folder.state()["state"] == "paused"
+        assert job.state == job.folder.state()["state"] == "stopped"
         assert 400 * (k + 1) < job.folder.state()["iteration"] < 3000
     job.start()
     follow(job)

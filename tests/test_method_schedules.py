@@ -67,7 +67,7 @@ def test_gns_presses_in_the_last_8_of_23_parts_of_training():
     train, press, recover = train_settings("gns", 23_000, 100).phases
     assert [(phase.name, phase.steps, phase.active) for phase in (train, press, recover)] == [
         ("train", 15_000, False),
-        ("press", 8_000, True),
+        ("prune", 8_000, True),
         ("recover", 100, False),
     ]
     assert press.rates.at(0, 1.0)["means"] == pytest.approx(Rates().at(15_000, 1.0)["means"])

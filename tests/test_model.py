@@ -113,7 +113,6 @@ def test_masks_come_and_go_without_touching_the_rest():
 
 
 def test_points_become_gaussians_as_large_as_their_neighbourhood():
-    pytest.importorskip("scipy")
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3], [50, 0, 0]], float)
     colors = np.array([[255, 0, 128]] * 5, np.uint8)
     scene = scene_from_points(points, colors, sh_degree=2)

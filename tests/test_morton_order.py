@@ -1,5 +1,6 @@
 """Rows along a Morton curve: near Gaussians lie together, and nothing but the speed of a run depends on it."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -75,6 +76,16 @@ def test_on_a_line_the_order_is_that_of_the_line(axis):
     means = np.zeros((1_000, 3), np.float32)
     means[:, axis] = np.random.default_rng(0).permutation(1_000)
     assert (means[morton_order(means), axis] == np.arange(1_000)).all()
+
+
+def test_means_beyond_all_reason_lie_at_the_sides_without_a_warning():
+    means = np.r_[cloud(100), np.float32([[3e38, -3e38, 0]])].astype(np.float32)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        codes = morton_codes(means)
+    highest = spread_bits(np.array([2**BITS - 1]))[0]
+    assert codes[-1] & highest == highest and not codes[-1] & (highest << 1)  # x at the high side, y at the low one
+    assert sorted(morton_order(means)) == list(range(101))
 
 
 def test_what_lies_in_one_place_keeps_its_order():

@@ -12,6 +12,7 @@ import pytest
 
 import scenes
 from native_helpers import CAMERA, FLOAT_IMAGES, assert_same_bits, typed
+from svrgs_addon import native
 from svrgs_addon.errors import Cancelled, NativeError
 from svrgs_addon.native import Rasterizer, RenderOptions
 
@@ -73,8 +74,14 @@ def test_renderers_work_side_by_side():
 def test_fewer_threads_where_the_system_gives_no_more():
     """In a process of its own whose address space holds few stacks."""
     code = (
-        "import resource\nfrom svrgs_addon import native\nnative.threads()\n"
-        "resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30))\nnative.set_threads(4000)\nassert 1 <= native.threads() < 4000, native.threads()\n"
+        "import resource\nfrom svrgs_addon import memory, native\nnative.threads()\nlimit = memory._proc_bytes('self/status', 'VmSize') + (100 << 20)\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (limit, limit))\nnative.set_threads(32)\nassert 1 <= native.threads() < 32, native.threads()\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("asked", [1000, 10**26])
+def test_threads_that_would_only_wait_are_not_started(asked, default_threads):
+    native.set_threads(asked)
+    assert native.threads() == max(32, 8 * len(os.sched_getaffinity(0)))

@@ -75,7 +75,7 @@ def test_kill_and_resume(tiny, whole_command, tmp_path):
 def test_stop_signals_finish_the_step(tiny, tmp_path, number):
     out = tmp_path / "o.ply"
     process = start("-m", "svrgs_addon", *words_for(tiny, out, ENDLESS, 60))
-    assert "press 1/" in process.stderr.readline()
+    assert "prune 1/" in process.stderr.readline()
     process.send_signal(number)
     output, errors = process.communicate(timeout=30)
     assert (process.returncode, output) == (130, "") and not out.exists()
@@ -88,7 +88,7 @@ def test_stop_signals_finish_the_step(tiny, tmp_path, number):
 
 def test_a_job_under_nohup_outlives_its_terminal(tiny, tmp_path):
     process = start("-c", RUN.format(change="import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)"), *words_for(tiny, tmp_path / "o.ply", 2000, 0))
-    assert "press 1/" in process.stderr.readline()
+    assert "prune 1/" in process.stderr.readline()
     process.send_signal(signal.SIGHUP)
     process.communicate(timeout=120)
     assert process.returncode == 0 and (tmp_path / "o.ply").exists()

@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from blender.messages import catalogues
 from svrgs_addon.cli.main import main as run_svrgs
 from svrgs_addon.files.images import read_pixels
-from test_extension import extension_zip  # noqa: F401
+from test_extension import ROOT, extension_zip  # noqa: F401
 
 WINDOW = Path(__file__).parent / "window"
 SIZE = (1280, 1120)
@@ -71,7 +72,7 @@ def test_pruning_with_the_mouse(drive, tiny):
     seen = drive("prune.py", tiny.folder)
     assert seen["estimate"][0] == "About 100 of 250 would stay (40%)"
     assert seen["running"]["psnr"] > 20 and seen["running"]["total"] == 9000
-    assert seen["paused"]["state"] == "paused" and seen["paused"]["iteration"] > 1500
+    assert seen["stopped"]["state"] == "stopped" and seen["stopped"]["iteration"] > 1500
     assert seen["result"] == ["scene pruned", 100, 100]
     assert seen["fewer"] == seen["applied"] == 50
     assert seen["undone"] == [100, 50]
@@ -83,6 +84,11 @@ def test_looking_with_the_mouse(drive, tiny, tmp_path):
     seen = drive("look.py", tiny.folder)
     assert seen["overlay"] == seen["rendered"] == [seen["region"]], "exact pictures, of the whole viewport"
     assert max(seen["apart"].values()) < 0.05 and seen["parallel"][0] > 0.02, seen
+    assert seen["without_overlays"][0] > 0.02, "a splat stays where overlays are hidden"
+    assert seen["wipe"] == ["scene", "scene pruned", 2, 2] and abs(seen["moved"][0] - seen["moved"][1]) < 2, (
+        "two sides in Solid and in Rendered; the mouse moves the line"
+    )
+    assert seen["opened"] == ["SVR-GS Wipe"]
     assert seen["mask"]["camera"] == seen["compare"]["camera"] == seen["camera"] and seen["mask"]["largest"] > seen["mask"]["mean"] > 0
     original, pruned = seen["compare"]["original"], seen["compare"]["pruned"]
     assert (original["count"], pruned["count"]) == (250, 100) and min(original["psnr"], pruned["psnr"]) > 15
@@ -90,3 +96,34 @@ def test_looking_with_the_mouse(drive, tiny, tmp_path):
     (expected,) = (tmp_path / "renders").iterdir()
     rendered, expected = (read_pixels(path).astype(int)[..., :3] for path in (Path(seen["f12"]), expected))
     assert rendered.shape == expected.shape and np.abs(rendered - expected).max() <= 1
+
+
+def test_splats_as_objects_with_keys(drive, tiny):
+    seen = drive("objects.py", tiny.folder)
+    before, applied, joined = (read_pixels(Path(seen["out"]) / f"{name}.png").astype(int)[..., :3] for name in ("before", "applied", "joined"))
+    assert before.std() > 10 and np.abs(before - applied).max() <= 1 and np.abs(before - joined).max() <= 1
+    assert (seen["moved"], seen["joined"]) == (250, 500)
+    assert "another capture" not in seen["own"] and seen["parted"]
+    assert seen["reloaded"]["photo"] == [64, 48] and seen["reloaded"]["mask"] > 0 and "moved/dataset" in seen["reloaded"]["dataset"]
+    assert seen["after_new"] == [True, True], "a job goes on after File > New, and is known"
+
+
+def test_frame_times_are_printed(drive, tiny, capsys):
+    """Of a Solid viewport that moves, and of the same one without splats; so that a slow-down shows."""
+    seen = drive("frames.py", tiny.folder)
+    with capsys.disabled():
+        for count, times in seen.items():
+            figures = ", ".join(f"{name} {1e3 * times[name]:.0f} ms" for name in ("first", "median", "largest", "without"))
+            print(f"\n{int(count):,} Gaussians: {figures}; level {times['levels']}")
+    assert [int(count) for count in seen] == [196_000, 1_500_000]
+    assert all(times["median"] > 0 and times["levels"] for times in seen.values()), seen
+
+
+def test_the_panels_speak_german_and_chinese(drive, tiny):
+    seen = drive("languages.py", tiny.folder)
+    assert seen["en_US"][:3] == ["Spatial Mask", "Estimate", "250 Gaussians, SH degree 1"]
+    for locale, texts in catalogues(ROOT).items():
+        about = texts["{count:,} Gaussians, SH degree {degree}"].format(count=250, degree=1)
+        assert seen[locale][:3] == [texts["Spatial Mask"], texts["Estimate"], about]
+        assert seen[locale][3] and seen[locale][3] != seen["en_US"][3]
+    assert seen["without"] == ["Spatial Mask", "Estimate"], "nothing of it stays in Blender"

@@ -28,15 +28,15 @@ class Tiny:
     """Where the parts lie."""
 
     folder: Path  # dataset: images/, sparse/0/
-    splat: Path  # COUNT Gaussians, FAINT of them invisible
+    splat: Path  # two Gaussians for each of truth, and FAINT invisible ones; COUNT by default
     truth: Scene  # the photographs are its renders
     cameras: list[Camera]  # in name order
 
 
-def write_tiny(folder: Path, seed: int = 0) -> Tiny:
-    """Writes folder/images, folder/sparse/0 and folder/scene.ply. Same seed, same bytes."""
-    truth = scenes.random_scene(SEEN, seed, 1, spread=0.4, scale=0.15, opacity=2.0)
-    cameras = views()
+def write_tiny(folder: Path, seed: int = 0, seen: int = SEEN, cameras: list[Camera] | None = None) -> Tiny:
+    """Writes folder/images, folder/sparse/0 and folder/scene.ply. Same arguments, same bytes. cameras: default views()."""
+    truth = scenes.random_scene(seen, seed, 1, spread=0.4, scale=0.15, opacity=2.0)
+    cameras = cameras or views()
     rasterizer = Rasterizer()
     for camera in cameras:
         write_image(folder / "images" / camera.name, rasterizer.forward(truth, camera)["rgb"])
@@ -45,11 +45,11 @@ def write_tiny(folder: Path, seed: int = 0) -> Tiny:
     return Tiny(folder, folder / "scene.ply", truth, cameras)
 
 
-def views(count: int = VIEWS) -> list[Camera]:
+def views(count: int = VIEWS, width: int = WIDTH, height: int = HEIGHT) -> list[Camera]:
     """A ring around the origin, at two heights."""
     angles = 2 * np.pi * np.arange(count) / count
     eyes = [(3 * np.sin(angle), -0.8 * (i % 2), -3 * np.cos(angle)) for i, angle in enumerate(angles)]
-    return [replace(scenes.camera(WIDTH, HEIGHT, eye=eye), name=f"{i:02}.png") for i, eye in enumerate(eyes)]
+    return [replace(scenes.camera(width, height, eye=eye), name=f"{i:02}.png") for i, eye in enumerate(eyes)]
 
 
 def redundant(scene: Scene, seed: int) -> Scene:

@@ -143,7 +143,7 @@ SVRGS_API void svrgs_get_thresholds(svrgs_thresholds*);
 
 SVRGS_API int32_t svrgs_best_level(void); /* the fastest float level this processor runs */
 SVRGS_API int32_t svrgs_level_supported(int32_t level);
-SVRGS_API void svrgs_set_threads(int32_t threads); /* 0: one per core; results do not depend on it */
+SVRGS_API void svrgs_set_threads(int32_t threads); /* 0: one per core; more than 8 per core and 32 are not taken; results do not depend on it */
 SVRGS_API int32_t svrgs_threads(void);
 
 SVRGS_API int32_t svrgs_context_create(int32_t level, svrgs_context** out);

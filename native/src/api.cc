@@ -88,7 +88,7 @@ void check(const svrgs_camera& c) {
   for (const double v : c.viewmat) finite = finite && std::isfinite(v);
   for (const double v : c.background) finite = finite && std::isfinite(v);
   require(finite, "the camera has a value that is not finite");
-  require(c.fx > 0 && c.fy > 0 && c.fx < 1e9 && c.fy < 1e9, "focal lengths must be positive");
+  require(c.fx > 0 && c.fy > 0 && c.fx < 1e9 && c.fy < 1e9, "focal lengths must be above 0 and below 1e9 pixels");
   require(c.orthographic == 0 || c.orthographic == 1, "orthographic must be 0 or 1");
 }
 
@@ -163,7 +163,7 @@ void svrgs_get_thresholds(svrgs_thresholds* out) {
 }
 
 int32_t svrgs_level_supported(int32_t level) { return supported(level); }
-void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::clamp(threads, 0, 1024)); }
+void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::max(threads, 0)); }
 int32_t svrgs_threads(void) { return svrgs::threads(); }
 
 int32_t svrgs_best_level(void) {

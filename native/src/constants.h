@@ -28,7 +28,7 @@ constexpr double kAlphaMax = 0.99;               // alpha is clamped here
 constexpr double kColourMax = 1e6;               // brighter Gaussians are not drawn: their gradients would overflow
 constexpr double kQuatMax = 1e18;                // a quaternion may be this long at most, and 1 / kQuatMax long at least
 constexpr double kStop = SVRGS_STOP;             // colours stop before transmittance would fall below
-constexpr double kFrustumMargin = 0.3;           // share of half the image: x/z, y/z of the Jacobian are clamped this far outside
+constexpr double kFrustumMargin = 0.3;           // share of half the image: x/z, y/z of the Jacobian are clamped this far outside its borders
 constexpr double kCompensationFloor = 0.000025;  // of det(before blur) / det(after blur), antialiased scenes
 
 inline const double kLog2Cut = std::log2(kAlphaCut);

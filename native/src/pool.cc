@@ -108,6 +108,9 @@ class Pool {
 std::mutex pool_mutex;
 std::shared_ptr<Pool> pool;
 
+// Largest size of the pool: many more threads than cores only wait for each other, and a frame takes hundreds of times as long.
+constexpr int kAnyCores = 32, kPerCore = 8;
+
 int core_count() {  // that this process may use
 #if defined(__linux__)
   cpu_set_t allowed;
@@ -126,7 +129,7 @@ std::shared_ptr<Pool> current_pool() {
 }  // namespace
 
 void set_threads(int threads) {
-  const int wanted = threads > 0 ? threads : core_count();
+  const int cores = core_count(), wanted = threads > 0 ? std::min(threads, std::max(kAnyCores, kPerCore * cores)) : cores;
   if (current_pool()->size() == wanted) return;
   auto fresh = std::make_shared<Pool>(wanted);
   std::lock_guard lock(pool_mutex);

@@ -4,7 +4,7 @@
 
 namespace svrgs {
 
-void set_threads(int threads);  // 0: one per core
+void set_threads(int threads);  // 0: one per core; at most 8 per core, or 32
 int threads();
 
 using Task = void (*)(void* argument, int64_t index);

@@ -5,6 +5,8 @@ Blender's attributes hold activated values, from which float32 cannot restore ev
 - raw values, as attributes svrgs:log_scale, svrgs:quaternion, svrgs:opacity_logit. They count while their activation still equals
   Blender's attribute. After an edit, or without raw values (a splat that Blender imported), the activated values are inverted
   (activation.py).
+- the position, as svrgs:position. Blender's Apply and Join move points and leave shapes and colours as they were. Where points were
+  moved together since, shapes and colours are transformed when the splat is read (geometry/moved_points.py).
 - each further column of the file, as an attribute of its own.
 - types, order and comments of the file, as a property of the data-block: a JSON text (notes_of).
 
@@ -19,11 +21,13 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from ..geometry.moved_points import follow_points
 from ..scene import SH_COEFFICIENTS, Scene
 from . import activation
 
 POSITION, SCALE, ROTATION, BASE, SH = "position", "scale", "rotation", "radiance:base", "radiance:sh_"
 RAW_SCALE, RAW_ROTATION, RAW_OPACITY = "svrgs:log_scale", "svrgs:quaternion", "svrgs:opacity_logit"
+RAW_POSITION = "svrgs:position"  # where a point was when its shape and colours were written
 REQUIRED = (SCALE, ROTATION, BASE)
 RESERVED = re.compile(r"(position|scale|rotation|radius|removed|material_index|id)$|[.]|radiance:|svrgs:|ply:")
 NAME_LIMIT = 60  # bytes of an attribute name; Blender 4.2 allows 63
@@ -47,6 +51,7 @@ def to_attributes(scene: Scene) -> Iterator[tuple[str, str, np.ndarray]]:
     yield BASE, "FLOAT_COLOR", np.concatenate([scene.sh[:, 0], activation.opacities(scene.opacity_logits)[:, None]], axis=1)
     for k in range(1, scene.sh.shape[1]):
         yield f"{SH}{k - 1}", "FLOAT_VECTOR", scene.sh[:, k]
+    yield RAW_POSITION, "FLOAT_VECTOR", scene.means
     yield RAW_SCALE, "FLOAT_VECTOR", scene.log_scales
     yield RAW_ROTATION, "QUATERNION", scene.quats
     yield RAW_OPACITY, "FLOAT", scene.opacity_logits
@@ -66,11 +71,11 @@ def from_attributes(get: Get, float_names: list[str], notes: str) -> Scene:
 
     get: values of an attribute by name, or None. notes: the text of notes_of, or "" for a splat that Blender imported. In that
     case, the attributes float_names, which have one number per Gaussian, become further columns if a PLY can store their names.
-    Incomplete SH degrees and degrees above 3 are left out.
+    Incomplete SH degrees and degrees above 3 are left out. Shapes and colours follow points that were moved together.
     """
     position, scale, rotation, base = (_required(get, name) for name in (POSITION, SCALE, ROTATION, BASE))
     file_facts = json.loads(notes or "{}")
-    return Scene(
+    scene = Scene(
         means=position,
         log_scales=activation.raw_scales(scale, get(RAW_SCALE)),
         quats=activation.raw_rotations(rotation, get(RAW_ROTATION)),
@@ -81,6 +86,8 @@ def from_attributes(get: Get, float_names: list[str], notes: str) -> Scene:
         comments=tuple(file_facts.get("comments", ())),
         property_order=tuple(file_facts.get("order", ())),
     )
+    written_at = get(RAW_POSITION)
+    return scene if written_at is None else follow_points(scene, written_at)[0]
 
 
 def _required(get: Get, name: str) -> np.ndarray:

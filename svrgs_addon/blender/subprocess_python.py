@@ -5,43 +5,57 @@ Work that could end the process runs here: libraries that conflict with those of
 
 from __future__ import annotations
 
-import importlib.util
+import contextlib
 import json
 import os
 import subprocess
 import sys
+import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-PACKAGES = ("numpy", "OpenImageIO", "pycolmap")  # the child process finds them where this process does
+from .packages import ROOT, importable
+
+Tell = Callable[..., None]
 
 
-def run(words: list[str], module: str = "svrgs_addon", request: dict | None = None, capture: bool = True) -> tuple[int, dict]:
+def run(words: list[str], module: str = "svrgs_addon", request: dict | None = None, capture: bool = True, tell: Tell = lambda *_: None) -> tuple[int, dict]:
     """Runs `python -m MODULE WORDS…` and waits for it. Returns (exit status, JSON object in the last line of its stdout).
 
     request: sent as JSON to its stdin. If there is no JSON, the object is {"error": last line of stderr} for an exit status that is
-    not 0, else {}. capture=False: the child process uses stdout and stderr of this process, and the object is {}.
+    not 0, else {}. capture=False: the child process uses stdout and stderr of this process, and the object is {}. tell: called with
+    the values of each line {"progress": [value, …]} as it comes.
     """
-    pipe = subprocess.PIPE if capture else None
-    done = subprocess.run(
-        [sys.executable, "-m", module, *words], env=environment(), text=True, input=json.dumps(request) if request is not None else "", stdout=pipe, stderr=pipe
-    )
+    command, asked = [sys.executable, "-m", module, *words], json.dumps(request) if request is not None else ""
     if not capture:
-        return done.returncode, {}
-    try:
-        return done.returncode, json.loads(done.stdout.splitlines()[-1])
-    except (IndexError, ValueError):
-        error_lines = [line for line in done.stderr.splitlines() if line.strip()]
-        reason = error_lines[-1].removeprefix("svrgs: ") if error_lines else f"the process ended without a result (exit status {done.returncode})"
-        return done.returncode, {"error": reason} if done.returncode else {}
+        return subprocess.run(command, env=environment(), text=True, input=asked).returncode, {}
+    last = ""
+    with tempfile.TemporaryFile("w+", errors="replace") as errors:
+        with subprocess.Popen(command, env=environment(), text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors) as child:
+            assert child.stdin is not None and child.stdout is not None
+            with contextlib.suppress(OSError):  # it ended without reading
+                child.stdin.write(asked)
+                child.stdin.close()
+            for last in child.stdout:
+                if last.startswith('{"progress"'):
+                    tell(*json.loads(last)["progress"])
+        errors.seek(0)
+        error_lines = [line.strip() for line in errors if line.strip()]
+    return child.returncode, _result(child.returncode, last, error_lines)
 
 
-def environment() -> dict[str, str]:
-    """The environment variables of this process, with a PYTHONPATH on which a child process finds this package and PACKAGES."""
-    paths = [str(Path(__file__).parents[2])]
-    for name in PACKAGES:
-        spec = importlib.util.find_spec(name)
-        if spec is not None and spec.submodule_search_locations:
-            paths.append(str(Path(next(iter(spec.submodule_search_locations))).parent))
-    if os.environ.get("PYTHONPATH"):
-        paths.append(os.environ["PYTHONPATH"])
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
+def _result(status: int, last: str, error_lines: list[str]) -> dict:
+    """The JSON object in the last line; without one the error, {} if the exit status is 0."""
+    with contextlib.suppress(ValueError):
+        return json.loads(last)
+    reason = error_lines[-1].removeprefix("svrgs: ") if error_lines else f"the process ended without a result (exit status {status})"
+    return {"error": reason} if status else {}
+
+
+def environment(packages: Mapping[str, Path] | None = None) -> dict[str, str]:
+    """The environment variables of this process, with a PYTHONPATH on which a child process finds this package and those it needs.
+
+    packages: {package: its folder}. Default: where this process finds them.
+    """
+    paths = [ROOT, *(importable() if packages is None else packages).values(), os.environ.get("PYTHONPATH")]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(str(path) for path in paths if path))}

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..exit_status import printable
 from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions
 from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_of
 from ..outputs import PICTURES
@@ -26,17 +27,13 @@ class Parser(argparse.ArgumentParser):
     """A parser whose errors are one sentence on stderr, and whose help lists the methods if it has the option --method."""
 
     def error(self, message: str):
-        self.exit(2, f"{self.prog}: {message}\n")
+        self.exit(2, f"{self.prog}: {printable(message)}\n")
 
     def format_help(self) -> str:
         if any(action.dest == "method" for action in self._actions):
             self.formatter_class = argparse.RawDescriptionHelpFormatter  # keeps the lines of the list
             self.epilog = method_list(shutil.get_terminal_size().columns - 2)
         return super().format_help()
-
-    def _print_message(self, message: str, file: Any = None):
-        encoding = getattr(file, "encoding", None) or "utf-8"  # of a pipe, it may lack letters such as λ
-        super()._print_message(message.encode(encoding, "replace").decode(encoding), file)
 
 
 def method_list(width: int) -> str:
@@ -45,7 +42,8 @@ def method_list(width: int) -> str:
 
     indent = " " * NAME_WIDTH
     wrapped = (
-        textwrap.wrap(f"  {name:{NAME_WIDTH - 2}}{method.help}", max(width, 2 * NAME_WIDTH), subsequent_indent=indent) for name, method in METHODS.items()
+        textwrap.wrap(f"  {name:{NAME_WIDTH - 2}}{method.label}: {method.help}", max(width, 2 * NAME_WIDTH), subsequent_indent=indent)
+        for name, method in METHODS.items()
     )
     return "methods:\n" + "\n".join(line for lines in wrapped for line in lines)
 
@@ -76,9 +74,9 @@ def _threads(command: argparse.ArgumentParser):
     _add(command, "threads", options_of(DatasetOptions)["threads"], 0)
 
 
-def _options(command: argparse.ArgumentParser, cls: type, **required: bool):
-    """Adds every option of the dataclass to the command. required: whether an option must be given, if its field says otherwise."""
-    options = options_of(cls)
+def _options(command: argparse.ArgumentParser, cls: type, leave_out: tuple[str, ...] = (), **required: bool):
+    """Adds the options of the dataclass to the command. required: whether an option must be given, if its field says otherwise."""
+    options = {name: option for name, option in options_of(cls).items() if name not in leave_out}
     size = command.add_mutually_exclusive_group() if any(option.size for option in options.values()) else None  # Python 3.11: never an empty group
     for name, option in options.items():
         _add(size if size is not None and option.size else command, name, option, default_of(cls, name), required.get(name, option.required))
@@ -121,7 +119,7 @@ def _render(commands):
     _threads(command)
     command.add_argument("scene", type=Path, help="splat file")
     cameras = command.add_mutually_exclusive_group(required=True)
-    cameras.add_argument("--colmap", type=Path, metavar="DIR", help="COLMAP dataset or model; photographs are not needed")
+    cameras.add_argument("--colmap", type=Path, metavar="DIR", help="dataset, COLMAP model or transforms.json; photographs are not needed")
     cameras.add_argument(
         "--cameras", type=Path, metavar="JSON", help='cameras.json of a 3DGS run; in a view with "orthographic": true, fx and fy are pixels per unit of length'
     )
@@ -133,14 +131,14 @@ def _render(commands):
 
 
 def _train(commands):
-    _options(_command(commands, "train", "Trains a scene from photographs and the sparse points of COLMAP."), TrainOptions)
+    _options(_command(commands, "train", "Trains a scene from photographs and the sparse points of their dataset."), TrainOptions)
 
 
 def _prune(commands):
     command = _command(commands, "prune", "Prunes trained scenes and recovers their quality.")
     command.add_argument(
         "scenes", type=Path, nargs="+", metavar="SCENE",
-        help="splat file, or folder that holds a splat and its COLMAP dataset, or folder that holds such folders",
+        help="splat file, or folder that holds a splat and its dataset, or folder that holds such folders",
     )  # fmt: skip
     _options(command, PruneOptions, colmap=False)
     command.add_argument("--out", type=Path, metavar="FILE|DIR", help="file for one scene, folder for several (default: SCENE_pruned.ply next to each scene)")
@@ -152,7 +150,7 @@ def _prune(commands):
 def _eval(commands):
     command = _command(commands, "eval", "Measures the quality of a scene on photographs: PSNR, SSIM, LPIPS, FLIP.")
     command.add_argument("scene", type=Path, help="splat file")
-    _options(command, DatasetOptions)
+    _options(command, DatasetOptions, leave_out=("image_memory",))  # it reads each photograph once
     command.add_argument("--split", choices=("test", "train", "all"), default="test", help="views to measure on (default: test)")
 
 
@@ -169,7 +167,7 @@ def _bench(commands):
     _threads(command)
     command.add_argument("--scene", type=Path, metavar="FILE", help="splat file to measure instead of the generated scenes")
     cameras = command.add_mutually_exclusive_group()
-    cameras.add_argument("--colmap", type=Path, metavar="DIR", help="with --scene: use the first view of this COLMAP model")
+    cameras.add_argument("--colmap", type=Path, metavar="DIR", help="with --scene: use the first view of this COLMAP model or transforms.json")
     cameras.add_argument("--cameras", type=Path, metavar="JSON", help="with --scene: use the first camera of this 3DGS cameras.json")
     command.add_argument("--repeat", type=_reader(POSITIVE), metavar="N", help="number of times that each stage is measured (default: 9)")
     command.add_argument("--quick", action="store_true", help="measure the smallest cases only, 3 times each")

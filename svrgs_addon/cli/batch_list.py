@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,11 +46,16 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
 
 def _refuse_inputs_as_outputs(items: list[Item]) -> None:
     """Raises SceneError if the output of one scene is another scene of the list. (prune() refuses the scene itself.)"""
-    scenes = {item.scene.resolve(): item for item in items}
+    scenes = {os.path.realpath(item.scene): item for item in items}
     for item in items:
-        other = scenes.get(item.out.resolve(), item)
+        other = scenes.get(os.path.realpath(item.out), item)
         if other is not item:
             raise SceneError(f"{other.scene}: is both a scene to prune and the output of {item.scene}; leave one out, or choose another folder with --out")
+
+
+def same_file(a: Path, b: Path) -> bool:
+    """Whether both paths lead to the same place, which need not exist. A loop of links leads nowhere."""
+    return os.path.realpath(a) == os.path.realpath(b)
 
 
 def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
@@ -57,13 +63,13 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
         raise SceneError(f"{path}: there is no such file or folder")
     if not path.is_dir():
         return [(path.stem, path)]
-    outputs = out and out.resolve()
-    if path.resolve() == outputs:
+    if out and same_file(path, out):
         raise SceneError(f"{path}: is the folder of both scenes and outputs; choose another folder for the outputs")
     own = _splat_in(path)
     if own:
         return [(path.name, own)]
-    below = [(folder.name, splat) for folder in sorted(path.iterdir()) if folder.is_dir() and folder.resolve() != outputs and (splat := _splat_in(folder))]
+    folders = [folder for folder in sorted(path.iterdir()) if folder.is_dir() and not (out and same_file(folder, out))]
+    below = [(folder.name, splat) for folder in folders if (splat := _splat_in(folder))]
     if not below:
         raise SceneError(f"{path}: holds no splat: neither a {' or '.join(registry.suffixes())} file nor folders with one")
     return below
@@ -89,18 +95,20 @@ def _splats(folder: Path, pattern: str) -> list[Path]:
 
 
 def _dataset(scene: Path) -> Path | None:
-    """The nearest of the three folders above the splat that holds a COLMAP model; None if none does."""
+    """The nearest of the three folders above the splat that holds a COLMAP model or transforms.json; None if none does."""
     for folder in list(scene.absolute().parents)[:3]:
-        if (folder / "sparse").is_dir() or any((folder / f"cameras{suffix}").exists() for suffix in (".bin", ".txt")):
+        if (folder / "sparse").is_dir() or any((folder / name).exists() for name in ("cameras.bin", "cameras.txt", "transforms.json")):
             return folder
     return None
 
 
 def _output(name: str, scene: Path, folder: Path | None) -> Path:
-    suffix = registry.suffixes(written=True)[0]
-    if folder is not None:
-        return folder / f"{name}{suffix}"
-    out = scene.with_name(f"{scene.stem}{PRUNED}{suffix}")
+    return default_output(scene) if folder is None else folder / f"{name}{registry.suffixes(written=True)[0]}"
+
+
+def default_output(scene: Path, option: str = "--out") -> Path:
+    """SCENE_pruned.ply beside the scene. Raises SceneError if that is a link. option: what names another output, for the sentence."""
+    out = scene.with_name(f"{scene.stem}{PRUNED}{registry.suffixes(written=True)[0]}")
     if out.is_symlink():  # a downloaded dataset must not lead outputs to another place
-        raise SceneError(f"{out}: is a link to {out.readlink()}; name the output with --out")
+        raise SceneError(f"{out}: is a link to {out.readlink()}; name the output with {option}")
     return out

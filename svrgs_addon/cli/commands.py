@@ -12,8 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .. import memory
 from ..errors import Cancelled
-from ..exit_status import STOPPED, plain
+from ..exit_status import STOPPED, plain, printable
 from ..files import registry
 from ..jobs.options import DatasetOptions, PruneOptions, TrainOptions
 from .arguments import options_from
@@ -58,7 +59,7 @@ def prune(words: Words) -> int:
     failed = stopped = False
     for item in items:
         line = {"scene": str(item.scene), "out": str(item.out)}
-        if item.out.exists() and not words.overwrite and item.out.resolve() != item.scene.resolve():
+        if item.out.exists() and not words.overwrite and not batch_list.same_file(item.out, item.scene):
             line["skipped"] = "the output exists"
         else:
             status, result = run_in_child(_of_item(options, item, words.report and words.report / item.name))
@@ -83,11 +84,14 @@ def evaluate(words: Words) -> int:
 
     _set_threads(words)
     scene = registry.load_scene(words.scene).scene
-    dataset = dataset_of(options_from(DatasetOptions, words))
+    dataset = dataset_of(options_from(DatasetOptions, words, image_memory=0.0))  # each photograph is read once
     refuse_unseen(scene, dataset.cameras, str(words.scene))
     lpips, reason = load_lpips(words.lpips_weights)
-    result = measure(scene, dataset, split_indices(dataset, words.split), Rasterizer(), lpips)
-    result["bytes"] = words.scene.stat().st_size
+    views = split_indices(dataset, words.split)
+    cameras = [dataset.cameras[i] for i in views]
+    memory.refuse_excess(f"{words.scene}: measuring it", memory.measuring(scene.count, cameras, dataset.memory_budget, lpips is not None))
+    result = measure(scene, dataset, views, Rasterizer(), lpips)
+    result |= {"bytes": words.scene.stat().st_size, "notes": list(dataset.notes)}
     return _print(result, words, _figures(result, reason))
 
 
@@ -124,7 +128,7 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
     parts = [f"{result['count']:,} Gaussians", f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
     if result.get("lpips") is not None:
         parts.append(f"LPIPS {result['lpips']:.4f}")
-    parts += [f"{result['bytes'] / 1e6:.1f} MB", f"{result['ms_per_frame']:.1f} ms per frame"]
+    parts += [memory.size_text(result["bytes"]), f"{result['ms_per_frame']:.1f} ms per frame"]
     before = result.get("before")
     lines = ([f"before  {_figures(before)}"] if before else []) + [("after   " if before else "") + ", ".join(parts)]
     if before:
@@ -137,5 +141,5 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
 
 
 def _print(result: dict, words: Words, text: str) -> int:
-    print(json.dumps(plain(result)) if words.json else text, flush=True)
+    print(json.dumps(plain(result)) if words.json else "\n".join(map(printable, text.split("\n"))), flush=True)
     return 0

@@ -1,24 +1,37 @@
 """The entry point of `svrgs` and `python -m svrgs_addon`: it parses the arguments and runs the command.
 
-An error is one sentence on stderr. exit_status.py lists the exit codes.
+An error is one sentence on stderr. exit_status.py lists the exit codes. Modules are imported inside main(), which answers Ctrl-C.
 """
 
 from __future__ import annotations
 
-import logging
 import sys
-
-from ..exit_status import guarded
-from .arguments import parser
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command and returns the exit status. arguments: None takes those of the process."""
-    logging.basicConfig(format="svrgs: %(message)s", level=logging.WARNING)
+    try:
+        return _main(arguments)
+    except KeyboardInterrupt:  # before guarded()
+        print("svrgs: interrupted", file=sys.stderr)
+        return 130
+
+
+def _main(arguments: list[str] | None) -> int:
+    from . import terminal
+
+    terminal.prepare()
+    from .. import memory
+    from ..exit_status import guarded
+    from ..packages import uninterrupted
+    from .arguments import parser
+
     options = parser().parse_args(arguments)
 
     def run() -> int:
-        from . import commands
+        memory.refuse_few_addresses(memory.NUMPY_ADDRESSES if options.command == "info" else memory.PHOTOGRAPH_ADDRESSES)
+        with uninterrupted():  # NumPy is imported here
+            from . import commands
 
         return commands.COMMANDS[options.command](options)
 

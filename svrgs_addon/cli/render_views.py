@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import memory
-from ..camera import Camera, view_stem
+from ..camera import Camera, refuse_same_stems, view_stem
 from ..errors import SceneError
 from ..files.atomic import atomic_write, check_writable
 from ..files.images import write_image
@@ -19,6 +19,8 @@ from ..outputs import OUTPUTS, PICTURES
 from ..photographs.dataset import HOLDOUT, load_cameras_json, load_dataset
 from ..report.pictures import mask_to_rgb, to_uint8
 
+MAX_DIGITS = 20  # of the number of a view; Python refuses to read thousands of digits
+
 
 def render_views(options: argparse.Namespace) -> list[Path]:
     """Renders options.outputs of options.views and returns the files. All masks are 1, and F counts every hit of a ray. Raises SplatError."""
@@ -26,7 +28,7 @@ def render_views(options: argparse.Namespace) -> list[Path]:
     check_writable(options.out / "view.png")
     scene = load_scene(options.scene).scene
     chosen = choose(_cameras(options), options.views)
-    refuse_same_names(chosen)
+    refuse_same_stems(chosen, "render them one at a time, into separate folders")
     largest = max(chosen, key=lambda camera: camera.width * camera.height)
     memory.refuse_excess(f"{options.scene}: rendering it", memory.rendering(scene.count, largest.width, largest.height))
     rasterizer = Rasterizer()
@@ -67,20 +69,12 @@ def choose(cameras: list[Camera], views: str) -> list[Camera]:
     for part in views.split(","):
         if part in by_name:
             chosen.append(by_name[part])
-        elif part.isdecimal() and int(part) < len(cameras):
+        elif part.isdecimal() and len(part) < MAX_DIGITS and int(part) < len(cameras):
             chosen.append(cameras[int(part)])
         else:
-            raise SceneError(f"there is no view '{part}'; views have names such as '{cameras[0].name}' and numbers 0 to {len(cameras) - 1}")
+            shown = part if len(part) < 60 else f"{part[:60]}..."
+            raise SceneError(f"there is no view '{shown}'; views have names such as '{cameras[0].name}' and numbers 0 to {len(cameras) - 1}")
     return chosen
-
-
-def refuse_same_names(cameras: list[Camera]):
-    """Raises SceneError if the files of one view would replace those of another."""
-    by_stem: dict[str, Camera] = {}
-    for camera in cameras:
-        other = by_stem.setdefault(view_stem(camera.name), camera)
-        if other is not camera:
-            raise SceneError(f"views '{other.name}' and '{camera.name}' would be written to the same files; render them one at a time, into separate folders")
 
 
 def _save(folder: Path, camera: Camera, output: str, image: np.ndarray, extension: str) -> Path:

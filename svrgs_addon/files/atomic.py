@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import SceneError
+from ..memory import size_text
 
 try:
     import fcntl
@@ -134,8 +135,8 @@ def check_writable(path: str | os.PathLike, needed_bytes: int = 0) -> None:
         free = shutil.disk_usage(folder).free
     except OSError as error:
         raise SceneError(f"{path}: cannot be written into {folder} ({error.strerror or error})") from error
-    if free < needed_bytes * FREE_SPACE_MARGIN:
-        raise SceneError(f"{path}: needs {needed_bytes / 1e6:.1f} MB, but only {free / 1e6:.1f} MB are free; free disk space or choose another folder")
+    if free < (needed := needed_bytes * FREE_SPACE_MARGIN):
+        raise SceneError(f"{path}: needs {size_text(needed)}, but only {size_text(free)} are free; free disk space or choose another folder")
 
 
 def _check_target(path: str | os.PathLike, target: Path) -> None:

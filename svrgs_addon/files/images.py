@@ -6,14 +6,16 @@ OpenImageIO is imported inside functions only. So commands that use no images st
 from __future__ import annotations
 
 import os
-import sys
+import threading
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import packages
 from ..errors import FormatError, SceneError
 from .atomic import atomic_path
+from .image_kinds import has_right_suffix
 
 if TYPE_CHECKING:
     from OpenImageIO import ImageInput, ImageSpec
@@ -28,6 +30,8 @@ ORIENTATIONS = {
     1: (False, False, False), 2: (False, False, True), 3: (False, True, True), 4: (False, True, False),
     5: (True, False, False), 6: (True, False, True), 7: (True, True, True), 8: (True, True, False),
 }  # fmt: skip
+
+_OPENING = threading.Lock()  # while the option "try_all_readers" of OpenImageIO, which all threads share, is changed
 
 
 def image_size(path: str | os.PathLike, upright: bool = True) -> tuple[int, int]:
@@ -103,12 +107,18 @@ def linear_to_srgb(values: np.ndarray) -> np.ndarray:
 
 
 def _library() -> ModuleType:
-    """OpenImageIO. Raises SceneError if it is not installed."""
+    """OpenImageIO. Raises SceneError if it is not installed, NativeError if it cannot be loaded."""
+    return packages.load("OpenImageIO", "reading and writing images")
+
+
+def library_path(path: str | os.PathLike) -> Any:
+    """The path as OpenImageIO takes it: bytes if it is not UTF-8, which not every version takes; else str."""
+    text = os.fspath(path)
     try:
-        import OpenImageIO
-    except ImportError as error:
-        raise SceneError(f"reading and writing images needs the package OpenImageIO: run {sys.executable} -m pip install OpenImageIO") from error
-    return OpenImageIO
+        text.encode()
+    except UnicodeEncodeError:
+        return os.fsencode(path)
+    return text
 
 
 def _open(path: str | os.PathLike) -> ImageInput:
@@ -116,9 +126,17 @@ def _open(path: str | os.PathLike) -> ImageInput:
     oiio = _library()
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)  # colours as stored; 8-bit colours multiplied by alpha would lose precision
-    source = oiio.ImageInput.open(os.fspath(path), config)
+    right_suffix = has_right_suffix(path)
+    with _OPENING:
+        oiio.attribute("try_all_readers", int(not right_suffix))  # not only the one of the suffix
+        try:
+            source = oiio.ImageInput.open(library_path(path), config)
+        except TypeError:
+            raise FormatError(f"{path}: this version of OpenImageIO reads only paths in UTF-8; rename the file or its folder") from None
+        finally:
+            oiio.attribute("try_all_readers", 1)
     if source is None:
-        raise FormatError(f"{path}: cannot be read as an image ({_first_line(oiio.geterror())})")
+        raise FormatError(f"{path}: cannot be read as an image ({_error_of(oiio) or 'no reason given'})")
     spec = source.spec()
     if not (0 < spec.width <= MAX_SIDE and 0 < spec.height <= MAX_SIDE and spec.depth <= 1):
         raise FormatError(f"{path}: has {spec.width} x {spec.height} pixels; the limit is {MAX_SIDE} per side")
@@ -130,10 +148,10 @@ def _read_channels(source: ImageInput, spec: ImageSpec, path: str | os.PathLike)
     oiio = _library()
     kind = oiio.UINT8 if spec.format == oiio.TypeDesc("uint8") else oiio.FLOAT
     pixels = source.read_image(0, 0, 0, min(spec.nchannels, 4), kind)
-    error = source.geterror()
+    error = _error_of(source)
     # OpenImageIO returns what it could read of a damaged file, and says only here that something is wrong.
     if pixels is None or error:
-        raise FormatError(f"{path}: cannot be read as an image ({_first_line(error)})")
+        raise FormatError(f"{path}: cannot be read as an image ({error or 'no reason given'})")
     if pixels.dtype != np.uint8 and np.isnan(pixels).any():
         raise FormatError(f"{path}: has pixels that are not numbers (NaN); export the image again")
     return pixels
@@ -180,11 +198,12 @@ def _write(temporary: os.PathLike, path: str | os.PathLike, pixels: np.ndarray) 
     height, width, channels = (*pixels.shape, 1)[:3]
     pixels = np.ascontiguousarray(pixels).reshape(height, width, channels)  # OpenImageIO takes the last of two axes for channels
     spec = oiio.ImageSpec(width, height, channels, "uint8" if pixels.dtype == np.uint8 else "float")
-    output = oiio.ImageOutput.create(os.fspath(temporary))
-    good = output is not None and output.open(os.fspath(temporary), spec) and output.write_image(pixels)
+    name = library_path(temporary)
+    output = oiio.ImageOutput.create(name)
+    good = output is not None and output.open(name, spec) and output.write_image(pixels)
     if not (good and output.close()):
-        reason = (output.geterror() if output is not None else "") or oiio.geterror()
-        raise SceneError(f"{path}: cannot be written ({_first_line(reason)})")
+        reason = (_error_of(output) if output is not None else "") or _error_of(oiio)
+        raise SceneError(f"{path}: cannot be written ({reason or 'no reason given'})")
     if not _stored_correctly(temporary, pixels):
         raise SceneError(f"{path}: cannot be written (the file on disk is not complete; is the disk full?)")
 
@@ -194,11 +213,18 @@ def _stored_correctly(path: str | os.PathLike, pixels: np.ndarray) -> bool:
     with open(path, "rb") as file:
         if file.read(len(PNG_BEGIN)) == PNG_BEGIN and not file.read().endswith(PNG_END):
             return False
-    source = _library().ImageInput.open(os.fspath(path))
+    oiio = _library()
+    source = oiio.ImageInput.open(library_path(path))
     stored = source.read_image("uint8" if pixels.dtype == np.uint8 else "float") if source else None
+    if stored is None:
+        _error_of(source or oiio)  # a message that nobody asks for would be printed when the program ends
     return stored is not None and stored.reshape(-1).tobytes() == pixels.tobytes()
 
 
-def _first_line(message: str) -> str:
-    """The first line of a message of OpenImageIO, for a message of one line."""
-    return (message.strip().splitlines() or ["no reason given"])[0]
+def _error_of(source: Any) -> str:
+    """The first line of the message of OpenImageIO, of a reader or of a writer; '' if there is none."""
+    try:
+        message = source.geterror()
+    except UnicodeDecodeError as error:  # it holds a path that is not UTF-8
+        message = error.object.decode(errors="replace")
+    return (message.strip().splitlines() or [""])[0]

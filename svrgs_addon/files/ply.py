@@ -16,11 +16,12 @@ from typing import BinaryIO
 
 import numpy as np
 
+from .. import memory
 from ..errors import FormatError, SceneError
 from ..scene import SH_COEFFICIENTS, Scene
 from .atomic import atomic_write, check_writable, start_writeback
 from .ply_body import MAX_ASCII_BYTES, Body, blocks, empty_arrays, named_columns
-from .ply_header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, parse_header
+from .ply_header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, is_comment, parse_header
 from .splat_format import SplatFormat
 
 MAX_COUNT = 20_000_000  # Gaussians
@@ -89,7 +90,7 @@ def _opened(path: str | os.PathLike, max_count: int) -> Iterator[Body]:
         with open(path, "rb") as file:
             yield _checked_body(file, path, max_count)
     except FormatError as error:
-        raise FormatError(f"{path}: {error}") from None
+        raise FormatError(f"{path} {error}") from None
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
 
@@ -146,11 +147,11 @@ def _check_size(header: Header, vertex: Element, file_size: int) -> None:
         if available > MAX_ASCII_BYTES:
             raise FormatError(f"is an ASCII PLY of more than {MAX_ASCII_BYTES // 2**20} MiB; convert it to binary first")
         if available + 1 < 2 * vertex.count * len(vertex.properties):  # at least one digit and one separator per value
-            raise FormatError(f"is truncated: {vertex.count} Gaussians cannot fit into {available} bytes of text; copy or export the file again")
+            raise FormatError(f"is incomplete: {vertex.count:,} Gaussians do not fit into {memory.size_text(available)} of text; copy or export it again")
         return
     needed = vertex.count * sum(int(code[1]) for _, code in vertex.properties)
     if available < needed:
-        raise FormatError(f"is truncated: its header declares {needed} bytes of Gaussians, but there are {available}; copy or export the file again")
+        raise FormatError(f"is incomplete: {memory.part_text(file_size, header.size + needed)}; copy or export it again")
     if available > needed and len(header.elements) == 1:
         raise FormatError(f"has {available - needed} bytes more than its header declares; copy or export the file again")
 
@@ -179,8 +180,8 @@ def _file_comments(scene: Scene) -> list[str]:
     if scene.antialiased != _is_mip(comments):
         comments = [text for text in comments if not MODE_PATTERN.fullmatch(text)]
         comments += [MIP_COMMENT] * scene.antialiased
-    if any("\n" in text or not text.isascii() for text in comments):
-        raise SceneError("a comment of the scene is not one line of ASCII, so it cannot be stored in a PLY; remove it first")
+    if not all(is_comment(text) for text in comments):
+        raise SceneError("a comment of the scene is not one line of text, so it cannot be stored in a PLY; remove it first")
     return comments
 
 

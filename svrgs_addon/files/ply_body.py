@@ -148,7 +148,7 @@ class Body:
         """Reads the numbers of an ASCII file into the scene. Raises FormatError."""
         columns, wanted = _columns(scene), self.count * len(self._types)
         left = os.fstat(self.file.fileno()).st_size - self.file.tell()
-        values = _parse_numbers(self.file.read(min(left, MAX_ASCII_BYTES)))[:wanted]  # read(n) allocates n bytes even if the file is shorter
+        values = parse_numbers(self.file.read(min(left, MAX_ASCII_BYTES)))[:wanted]  # read(n) allocates n bytes even if the file is shorter
         if len(values) != wanted:
             raise FormatError(f"does not hold {self.count} lines of {len(columns)} numbers after its header; copy or export the file again")
         for name, column in zip(self._types, values.reshape(-1, len(columns)).T, strict=True):
@@ -162,7 +162,7 @@ def _columns(scene: Scene) -> dict[str, np.ndarray]:
     return named_columns(vars(scene)) | scene.attributes
 
 
-def _parse_numbers(text: bytes) -> np.ndarray:
+def parse_numbers(text: bytes) -> np.ndarray:
     """Numbers separated by white space, float64. Raises FormatError at other text, for which NumPy gives a warning or an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)

@@ -50,6 +50,8 @@ def parse_header(data: bytes) -> Header:
         keyword, _, rest = line.partition(" ")
         if keyword == "comment":
             comments.append(rest)
+        elif keyword != "obj_info" and not line.isascii():
+            raise FormatError(f"has a header line with other letters than those of ASCII: {line[:60]!r}; export the file again")
         elif keyword == "format":
             encodings.append(_parse_encoding(rest))
         elif keyword == "element":
@@ -69,20 +71,26 @@ def format_header(comments: list[str], count: int, properties: list[tuple[str, s
     lines += [f"comment {text}" for text in comments]
     lines += [f"element vertex {count}"]
     lines += [f"property {TYPE_NAMES[code]} {name}" for name, code in properties]
-    return "\n".join([*lines, "end_header", ""]).encode("ascii")
+    return "\n".join([*lines, "end_header", ""]).encode(errors="surrogateescape")
+
+
+def is_comment(text: str) -> bool:
+    """Whether the text can be stored as a comment: one line, of any bytes of a header that was read or of UTF-8."""
+    try:
+        return b"\n" not in text.encode(errors="surrogateescape")
+    except UnicodeEncodeError:
+        return False
 
 
 def _split_lines(data: bytes) -> tuple[list[str], int]:
     """The lines between 'ply' and 'end_header', and the size of the header in bytes. Raises FormatError."""
-    if not re.match(rb"ply\r?\n", data):
+    if not re.match(rb"ply[ \t]*\r?\n", data):
         raise FormatError("is not a PLY file; give a 3DGS .ply")
-    end = re.search(rb"\nend_header\r?\n", data[:MAX_HEADER_BYTES])
+    end = re.search(rb"\nend_header[ \t]*\r?\n", data[:MAX_HEADER_BYTES])
     if end is None:
-        raise FormatError(f"has no end of header within {MAX_HEADER_BYTES // 1024} KiB; it is truncated or not a PLY file")
-    try:
-        lines = [line.rstrip("\r") for line in data[: end.start()].decode("ascii").split("\n")]
-    except UnicodeDecodeError as error:
-        raise FormatError(f"has a byte that is not ASCII at header position {error.start}") from None
+        raise FormatError(f"is incomplete or not a PLY file: its header does not end within {MAX_HEADER_BYTES // 1024} KiB; copy or export it again")
+    # Comments may hold any bytes, which are written back as they were read.
+    lines = [line.rstrip("\r") for line in data[: end.start()].decode(errors="surrogateescape").split("\n")]
     if len(lines) > MAX_HEADER_LINES:
         raise FormatError(f"has {len(lines)} header lines, more than the limit of {MAX_HEADER_LINES}")
     return lines[1:], end.end()

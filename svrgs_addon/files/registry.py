@@ -120,6 +120,12 @@ def file_size(scene: Scene) -> int:
     return size(scene)
 
 
+def foreseen_size(one: Scene, count: int) -> int:
+    """As file_size, of a scene of `count` Gaussians with the columns of `one`, which has one Gaussian. Right but for the digits of the count."""
+    header = file_size(one.select(np.arange(0)))
+    return header + count * (file_size(one) - header)
+
+
 def invisible(scene: Scene) -> np.ndarray:
     """Marks Gaussians with an opacity below the rasterizer's alpha cut (1/255), (N,) bool. No pixel shows them."""
     cut = thresholds().alpha_cut

@@ -15,6 +15,7 @@ import numpy as np
 from ..scene import Scene
 
 LOGIT_OF_ONE = 10.0  # opacity 0.99995: rendered like 1, because alpha is clamped at 0.99, but its gradient is not zero
+MAX_ABS_LOGIT = 1e6  # beyond, arithmetic on logits may overflow; no picture shows a difference
 MAX_ABS_LOG_SCALE = 30.0
 FILTER = "filter_3D"  # column of Mip-Splatting: standard deviation of a filter on each Gaussian
 MIN_QUAT = 1e-8  # a quaternion without a component above this defines no rotation
@@ -70,11 +71,11 @@ def drop_nonfinite(scene: Scene) -> tuple[Scene, int]:
 
 
 def clamp_extremes(scene: Scene) -> tuple[Scene, int]:
-    """Replaces infinite opacity logits by ±10 and clamps log-scales to ±30. Returns the scene and the number of changed Gaussians.
+    """Replaces opacity logits beyond ±1e6 by ±10 and clamps log-scales to ±30. Returns the scene and the number of changed Gaussians.
 
-    NaN stays NaN. Finite logits do not change.
+    NaN stays NaN. Logits within ±1e6 do not change.
     """
-    infinite = np.isinf(scene.opacity_logits)
+    infinite = np.abs(scene.opacity_logits) > MAX_ABS_LOGIT
     extreme = (np.abs(scene.log_scales) > MAX_ABS_LOG_SCALE).any(axis=1)
     count = int((infinite | extreme).sum())
     if not count:

@@ -49,4 +49,7 @@ def refuse_emptying(keep: np.ndarray, before: int, target: int = 0):
     """Raises SceneError if `keep` (N,) leaves less than a thousandth of `before` Gaussians and less than the `target`; or no Gaussian at all."""
     left = int(keep.sum())
     if left < max(1, min(before * MIN_SHARE, target or before)):
-        raise SceneError(f"pruning would leave {left} of {before:,} Gaussians: use a smaller lambda-f or min-contribution, or a target count")
+        raise SceneError(
+            f"pruning would leave {left} of {before:,} Gaussians: use a smaller lambda-f or min-contribution than now, or a target count; "
+            "photographs that are black or show another scene need none"
+        )

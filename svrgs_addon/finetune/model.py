@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ..errors import SceneError
+from ..geometry.neighbours import nearest_distances
 from ..scene import SH_C0, SH_COEFFICIENTS, Scene
 from .moments import zero_moments
 
@@ -129,17 +129,12 @@ def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3
     """Initialisation of 3DGS: one isotropic Gaussian per point, with opacity 0.1 and the size of the distance to its neighbours.
 
     points (P, 3): world coordinates; colors (P, 3) uint8. log-scale = log sqrt(mean squared distance to the 3 nearest points).
-    Raises SceneError for fewer than 4 points, and if scipy is not installed.
+    Raises SceneError for fewer than 4 points.
     """
-    try:
-        from scipy.spatial import cKDTree
-    except ImportError:
-        raise SceneError(f"training from sparse points needs the package scipy: run {sys.executable} -m pip install scipy") from None
     n = len(points)
     if n <= NEIGHBOURS:
-        raise SceneError(f"the COLMAP model has too few sparse points: {n}; training needs at least {NEIGHBOURS + 1}")
-    distance, _ = cKDTree(points).query(points, k=NEIGHBOURS + 1)
-    squared = np.maximum((distance[:, 1:] ** 2).mean(axis=1), MIN_SQUARED_DISTANCE)
+        raise SceneError(f"the dataset has too few sparse points: {n}; training needs at least {NEIGHBOURS + 1}")
+    squared = np.maximum((nearest_distances(points, NEIGHBOURS) ** 2).mean(axis=1), MIN_SQUARED_DISTANCE)
     quats = np.zeros((n, 4), np.float32)
     quats[:, 0] = 1
     sh = np.zeros((n, SH_COEFFICIENTS[sh_degree], 3), np.float32)

@@ -106,7 +106,7 @@ def centre_jacobian(points: np.ndarray, K: np.ndarray) -> np.ndarray:
 def screen_jacobian(points: np.ndarray, K: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """The Jacobian P (V, 2, 3) that projects covariances to the screen, and dP/d(camera point) (V, 3, 2, 3). points (V, 3): camera coordinates.
 
-    As in 3DGS, x/z and y/z are clamped to the view widened by the frustum margin.
+    As in the rasterizer and in gsplat, x/z and y/z are clamped to the true image borders widened by the frustum margin.
     """
     focal, principal, size, z = K.diagonal()[:2], K[:2, 2], np.array([width, height]), points[:, 2:]
     margin = thresholds().frustum_margin * size / (2 * focal)

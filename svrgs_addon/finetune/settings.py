@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Phase:
     dropout: float = 0.0  # divided by the number of training views: the dropout rate of the first 4/5 of the steps
     coarse_until: int = 0  # steps up to this one use reduced photographs
     coarse_factor: int = 2  # reduction of the first steps, per side, a power of 2; it is halved after equal numbers of steps
-    label: str = ""  # what happens in the phase, as shown to users
+    label: str = field(default="", repr=False)  # what happens in the phase, as shown to users; not part of a checkpoint's identity
 
     def dropout_rate(self, number: int, views: int) -> float:
         """Dropout rate of step `number` (from 1): the probability that the step leaves a Gaussian out.

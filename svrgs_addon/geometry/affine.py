@@ -28,8 +28,10 @@ def transformed(scene: Scene, matrix: np.ndarray) -> Scene:
     """The scene with every point x moved to A x + t; A and t are parts of the affine 4x4 `matrix`, which may mirror.
 
     Means and covariances A Σ Aᵀ are exact. View-dependent colours are exact if A scales all axes alike (see stretch); else they are
-    rotated with the rotation nearest to A. Further attributes do not change. Raises SceneError if A is singular or not finite.
+    rotated with the rotation nearest to A. Further attributes do not change; with the identity nothing does. Raises SceneError if A is singular or not finite.
     """
+    if np.array_equal(matrix, np.eye(4)):
+        return scene
     A, t = _linear(matrix), np.asarray(matrix, np.float64)[:3, 3]
     left, scales, right = np.linalg.svd(A)
     R, scale = left @ right, float(np.exp(np.log(scales).mean()))

@@ -30,7 +30,8 @@ def morton_codes(means: np.ndarray) -> np.ndarray:
     half = 1 << (BITS - 1)
     codes = np.zeros(len(means), np.int64)
     for axis in range(3):
-        cells = (means[:, axis] - centre[axis]) * (half / (BOX_HALF_SIDE * extent)) + half
+        with np.errstate(over="ignore"):  # infinite cells are clamped like others
+            cells = (means[:, axis] - centre[axis]) * (half / (BOX_HALF_SIDE * extent)) + half
         codes |= spread_bits(np.fmin(np.fmax(cells, 0), 2 * half - 1).astype(np.int64)) << axis
     return codes
 

@@ -1,6 +1,6 @@
-"""An estimate, within a few seconds, of how many Gaussians pruning would keep and how long it would take.
+"""An estimate, within a few seconds, of how many Gaussians pruning would keep, how good the result would be and how long it would take.
 
-It renders some reduced views and measures the speed of a few steps. Child process: `python -m svrgs_addon.jobs.estimate`. It reads
+It renders some views and measures the speed of a few steps. Child process: `python -m svrgs_addon.jobs.estimate`. It reads
 {"scene": file, "options": options of a job} as JSON from stdin and writes the result of estimate(), or {"error": sentence}, to stdout.
 """
 
@@ -20,22 +20,24 @@ from ..finetune import scores
 from ..finetune.engine import NativeEngine
 from ..finetune.methods import method_named
 from ..finetune.model import Model
-from ..finetune.plan import prune_plan
+from ..finetune.plan import Plan, prune_plan
 from ..finetune.run import Run
 from ..finetune.saliency import saliency
 from ..metrics.evaluate import mean_psnr, refuse_unseen, render_options
+from ..metrics.explained import mismatch_of
 from ..native import Rasterizer
 from ..option_kinds import check_mapping
 from ..photographs.dataset import Dataset
 from ..scene import Scene
 from .options import PruneOptions
+from .quality_forecast import forecast, spread
 from .run_job import dataset_of, plan_of_pruning
 
 VIEW_SECONDS, STEP_SECONDS = 0.8, 0.6  # time limits of rendering views and of measuring steps, without reading files
-VIEWS = 8  # views that are rendered, spread evenly over the training views
+VIEWS = 8  # training views that are rendered
 DROP_VIEWS = 2  # views on which PSNR is measured, if a drop is allowed
 SIDE = 512  # longer side of a reduced view, pixels
-SALIENCY_VIEWS = 24  # views for the saliency
+RANKING_VIEWS = 24  # training views for what ranks the Gaussians: saliency, or the largest alpha T. Fewer leave too many Gaussians unseen
 STEPS = 3  # steps that are measured, after one that is not
 # For methods that learn masks, a Gaussian is predicted as removed if its mean alpha T over its pixels is below
 # KNEE * (lambda_F / 1e-4)^SLOPE. Fitted to runs of method svr on one scene of photographs, with lambda_F from 1e-5 to 1e-3: a rough estimate.
@@ -48,7 +50,9 @@ def estimate(options: PruneOptions) -> dict:
 
     count: Gaussians of the scene; invisible: those with an opacity below 1/255; unseen: those that no rendered view sees; faint: those
     that the first cut removes; kept: roughly how many stay; at_most: whether kept is an upper bound; views: number of rendered views;
-    steps_per_second; seconds: expected time of the run.
+    psnr_before, psnr_removed, psnr_after: PSNR in dB on some test views: of the scene, of the Gaussians that stay before any learning, and
+    at the end of the run, the last two None if the quality is not foreseen (quality_forecast.py); steps_per_second; seconds: expected time
+    of the run; notes: sentences on the dataset and whether the splat belongs to it.
     """
     native.set_threads(options.threads)
     dataset = dataset_of(options)
@@ -56,8 +60,10 @@ def estimate(options: PruneOptions) -> dict:
     scene = load_scene(options.scene).scene
     refuse_unseen(scene, dataset.cameras, "the splat")
     plan = plan_of_pruning(options)
-    sums, peaks, hits, views = _contributions(scene, dataset)
-    kept = _expected(options, plan, scene, dataset, (sums, peaks, hits))
+    sums, peaks, hits, views = _contributions(scene, dataset, RANKING_VIEWS if plan.method.learns_masks else VIEWS)
+    ranking = _saliency(scene, dataset) if _ranks_by_saliency(plan) else peaks
+    kept = max(1, _expected(options, plan, scene, dataset, (sums, peaks, hits, ranking)))
+    quality = forecast(scene, dataset, plan, ranking, kept)
     share = kept / scene.count
     rate = _rate(scene, dataset, options)
     relative_time = lambda left: FIXED_SHARE + (1 - FIXED_SHARE) * left  # noqa: E731
@@ -67,17 +73,24 @@ def estimate(options: PruneOptions) -> dict:
         "invisible": int(invisible(scene).sum()),
         "unseen": int((hits == 0).sum()),
         "faint": int((peaks < plan.min_contribution).sum()),
-        "kept": max(1, kept),
+        "kept": kept,
         "at_most": bool(options.max_drop),
         "views": views,
+        **{f"psnr_{name}": value for name, value in quality._asdict().items()},
         "steps_per_second": rate,
+        "notes": [*dataset.notes, *filter(None, [mismatch_of(scene, dataset)])],
         "seconds": (active * relative_time((1 + share) / 2) + (plan.total - active) * relative_time(share)) / rate,
     }
 
 
-def _expected(options: PruneOptions, plan, scene: Scene, dataset: Dataset, seen: tuple) -> int:
-    """Roughly how many Gaussians stay. seen: sums and maxima of alpha T, and numbers of pixels, (N,) each."""
-    sums, peaks, hits = seen
+def _ranks_by_saliency(plan: Plan) -> bool:
+    """Whether the Gaussians that stay are about those of highest saliency; else those of largest alpha T."""
+    return bool(plan.method.lambda_f) and not plan.method.learns_masks and not plan.max_drop
+
+
+def _expected(options: PruneOptions, plan: Plan, scene: Scene, dataset: Dataset, seen: tuple) -> int:
+    """Roughly how many Gaussians stay. seen: sums and maxima of alpha T, numbers of pixels, and what the method ranks by, (N,) each."""
+    sums, peaks, hits, ranking = seen
     if options.max_drop:
         return int(_fewest_within(scene, dataset, peaks, options.max_drop).sum())
     if plan.target:
@@ -85,8 +98,8 @@ def _expected(options: PruneOptions, plan, scene: Scene, dataset: Dataset, seen:
     kept = peaks >= plan.min_contribution
     if plan.method.learns_masks and options.iterations:
         kept &= sums > np.maximum(hits, 1) * _limit(plan.lambda_f or 1e-4)
-    elif plan.lambda_f:
-        kept &= _saliency(scene, dataset) > plan.lambda_f  # exact for the budget of method pressure, rough for method saliency
+    elif _ranks_by_saliency(plan):
+        kept &= ranking > plan.lambda_f  # exact for the budget of method pressure, rough for method saliency
     return int(kept.sum())
 
 
@@ -94,11 +107,10 @@ def _limit(lambda_f: float) -> float:
     return KNEE * (lambda_f / 1e-4) ** SLOPE
 
 
-def _contributions(scene, dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Sums and maxima of alpha T and numbers of pixels, (N,) each, over as many of VIEWS views as time allows; and the number of views."""
+def _contributions(scene, dataset, limit: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Sums and maxima of alpha T and numbers of pixels, (N,) each, over at most `limit` training views, as time allows; and their number."""
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
-    train = dataset.train_indices or list(range(len(dataset.cameras)))
-    chosen = train[:: max(1, len(train) // VIEWS)][:VIEWS]
+    chosen = spread(dataset.train_indices or list(range(len(dataset.cameras))))[:limit]
     sums, peaks, hits = np.zeros(scene.count), np.zeros(scene.count, np.float32), np.zeros(scene.count, np.int64)
     views, end = 0, time.monotonic() + VIEW_SECONDS
     for index in chosen:
@@ -115,7 +127,7 @@ def _contributions(scene, dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
 def _saliency(scene, dataset) -> np.ndarray:
     """Saliency (N,) from some of the views. It is a ratio of two sums over views, so their number matters little."""
     train = dataset.train_indices or list(range(len(dataset.cameras)))
-    cameras = [dataset.cameras[index] for index in train[:: max(1, len(train) // SALIENCY_VIEWS)][:SALIENCY_VIEWS]]
+    cameras = [dataset.cameras[index] for index in train[:: max(1, len(train) // RANKING_VIEWS)][:RANKING_VIEWS]]
     return saliency(
         scene, [camera.reduced(max(1, max(camera.width, camera.height) // SIDE)) for camera in cameras], Rasterizer(), render_options(scene, dataset.background)
     )

@@ -1,18 +1,19 @@
-"""The folder of a background job. It is the whole state of the job: a .blend file holds only its path.
+"""The folder of a background job, which prunes a splat or trains one. It is the whole state of the job: a .blend file holds only its path.
 
-    job.json           the request: schema, version, name, number of Gaussians, options
+    job.json           the request: schema, version, kind (prune or train), name, number of Gaussians, digest_of() the splat, options
     state.json         state of the job, replaced as a whole, at least every HEARTBEAT seconds while the job runs
-    scene.ply          the splat at the start of the job; the column svrgs_row holds the row of each Gaussian
+    scene.ply          of a job that prunes: the splat at its start; the column svrgs_row holds the row of each Gaussian
     messages.jsonl     stdout of the child process: messages, one JSON object per line (job_main.py)
     log.txt            stderr of the child process
     metrics.csv        iteration, count, loss, psnr
     previews/ITERATION.png
-    ranking.npz        when each Gaussian was removed, and its last probability (ranking.py)
-    recovered.ply.job  checkpoints
-    cancel, pause      flag files: the parent creates them, the child obeys (job_main.py)
+    ranking.npz        of a job that prunes: when each Gaussian was removed, and its last probability (ranking.py)
+    recovered.ply.job  checkpoints; recovered.ply is the splat after the last step
+    stop               flag file: the parent creates it, the child obeys (job_main.py)
 
     pruned.ply, kept.npy, score.npy, result.json     the result; result.json is written last
     probability.npy                                  if masks were learned
+    trained.ply, result.json                         the result of a job that trains
 
 A job whose state is not renewed for STALE seconds counts as interrupted. The folder is read like a file of a stranger: options are
 checked by name, type and range, arrays by shape and dtype, sizes of JSON files by LARGEST_JSON, and the number of Gaussians against
@@ -24,6 +25,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import hashlib
 import io
 import json
 import math
@@ -33,6 +35,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -44,23 +47,27 @@ from ..files.registry import write_scene
 from ..finetune.methods import FORMER_NAMES
 from ..option_kinds import check_mapping
 from ..scene import Scene
-from .options import PruneOptions
+from .disk_room import check_room
+from .options import PruneOptions, TrainOptions
 
 SCHEMA = 2
 ROW = "svrgs_row"  # column of scene.ply
 HEARTBEAT = 2.0  # seconds between two writes of state.json
 STALE = 15.0  # seconds: a process that has not renewed its state for so long is gone
 LARGEST_JSON = 1 << 20  # bytes; larger files are not read
-CANCEL, PAUSE = "cancel", "pause"  # flag files
-ENDED = ("paused", "cancelled", "interrupted", "failed", "done")
+STOP = "stop"  # flag file
+FORMER_FLAGS = ("cancel", "pause")  # flag files of earlier versions
+ENDED = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed", "done")  # no process; earlier versions wrote "paused" and "cancelled"
+PRUNE, TRAIN = "prune", "train"  # kinds of a job
+OPTIONS = {PRUNE: PruneOptions, TRAIN: TrainOptions}
 METRICS = ("iteration", "count", "loss", "psnr")
 FACTS = {  # keys of state.json and of messages that are read, and their types
     "state": str, "text": str, "pid": int, "iteration": int, "total": int, "phase": str, "count": int, "loss": float, "psnr": float,
-    "seconds_left": float,
+    "seconds_left": float, "finishing": bool, "note": str,
 }  # fmt: skip
 _FILES = (
-    "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy",
-    "score.npy", "probability.npy", "result.json", CANCEL, PAUSE, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
+    "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy", "score.npy",
+    "probability.npy", "trained.ply", "result.json", STOP, *FORMER_FLAGS, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
 )  # fmt: skip
 
 
@@ -73,36 +80,75 @@ class JobFolder:
     @classmethod
     def create(cls, path: str | Path, scene: Scene, options: dict, name: str = "") -> JobFolder:
         """Creates the folder of a new job that will prune the scene. Raises SceneError if the folder is not empty or an option is wrong."""
-        folder = cls(path)
-        _check_options(options)
-        if folder.path.exists() and any(folder.path.iterdir()):
-            raise SceneError(f"{folder.path}: is not empty; each job needs a folder of its own")
+        folder = cls._empty(path)
+        _check_options(PRUNE, options)
+        check_room(folder.path, scene)
         rows = np.arange(scene.count, dtype=np.uint32)
         write_scene(folder / "scene.ply", replace(scene, attributes={**scene.attributes, ROW: rows}))
-        folder.write_json("job.json", {"schema": SCHEMA, "version": __version__, "name": name, "count": scene.count, "options": options})
-        folder.write_json("state.json", {"state": "new"})
+        folder._write_request(PRUNE, name, scene.count, options, digest_of(scene))
         return folder
+
+    @classmethod
+    def create_training(cls, path: str | Path, options: dict, name: str = "") -> JobFolder:
+        """Creates the folder of a new job that will train a splat. Raises SceneError as create()."""
+        folder = cls._empty(path)
+        _check_options(TRAIN, options)
+        folder._write_request(TRAIN, name, 0, options)
+        return folder
+
+    @classmethod
+    def _empty(cls, path: str | Path) -> JobFolder:
+        """Raises SceneError if there is something in the folder."""
+        folder = cls(path)
+        if folder.path.exists() and any(folder.path.iterdir()):
+            raise SceneError(f"{folder.path}: is not empty; each job needs a folder of its own")
+        return folder
+
+    def _write_request(self, kind: str, name: str, count: int, options: dict, digest: str = ""):
+        request = {"schema": SCHEMA, "version": __version__, "kind": kind, "name": name, "count": count, "digest": digest, "options": options}
+        self.write_json("job.json", request)
+        self.write_json("state.json", {"state": "new"})
 
     def __truediv__(self, name: str) -> Path:
         return self.path / name
 
     def request(self) -> dict:
-        """job.json, checked: name, count, options. Raises FormatError."""
+        """job.json, checked: kind, name, count (0 for a job that trains), options. Raises FormatError."""
         request = self._json("job.json")
         if request is None or request.get("schema") not in (1, SCHEMA):
             raise FormatError(f"{self / 'job.json'}: is no job of this version")
-        if not isinstance(request.get("name"), str) or not _is(int, request.get("count")) or request["count"] < 1:
+        kind = request.setdefault("kind", PRUNE)  # earlier versions had no other
+        if not isinstance(kind, str) or kind not in OPTIONS:
+            raise FormatError(f"{self / 'job.json'}: is no job of this version")
+        if not isinstance(request.get("name"), str) or not _is(int, request.get("count")) or request["count"] < (kind == PRUNE):
             raise FormatError(f"{self / 'job.json'}: the name of the splat or its number of Gaussians is missing")
         try:
-            _check_options(request.get("options"))
+            _check_options(kind, request.get("options"))
         except SceneError as error:
             raise FormatError(f"{self / 'job.json'}: {error}") from None
         return request
 
-    def options(self) -> PruneOptions:
+    @property
+    def kind(self) -> str:
+        """PRUNE or TRAIN. Raises FormatError."""
+        return self.request()["kind"]
+
+    @property
+    def output(self) -> Path:
+        """The splat that a finished job leaves. Raises FormatError."""
+        return self / ("trained.ply" if self.kind == TRAIN else "pruned.ply")
+
+    def options(self) -> PruneOptions | TrainOptions:
         """All options of the job, with the paths of its input and output. Raises FormatError."""
-        given = check_mapping(PruneOptions, self.request()["options"])
-        return PruneOptions(**given, scene=self / "scene.ply", out=self / "recovered.ply", resume=True, quiet=True)
+        request = self.request()
+        paths: dict[str, Any] = {"out": self / "recovered.ply"} | ({"scene": self / "scene.ply"} if request["kind"] == PRUNE else {})
+        cls = OPTIONS[request["kind"]]
+        return cls(**check_mapping(cls, request["options"]), **paths, resume=True, quiet=True)
+
+    def set_dataset(self, colmap: str):
+        """Writes another folder of the dataset into job.json: it was moved. Raises FormatError, SceneError."""
+        request = self.request()
+        self.write_json("job.json", {**request, "options": {**request["options"], "colmap": colmap}})
 
     def update_schema(self) -> str:
         """Updates a job of schema 1 to the present one. Returns a sentence if the method has another name now, else ''. Raises FormatError."""
@@ -116,15 +162,12 @@ class JobFolder:
 
     def refuse_links(self):
         """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file elsewhere."""
-        checkpoints = self / "recovered.ply.job"
-        for folder in (self.path, self / "previews", checkpoints, *checkpoints.glob("[0-9]" * 7)):
-            with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
-                for entry in entries:
-                    if entry.is_symlink():
-                        raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
+        for entry in self._entries():
+            if entry.is_symlink():
+                raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
 
     def check_scene(self):
-        """Raises FormatError if scene.ply does not have the number of Gaussians that job.json says."""
+        """Raises FormatError if scene.ply of a job that prunes does not have the number of Gaussians that job.json says."""
         count, file = self.request()["count"], self / "scene.ply"
         try:
             with open(file, "rb") as stream:
@@ -153,7 +196,8 @@ class JobFolder:
     def result(self) -> dict:
         """The JSON result of a finished job. Raises FormatError if there is none."""
         result = self._json("result.json")
-        if result is None or not all(isinstance(result.get(side), dict) for side in ("before", "after")):
+        sides = ("before", "after") if self.kind == PRUNE else ()
+        if result is None or not all(isinstance(result.get(side), dict) for side in sides):
             raise FormatError(f"{self.path}: holds no result")
         return result
 
@@ -188,14 +232,26 @@ class JobFolder:
         with atomic_write(self / name) as file:
             file.write(json.dumps(value).encode())
 
-    def raise_flag(self, flag: str):
-        """Creates the flag file CANCEL or PAUSE."""
-        (self / flag).touch()
+    def raise_flag(self):
+        """Creates the flag file STOP."""
+        (self / STOP).touch()
 
-    def lower_flags(self):
-        """Removes both flag files."""
-        for flag in (CANCEL, PAUSE):
+    def lower_flag(self):
+        """Removes the flag file, also of earlier versions."""
+        for flag in (STOP, *FORMER_FLAGS):
             (self / flag).unlink(missing_ok=True)
+
+    def checkpoint(self) -> int:
+        """The step of the newest checkpoint; 0 if there is none. Damaged checkpoints count: they are found when the job is resumed."""
+        return max((int(path.name) for path in self._checkpoints() if (path / "manifest.json").is_file()), default=0)
+
+    def size(self) -> int:
+        """Bytes on disk of the files in the folder. Links are not followed."""
+        total = 0
+        for entry in self._entries():
+            with contextlib.suppress(OSError):  # removed meanwhile
+                total += entry.stat(follow_symlinks=False).st_size if entry.is_file(follow_symlinks=False) else 0
+        return total
 
     def discard(self):
         """Removes the files that the job wrote, and the folder if it is empty then. A link is removed, not what it leads to.
@@ -215,6 +271,13 @@ class JobFolder:
         for folder in (self / "recovered.ply.job", self / "previews", self.path):
             with contextlib.suppress(OSError):
                 folder.rmdir()
+
+    def _entries(self) -> Iterator[os.DirEntry]:
+        """Files, folders and links in the folders of the job."""
+        checkpoints = self / "recovered.ply.job"
+        for folder in (self.path, self / "previews", checkpoints, *checkpoints.glob("[0-9]" * 7)):
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
+                yield from entries
 
     def _checkpoints(self) -> Iterator[Path]:
         return (path for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7) if path.is_dir() and not path.is_symlink())
@@ -241,15 +304,23 @@ class JobFolder:
         return value if isinstance(value, dict) else None
 
 
+def digest_of(scene: Scene) -> str:
+    """Digest of all Gaussians: of means, scales, rotations, opacities and SH, as stored."""
+    digest = hashlib.sha256()
+    for array in (scene.means, scene.log_scales, scene.quats, scene.opacity_logits, scene.sh):
+        digest.update(array.data)
+    return digest.hexdigest()
+
+
 def facts_of(message: dict) -> dict:
     """The entries of a message or of state.json that are in FACTS and have the right type."""
     return {name: value for name, value in message.items() if name in FACTS and _is(FACTS[name], value)}
 
 
-def _check_options(options: object):
-    """Raises SceneError if these are not valid options of a job."""
-    if not check_mapping(PruneOptions, options).get("colmap"):
-        raise SceneError("the job has no COLMAP dataset")
+def _check_options(kind: str, options: object):
+    """Raises SceneError if these are not valid options of a job of this kind."""
+    if not check_mapping(OPTIONS[kind], options).get("colmap"):
+        raise SceneError("the job has no dataset")
 
 
 def _is(kind: type, value) -> bool:

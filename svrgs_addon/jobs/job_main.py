@@ -3,14 +3,13 @@
 stdout: messages, one JSON object per line: STATUS {state, text}, PROGRESS {iteration, total, phase, count, loss, psnr,
 seconds_left}, PREVIEW {path}, DONE {result}, ERROR {text}.
 
-The main thread prunes. A second thread looks for the flag files every 0.05 s and renews state.json every 2 s. Three things end the job:
+The main thread prunes or trains. A second thread looks for the flag file every 0.05 s and renews state.json every 2 s. Two things end the job:
 
-- The flag file `cancel`: the second thread ends the process at once, whatever the main thread does. The last checkpoint stays.
-- The flag file `pause`: the job saves a checkpoint and ends as "paused".
-- The end of stdin: the parent, for example Blender, is gone. The job saves a checkpoint and ends as "interrupted". It can be continued.
+- The flag file `stop`: the job saves a checkpoint and ends as "stopped".
+- The end of stdin: the parent, for example Blender, is gone. The job saves a checkpoint and ends as "interrupted".
 
-Before the first step there is nothing to save, so all three end the process at once. While the result is measured, none of them has an
-effect.
+Both can be continued. Before the first step there is nothing to save, so both end the process at once; an earlier checkpoint stays.
+While the result is measured, neither has an effect.
 """
 
 from __future__ import annotations
@@ -22,17 +21,18 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ..errors import Cancelled
 from ..exit_status import guarded
-from .job_folder import CANCEL, HEARTBEAT, PAUSE, JobFolder
+from .job_folder import HEARTBEAT, PRUNE, STOP, TRAIN, JobFolder
 
-POLL_EVERY = 0.05  # seconds between two checks for flag files
+POLL_EVERY = 0.05  # seconds between two checks for the flag file
 TELL_EVERY = 0.25  # seconds between two PROGRESS messages
 
 
 class JobMain:
-    """Runs the job and writes its state to the folder and its messages to stdout. The main thread prunes; two others wait for flag files
+    """Runs the job and writes its state to the folder and its messages to stdout. The main thread works; two others wait for the flag file
     and for the end of stdin."""
 
     def __init__(self, folder: JobFolder):
@@ -46,11 +46,11 @@ class JobMain:
 
     def run(self) -> int:
         """The whole job; returns the exit status."""
-        self.tell("STATUS", state="running", text="Reading the scene and its photographs")
+        self.tell("STATUS", state="running", text="Reading the photographs")
         threading.Thread(target=self._wait_for_end_of_stdin, daemon=True).start()
-        threading.Thread(target=self._poll_flags, daemon=True).start()
+        threading.Thread(target=self._poll_flag, daemon=True).start()
         problems: list[str] = []
-        status = guarded(self._prune, problems.append)
+        status = guarded(self._work, problems.append)
         if status:
             self.tell("ERROR", state="failed", text=problems[-1])
         return status
@@ -63,16 +63,15 @@ class JobMain:
                 self._write_state()
             _say(kind, facts)
 
-    def _prune(self) -> int:
-        from .job_recorder import JobRecorder
-        from .run_job import prune_scene
+    def _work(self) -> int:
+        from .job_recorder import RECORDERS
+        from .run_job import prune_scene, train_scene
 
-        recorder = JobRecorder(self.folder, self)
+        kind, options = self.folder.kind, self.folder.options()
+        recorder = RECORDERS[kind](self.folder, self)
+        run: Any = {PRUNE: prune_scene, TRAIN: train_scene}[kind]
         try:
-            options = self.folder.options()
-            result = prune_scene(
-                options, lambda job: replace(job, begin=recorder.begin, observe=recorder.observe, stop=lambda: job.stop() or bool(self.ending))
-            )
+            result = run(options, lambda job: replace(job, begin=recorder.begin, observe=recorder.observe, stop=lambda: job.stop() or bool(self.ending)))
         except Cancelled:
             self.tell("STATUS", state=self.ending or "interrupted", text="")
             return 0
@@ -85,21 +84,18 @@ class JobMain:
         now = time.monotonic()
         if now > self._told + TELL_EVERY or stage == "finishing":
             self._told = now
-            self.tell("PROGRESS", **facts, text="Measuring the result" if stage == "finishing" else label)
+            finishing = stage == "finishing"
+            self.tell("PROGRESS", **facts, finishing=finishing, text="Measuring the result" if finishing else label)
 
-    def _poll_flags(self):
+    def _poll_flag(self):
         while True:
             time.sleep(POLL_EVERY)
             with self._lock:
                 if time.monotonic() > self._written + HEARTBEAT:
                     self._write_state()
-            if self._stage == "finishing":
+            if self._stage == "finishing" or self.ending:
                 continue
-            if (self.folder / CANCEL).exists():
-                self._end_now("cancelled")
-            if self.ending:
-                continue
-            asked = "paused" if (self.folder / PAUSE).exists() else "interrupted" if self._parent_gone.is_set() else ""
+            asked = "stopped" if (self.folder / STOP).exists() else "interrupted" if self._parent_gone.is_set() else ""
             if asked and self._stage == "preparing":
                 self._end_now(asked)
             elif asked:

@@ -17,11 +17,11 @@ from typing import Any
 
 from ..blender import subprocess_python
 from ..errors import FormatError, SceneError
-from .job_folder import CANCEL, ENDED, PAUSE, JobFolder, facts_of
+from .job_folder import ENDED, JobFolder, facts_of
 
 START_SECONDS = 60.0  # a process that has sent no message after so many seconds is killed
 REFRESH_EVERY = 2.0  # seconds between two reads of the state of a job that another Blender started
-CANCEL_STEPS = ((10.0, "terminate"), (15.0, "kill"))  # seconds after cancel(), what is done to a process that still runs
+NO_REACTION = 10.0  # seconds without a renewed state after stop(); then the process is killed
 MODULE = "svrgs_addon.jobs.job_main"
 
 
@@ -33,10 +33,13 @@ class Job:
         self.facts: dict = folder.state()
         self.result: dict | None = None
         self.renamed = ""  # set by start(): a sentence if the method of the job has another name now
+        self._why = ""
+        self._read_request: dict = {}
         self._process: subprocess.Popen | None = None
         self._read = 0  # bytes of messages.jsonl that were read
-        self._cancelled: float | None = None  # time of cancel(), of time.monotonic()
+        self._stopping: float | None = None  # time of stop() or kill(), of time.monotonic()
         self._refreshed = time.monotonic()
+        self._stamp = self._state_stamp()
 
     @property
     def state(self) -> str:
@@ -54,19 +57,76 @@ class Job:
             return time.time() - (self.folder / "state.json").stat().st_mtime
         return 0.0
 
+    @property
+    def stopping(self) -> bool:
+        """Whether it was asked to stop and has not ended yet."""
+        return self._process is not None and self._stopping is not None
+
+    @property
+    def name(self) -> str:
+        """The name of the splat, or of the cameras, when the job was made; the folder's name if job.json cannot be read."""
+        return self._request().get("name") or self.folder.path.name
+
+    @property
+    def kind(self) -> str:
+        """PRUNE or TRAIN; '' if job.json cannot be read."""
+        return self._request().get("kind", "")
+
+    def _request(self) -> dict:
+        """job.json, read once; {} if it cannot be read."""
+        if not self._read_request:
+            with contextlib.suppress(FormatError):
+                self._read_request = self.folder.request()
+        return self._read_request
+
+    @property
+    def progress(self) -> float:
+        """The share of the steps that are done, 0..1."""
+        total = self.facts.get("total", 1)
+        return max(0, min(self.facts.get("iteration", 0), total)) / max(1, total)
+
+    def resume_point(self) -> tuple[str, dict]:
+        """From where a job that has not ended well would be continued: a sentence with named fields, and their values."""
+        saved, total, done = self.folder.checkpoint(), self.facts.get("total", 0), self.facts.get("iteration", 0)
+        if not saved:
+            return ("Resume starts it from the beginning: no checkpoint was saved" if done > 0 else "Resume starts it from the beginning"), {}
+        if total:
+            text = "Resume continues at {share:.0%}: the steps after it were not saved" if saved < done else "Resume continues at {share:.0%}"
+            return text, {"share": saved / total}
+        text = "Resume continues at step {step:,}: the steps after it were not saved" if saved < done else "Resume continues at step {step:,}"
+        return text, {"step": saved}
+
     def refresh(self):
-        """Reads the state of a job that another Blender started, at most every REFRESH_EVERY seconds."""
-        if self._process is None and self.state not in ENDED and time.monotonic() > self._refreshed + REFRESH_EVERY:
-            self._refreshed, self.facts = time.monotonic(), self.folder.state()
+        """Reads the state of a job that another Blender started or continued, at most every REFRESH_EVERY seconds."""
+        if self._process is not None or time.monotonic() <= self._refreshed + REFRESH_EVERY:
+            return
+        self._refreshed, stamp = time.monotonic(), self._state_stamp()
+        if self.state not in ENDED or stamp not in (0, self._stamp):
+            self._stamp, self.facts = stamp, self.folder.state()
+
+    def _state_stamp(self) -> int:
+        """Changes whenever state.json is written; 0 if there is none."""
+        with contextlib.suppress(OSError):
+            return (self.folder / "state.json").stat().st_mtime_ns
+        return 0
+
+    def queue(self):
+        """Notes that the job waits for another one to end. start() ends the waiting. Raises FormatError as start(), SceneError if the disk is full."""
+        self.folder.refuse_links()
+        self.folder.request()
+        self.facts = {**self.facts, "state": "queued", "text": ""}
+        self.folder.write_json("state.json", self.facts)
+        self._stamp = self._state_stamp()
 
     def start(self):
         """Starts the job, or continues it from its last checkpoint. Raises FormatError if the folder holds no job, or links."""
         self.folder.refuse_links()
         self.renamed = self.folder.update_schema()
-        self.folder.lower_flags()
+        self.folder.lower_flag()
         (self.folder / "messages.jsonl").write_bytes(b"")
         self.folder.write_json("state.json", {"state": "starting"})
-        self.facts, self.result, self._read, self._cancelled = {"state": "starting", "text": "Starting"}, None, 0, None
+        self.facts, self.result, self._read, self._stopping = {"state": "starting", "text": "Starting"}, None, 0, None
+        self._why = ""
         group: dict[str, Any] = {"start_new_session": True}
         if sys.platform == "win32":
             group = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
@@ -90,21 +150,24 @@ class Job:
         elif self.facts["state"] == "starting" and time.monotonic() > self._started + START_SECONDS:
             self._process.kill()
             self.facts |= {"state": "failed", "text": f"the process did not start within {START_SECONDS:.0f} s"}
-        elif self._cancelled is not None:
-            self._end_by_force(time.monotonic() - self._cancelled)
+        elif self._stopping is not None and min(time.monotonic() - self._stopping, self.seconds_silent) > NO_REACTION:
+            self.kill("It gave no sign of life and was ended")
         return messages
 
-    def pause(self):
-        """Asks the process to save a checkpoint and to end."""
-        self.folder.raise_flag(PAUSE)
-        self.facts["text"] = "Pausing"
+    def stop(self):
+        """Asks the process to save a checkpoint and to end. If it gives no sign of life for NO_REACTION seconds, poll() kills it."""
+        try:
+            self.folder.raise_flag()
+        except OSError:  # the disk is full: the end of stdin has the same effect
+            self._close_stdin()
+        self._stopping = time.monotonic()
+        self.facts["text"] = "Stopping: a checkpoint is being saved" if self.facts.get("iteration") else "Stopping: no step was done yet"
 
-    def cancel(self):
-        """Asks the process to end at once; its last checkpoint stays. If it still runs after 10 s, poll() ends it by force."""
-        with contextlib.suppress(OSError):  # if the disk is full or the folder is gone, poll() ends it by force
-            self.folder.raise_flag(CANCEL)
-        self._cancelled = time.monotonic()
-        self.facts["text"] = "Cancelling"
+    def kill(self, why: str = ""):
+        """Ends the process at once. Its last checkpoint stays. why: a sentence for the user."""
+        self._stopping, self._why = time.monotonic(), why
+        if self._process is not None:
+            self._process.kill()
 
     def abort(self, why: str):
         """Ends the process by force and marks the job as failed. For a job whose messages can no longer be read."""
@@ -114,7 +177,7 @@ class Job:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(1)
             self._process = None
-        self.facts = {"state": "failed", "text": why}
+        self.facts, self._stamp = {"state": "failed", "text": why}, self._state_stamp()  # what the process wrote before its end says nothing new
 
     def detach(self):
         """To be called before the parent ends: the child saves a checkpoint and ends."""
@@ -148,20 +211,15 @@ class Job:
         log = self.folder.log_tail(1)
         if self.facts["state"] in ENDED:
             pass
-        elif self._cancelled is not None:
-            self.facts |= {"state": "cancelled", "text": ""}
+        elif self._stopping is not None:
+            self.facts |= {"state": "stopped", "text": self._why}
         elif status == -9:
             self.facts |= {"state": "interrupted", "text": "the process was killed from outside; if memory ran out, use fewer or smaller photographs"}
         else:
             self.facts |= {"state": "failed", "text": f"the job's process ended early: {log[0] if log else f'exit status {status}'}"}
         with contextlib.suppress(SceneError):  # if the disk is full: a state that is not renewed counts as interrupted
             self.folder.write_json("state.json", self.facts)
-
-    def _end_by_force(self, seconds: float):
-        """seconds: since cancel()."""
-        for after, action in CANCEL_STEPS:
-            if seconds > after:
-                getattr(self._process, action)()
+        self._stamp = self._state_stamp()
 
 
 def _message(line: bytes) -> dict | None:

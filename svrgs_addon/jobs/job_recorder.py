@@ -1,7 +1,9 @@
-"""What a background job writes into its folder: metrics, previews and the ranking while it runs, and the result at the end."""
+"""What a background job writes into its folder: metrics and previews while it runs, and the result at the end. A job that prunes also
+writes a ranking of the Gaussians."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from typing import Protocol
 
@@ -17,7 +19,7 @@ from ..finetune.run import Run
 from ..metrics.evaluate import render_options, rounded_to_8_bits
 from ..native import Rasterizer, RenderOptions
 from ..scene import Scene
-from .job_folder import METRICS, ROW, JobFolder
+from .job_folder import METRICS, PRUNE, ROW, TRAIN, JobFolder
 from .ranking import Ranking, importance
 
 PREVIEW_SIDE = 512  # longest side of a preview, pixels
@@ -37,22 +39,19 @@ class JobRecorder:
 
     def __init__(self, folder: JobFolder, listener: Listener):
         self.folder, self.listener = folder, listener
-        folder.check_scene()
-        self.count = folder.request()["count"]
-        self.ranking = Ranking(self.count, folder / "ranking.npz")
 
     def begin(self, run: Run):
         self.run = run
-        self.ranking.begin(run, self._checked_rows(run.model.metadata["attributes"].get(ROW)))
         self._points = len(run.curves.iteration)
         old = self.folder.metrics()
         rows = [row for row in zip(*(old[name] for name in METRICS), strict=True) if row[0] <= run.iteration]
         self._metrics = [",".join(METRICS), *map(_line, rows)]
         self._write_metrics()
+        if run.dataset.notes:
+            self.listener.tell("STATUS", note=" ".join(run.dataset.notes))
 
     def observe(self, progress: loop.Progress):
         run, curves = self.run, self.run.curves
-        self.ranking.observe(run)
         new_point = len(curves.iteration) > self._points
         psnr = curves.psnr[-1] if curves.psnr else None
         count = int(masks.most_probable(run.model).sum()) if run.model.learns_masks else run.model.count
@@ -68,7 +67,58 @@ class JobRecorder:
         )  # fmt: skip
 
     def finish(self, result: dict) -> dict:
-        """Writes the files of the result. Returns the JSON result; its file sizes are those without the column of source rows."""
+        """Writes the files of the result, result.json last. Returns the JSON result."""
+        raise NotImplementedError
+
+    def _write_result(self, result: dict) -> dict:
+        """Writes result.json and returns its contents."""
+        result = plain(result)
+        self.folder.write_json("result.json", result)
+        return result
+
+    def _preview(self, iteration: int):
+        run: Run = self.run
+        views = run.dataset.test_indices or run.dataset.train_indices
+        camera = run.dataset.cameras[views[0]]
+        camera = camera.reduced(max(1, -(-max(camera.width, camera.height) // PREVIEW_SIDE)))
+        kept = masks.most_probable(run.model).astype(np.uint8) if run.model.learns_masks else None
+        options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
+        name = f"previews/{iteration:07d}.png"
+        write_image(self.folder / name, rounded_to_8_bits(run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]))
+        self.listener.tell("PREVIEW", path=name)
+
+    def _write_metrics(self):
+        with atomic_write(self.folder / "metrics.csv") as file:
+            file.write(("\n".join(self._metrics) + "\n").encode())
+
+
+class TrainRecorder(JobRecorder):
+    """Records a job that trains."""
+
+    def finish(self, result: dict) -> dict:
+        os.replace(self.folder / "recovered.ply", self.folder.output)
+        return self._write_result(result | {"out": str(self.folder.output)})
+
+
+class PruneRecorder(JobRecorder):
+    """Records a job that prunes, and how it ranks the Gaussians of the splat."""
+
+    def __init__(self, folder: JobFolder, listener: Listener):
+        super().__init__(folder, listener)
+        folder.check_scene()
+        self.count = folder.request()["count"]
+        self.ranking = Ranking(self.count, folder / "ranking.npz")
+
+    def begin(self, run: Run):
+        self.ranking.begin(run, self._checked_rows(run.model.metadata["attributes"].get(ROW)))
+        super().begin(run)
+
+    def observe(self, progress: loop.Progress):
+        self.ranking.observe(self.run)
+        super().observe(progress)
+
+    def finish(self, result: dict) -> dict:
+        """As JobRecorder.finish(); the file sizes of the result are those without the column of source rows."""
         recovered = read_scene(self.folder / "recovered.ply")
         rows = recovered.attributes[ROW]
         kept = np.zeros(self.count, bool)
@@ -86,8 +136,7 @@ class JobRecorder:
         result |= {"out": str(self.folder / "pruned.ply"), "bytes": (self.folder / "pruned.ply").stat().st_size}
         result["after"] = result["after"] | {"bytes": result["bytes"]}
         result["before"] = result["before"] | {"bytes": result["before"]["bytes"] - row_bytes(self.count)}
-        result = plain(result)
-        self.folder.write_json("result.json", result)
+        result = self._write_result(result)
         (self.folder / "recovered.ply").unlink()
         return result
 
@@ -97,20 +146,8 @@ class JobRecorder:
             raise FormatError(f"{self.folder / 'scene.ply'}: its column {ROW} does not name the rows of the splat; discard the job and start again")
         return rows
 
-    def _preview(self, iteration: int):
-        run: Run = self.run
-        views = run.dataset.test_indices or run.dataset.train_indices
-        camera = run.dataset.cameras[views[0]]
-        camera = camera.reduced(max(1, -(-max(camera.width, camera.height) // PREVIEW_SIDE)))
-        kept = masks.most_probable(run.model).astype(np.uint8) if run.model.learns_masks else None
-        options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
-        name = f"previews/{iteration:07d}.png"
-        write_image(self.folder / name, rounded_to_8_bits(run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]))
-        self.listener.tell("PREVIEW", path=name)
 
-    def _write_metrics(self):
-        with atomic_write(self.folder / "metrics.csv") as file:
-            file.write(("\n".join(self._metrics) + "\n").encode())
+RECORDERS: dict[str, type[JobRecorder]] = {PRUNE: PruneRecorder, TRAIN: TrainRecorder}  # by kind of the job
 
 
 def without_rows(scene: Scene) -> Scene:

@@ -20,7 +20,9 @@ ENGINES = ("native", "torch")
 class DatasetOptions:
     """Options of commands that measure a scene on photographs."""
 
-    colmap: Path | None = option(PATH, None, "folder of the COLMAP dataset: photographs and model", metavar="DIR", required=True, in_job=True)
+    colmap: Path | None = option(
+        PATH, None, "folder of the dataset: photographs, and a COLMAP model or transforms.json", metavar="DIR", required=True, in_job=True
+    )
     images: str = option(TEXT, "", "folder of the photographs in the dataset, for example images_4", metavar="NAME", default_help="images", in_job=True)
     holdout: int = option(COUNT, 8, "hold out every N-th view for testing; 0: none", metavar="N", in_job=True)
     background: tuple[float, float, float] = option(COLOUR, (0.0, 0.0, 0.0), "behind transparent pixels, 0..1 each", metavar="R,G,B", default_help="black")
@@ -65,7 +67,7 @@ class TrainOptions(TuningOptions):
     """Options of `svrgs train`."""
 
     method: str = option(TEXT, "3dgs", "method that prunes while training, see the list below", metavar="NAME")
-    iterations: int = option(COUNT, ITERATIONS, "number of training steps", metavar="N")
+    iterations: int = option(COUNT, ITERATIONS, "number of training steps", metavar="N", in_job=True)
     recovery: int | None = option(
         COUNT, None, "number of recovery steps after the training steps", metavar="N", default_help=f"{RECOVERY} for methods that prune, else 0"
     )
@@ -80,8 +82,8 @@ class PruneOptions(TuningOptions):
     """Options of `svrgs prune` for one scene."""
 
     method: str = option(TEXT, "pressure", "method that decides which Gaussians are removed, see the list below", metavar="NAME", in_job=True)
-    iterations: int = option(COUNT, PRUNE_ITERATIONS, "number of steps in which the method learns which Gaussians to remove", metavar="N", in_job=True)
-    recovery: int = option(COUNT, RECOVERY, "number of steps after pruning, which recover the quality", metavar="N", in_job=True)
+    iterations: int = option(COUNT, PRUNE_ITERATIONS, "steps spent deciding which Gaussians to remove", metavar="N", in_job=True)
+    recovery: int = option(COUNT, RECOVERY, "steps after pruning, which recover the quality", metavar="N", in_job=True)
     min_contribution: float | None = option(
         SMALL_SHARE, None, "first remove the Gaussians that cover less than this share of every pixel in every training view", metavar="A",
         default_help=f"{MIN_CONTRIBUTION} for methods that learn masks, else 0", in_job=True,

@@ -22,8 +22,10 @@ from .options import MIN_CONTRIBUTION, RECOVERY, DatasetOptions, PruneOptions, T
 from .progress import Reporter
 from .stop_request import StopRequest
 
+Adapt = Callable[[JobContext], JobContext]  # changes the context of the command line; a background job adds its own observer and stop
 
-def train_scene(options: TrainOptions) -> dict:
+
+def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict:
     """Does `svrgs train`. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint."""
     assert options.out is not None
     native.set_threads(options.threads)
@@ -31,14 +33,11 @@ def train_scene(options: TrainOptions) -> dict:
     train_and_prune.check_outputs(job)
     dataset = dataset_of(options, need_points=True)
     with StopRequest() as stop:
-        return train_and_prune.train(dataset, plan, replace(job, stop=stop), options.sh_degree)
+        return train_and_prune.train(dataset, plan, adapt(replace(job, stop=stop)), options.sh_degree)
 
 
-def prune_scene(options: PruneOptions, adapt: Callable[[JobContext], JobContext] = lambda job: job) -> dict:
-    """Does `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint.
-
-    adapt: changes the context of the command line; the background job adds its own observer and stop.
-    """
+def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
+    """Does `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint."""
     native.set_threads(options.threads)
     if options.colmap is None:
         raise SceneError(f"{options.scene}: pruning needs the photographs that the scene was trained on; give --colmap DIR")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
+import os
 import time
 from pathlib import Path
 
@@ -18,12 +20,14 @@ from ..finetune.engine import NativeEngine
 from ..finetune.model import Model, scene_from_points
 from ..finetune.plan import Plan
 from ..finetune.run import Run
-from ..metrics.evaluate import evaluate, mean_psnr, refuse_unseen, render_options
-from ..native import Rasterizer, RenderOptions
+from ..metrics.evaluate import any_in_view, evaluate, mean_psnr, refuse_unseen, render_options
+from ..metrics.explained import mismatch_of
+from ..native import Rasterizer, RenderOptions, thresholds
 from ..photographs.dataset import Dataset
 from ..report.prune_report import report_pictures, write_prune_report
 from ..scene import Scene
 from .context import JobContext
+from .disk_room import DiskRoom
 
 CURVE_VIEWS = 4  # test views on which the PSNR of the curves is measured
 CHECKPOINT_SECONDS = 120.0  # between two checkpoints
@@ -33,19 +37,23 @@ CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it
 def train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int = 3) -> dict:
     """Trains from the dataset's sparse points and writes job.out. Returns the JSON result. Raises SplatError, Cancelled."""
     check_outputs(job)
-    with reserved(job.out):
-        return _train(dataset, plan, job, sh_degree)
+    with reserved(job.out), DiskRoom(job.out, job.folder) as room:
+        return _train(dataset, plan, job, sh_degree, room)
 
 
-def _train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int) -> dict:
+def _train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int, room: DiskRoom) -> dict:
     check_request(dataset, plan)
     if (plan.target or plan.share) and not plan.prunes:
         raise SceneError(CANNOT_REACH.format(plan.method.name))
+    refuse_unseen_points(dataset)
     clock = Clock()
     refuse_excess("training", len(dataset.points), (sh_degree + 1) ** 2, dataset)
     with clock.phase("initialise"):
-        model = Model.of(scene_from_points(dataset.points, dataset.point_colors, sh_degree), copy=False)
-    run, scene = fine_tune(model, dataset, plan, job, clock)
+        start = scene_from_points(dataset.points, dataset.point_colors, sh_degree)
+        room.hold_for(start, max(start.count, plan.target))
+        model = Model.of(start, copy=False)
+    del start  # frees memory as soon as the model has other arrays
+    run, scene = fine_tune(model, dataset, plan, job, clock, room)
     with clock.phase("evaluate"):
         after = measured(scene, dataset, job)
     return {**after, **run_facts(run, job, clock)}
@@ -55,27 +63,29 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
     """Prunes a trained scene and recovers its quality. Writes job.out and, if job.report is set, the report. Returns the JSON result.
     Raises SplatError, Cancelled."""
     check_outputs(job)
-    if job.out.resolve() == scene_path.resolve():
+    if os.path.realpath(job.out) == os.path.realpath(scene_path):
         raise SceneError(f"{job.out}: is the input itself, which is never overwritten; choose another output")
-    with reserved(job.out):
-        return _prune(scene_path, dataset, plan, job)
+    with reserved(job.out), DiskRoom(job.out, job.folder) as room:
+        return _prune(scene_path, dataset, plan, job, room)
 
 
-def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> dict:
+def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room: DiskRoom) -> dict:
     check_request(dataset, plan)
     clock = Clock()
     with clock.phase("read"):
         source = load_scene(scene_path).scene
         refuse_unseen(source, dataset.cameras, str(scene_path))
         refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset)
+        room.hold_for(source, source.count)
     with clock.phase("evaluate before"):
         before = measured(source, dataset, job, scene_path)
+        note_mismatch(source, dataset)
         pictures = report_pictures(source, dataset) if job.report else []
     with clock.phase("first cut"):
         model = Model.of(first_cut(source, dataset, plan), copy=False)
         cut = source.count - model.count
     del source  # frees memory for the optimiser
-    run, scene = fine_tune(model, dataset, plan, job, clock)
+    run, scene = fine_tune(model, dataset, plan, job, clock, room)
     with clock.phase("evaluate after"):
         after = measured(scene, dataset, job)
     result = {**after, "scene": str(scene_path), "before": before, "after": after, "first_cut": cut}
@@ -126,9 +136,23 @@ def check_request(dataset: Dataset, plan: Plan):
         raise SceneError(CANNOT_REACH.format(plan.method.name))
 
 
+def refuse_unseen_points(dataset: Dataset):
+    """Raises SceneError if no training view sees a sparse point: training would end with black pictures."""
+    if not any_in_view(dataset.points, dataset.cameras, [dataset.cameras[i] for i in dataset.train_indices]):
+        count, near = len(dataset.points), thresholds().near
+        raise SceneError(f"no training view sees any of the {count:,} sparse points more than {near:g} in front of it; run COLMAP again, or scale the model up")
+
+
 def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
     """Raises SceneError if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH coefficients per channel."""
     memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget))
+
+
+def note_mismatch(scene: Scene, dataset: Dataset):
+    """Warns, and notes in the dataset, if the scene explains little of the photographs."""
+    if sentence := mismatch_of(scene, dataset):
+        logging.warning("%s", sentence)
+        dataset.notes = (*dataset.notes, sentence)
 
 
 def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
@@ -163,7 +187,7 @@ def make_engine(name: str):
     return TorchEngine()
 
 
-def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock: Clock) -> tuple[Run, Scene]:
+def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock: Clock, room: DiskRoom) -> tuple[Run, Scene]:
     """Runs all phases with checkpoints, writes job.out and deletes the checkpoints. The seconds of each phase are added to the clock.
 
     Returns the run and the scene, which takes over the arrays of the model. Raises SplatError; Cancelled after a checkpoint.
@@ -178,18 +202,23 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
     job.begin(run)
     saved = time.monotonic()
 
+    def save():
+        with room.for_checkpoint(run.model.count):
+            checkpoint.save(run, job.folder, identity)
+
     def observe(progress: loop.Progress):
         nonlocal saved
         job.observe(progress)
         if time.monotonic() - saved > CHECKPOINT_SECONDS:
-            checkpoint.save(run, job.folder, identity)
+            save()
             saved = time.monotonic()
 
-    loop.run_to_end(run, observe, job.stop, lambda: checkpoint.save(run, job.folder, identity), lambda: curve_psnr(run))
+    loop.run_to_end(run, observe, job.stop, save, lambda: curve_psnr(run))
     clock.phases |= run.seconds
     run.drop = run.recovery_pruning.drop(run) if run.recovery_pruning else None
     run.engine = make_engine(job.engine)  # a new engine frees the buffers of the old one
     scene = model.into_scene()
+    room.release()
     with clock.phase("write"):
         write_scene(job.out, scene)
     checkpoint.delete_all(job.folder)
@@ -253,5 +282,6 @@ def run_facts(run: Run, job: JobContext, clock: Clock) -> dict:
         "nonfinite_gradients": run.nonfinite,
         "densifications_held_back": run.held_back,
         "seed": plan.seed,
+        "notes": list(run.dataset.notes),
         "curves": vars(run.curves),
     }

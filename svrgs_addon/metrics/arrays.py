@@ -1,12 +1,20 @@
-"""Functions that all metrics use: the check of two images, and separable filters."""
+"""Functions that all metrics use: the check of two images, their tiles, and separable filters."""
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Literal, TypeVar
 
 import numpy as np
 
 from ..errors import SceneError
+from ..native_library import threads
+
+TILE = 256  # side of a tile, pixels
+
+T = TypeVar("T")
+Window = tuple[slice, slice]  # rows and columns
 
 
 def image_pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -17,6 +25,26 @@ def image_pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise SceneError("cannot compare images that hold NaN or infinite values")
     return a, b
+
+
+def over_tiles(work: Callable[[Window, Window], T], shape: tuple[int, ...], margin: int) -> list[T]:
+    """Calls work(outer, inner) for each tile of an image (H, W, ...), row by row, and returns the results in this order.
+
+    A metric that works on tiles needs little memory, its arrays fit into the cache, and the threads of the native library share the
+    tiles. outer: rows and columns of the tile and of `margin` pixels around it, as far as the image has them. inner: the tile within
+    the outer rows and columns. Filters with a radius of at most `margin` are right on the inner pixels.
+    """
+    with ThreadPoolExecutor(threads()) as pool:
+        return list(pool.map(lambda tile: work(*tile), _tiles(shape[0], shape[1], margin)))
+
+
+def _tiles(height: int, width: int, margin: int) -> Iterator[tuple[Window, Window]]:
+    for y in range(0, height, TILE):
+        for x in range(0, width, TILE):
+            top, left = max(0, y - margin), max(0, x - margin)
+            bottom, right = min(height, y + TILE), min(width, x + TILE)
+            outer = slice(top, bottom + margin), slice(left, right + margin)
+            yield outer, (slice(y - top, bottom - top), slice(x - left, right - left))
 
 
 def filter_axis(planes: np.ndarray, taps: np.ndarray, axis: int, mode: Literal["edge", "constant"]) -> np.ndarray:

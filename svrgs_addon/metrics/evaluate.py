@@ -12,12 +12,12 @@ import numpy as np
 from ..camera import Camera
 from ..errors import SceneError
 from ..files.images import to_float
-from ..native import Rasterizer, RenderOptions
+from ..native import Rasterizer, RenderOptions, thresholds
 from ..photographs.dataset import Dataset
 from ..scene import Scene
 from . import flip, psnr, ssim
 
-# Limits of refuse_unseen.
+# Limits of refuse_unseen() and any_in_view().
 VISIBLE_CAMERAS = 32  # approximate number of cameras that are checked, evenly spaced in the list
 VISIBLE_POINTS = 100_000  # approximate number of Gaussians that are checked
 VISIBLE_REACH = 100.0  # largest z, as a multiple of the largest distance of a camera from the mean of the cameras
@@ -66,11 +66,11 @@ def evaluate(scene: Scene, dataset: Dataset, indices: Sequence[int], rasterizer:
     options = render_options(scene, dataset.background)
     rows, seconds = [], []
     for i in indices:
-        photo = to_float(dataset.image(i))
         started = time.perf_counter()
         rgb = rasterizer.forward(scene, dataset.cameras[i], options)["rgb"]
         seconds.append(time.perf_counter() - started)
-        image = rounded_to_8_bits(rgb)
+        image, photo = rounded_to_8_bits(rgb), to_float(dataset.image(i))
+        del rgb
         rows.append((psnr(image, photo), ssim(image, photo), lpips(image, photo) if lpips else math.nan, flip(image, photo)))
     means = np.mean(rows, axis=0)
     return {
@@ -88,13 +88,24 @@ def refuse_unseen(scene: Scene, cameras: Sequence[Camera], name: str):
 
     name: name of the scene's file, for the message.
     """
+    looking = cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]
+    if not any_in_view(scene.means, cameras, looking):
+        near = thresholds().near
+        raise SceneError(f"{name}: none of its Gaussians is near a camera and in view of it, more than {near:g} in front; use the COLMAP model of this scene")
+
+
+def any_in_view(points: np.ndarray, cameras: Sequence[Camera], looking: Sequence[Camera]) -> bool:
+    """Whether one of the cameras `looking` sees one of the points (N, 3), world, where it would be rendered, and within VISIBLE_REACH.
+
+    cameras: all of them, which give the scale. Of many points, about VISIBLE_POINTS are checked.
+    """
     centres = np.array([camera.position for camera in cameras])
     reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf  # a single camera gives no scale
-    points = scene.means[:: max(1, scene.count // VISIBLE_POINTS)].astype(np.float64)
-    for camera in cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]:
+    near, points = thresholds().near, points[:: max(1, len(points) // VISIBLE_POINTS)].astype(np.float64)
+    for camera in looking:
         local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
         x, y, z = *camera.pixels(local).T, local[:, 2]
-        inside = (z > 0) & (z < reach) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+        inside = (z > near) & (z < reach) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
         if inside.any():
-            return
-    raise SceneError(f"{name}: none of its Gaussians is near a camera and in view of it; use the COLMAP model of this scene")
+            return True
+    return False

@@ -10,9 +10,11 @@ random images: means agree within 6e-6, single pixels within 6e-5.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from .arrays import filter_separable, image_pair
+from .arrays import Window, filter_separable, image_pair, over_tiles
 
 PIXELS_PER_DEGREE = 0.7 * (3840 / 0.7) * np.pi / 180  # 67.02: a monitor 0.7 m wide with 3840 pixels, seen from 0.7 m
 
@@ -46,7 +48,19 @@ def flip_map(a: np.ndarray, b: np.ndarray, ppd: float = PIXELS_PER_DEGREE) -> np
 
     a, b: (H, W, 3) display sRGB in [0, 1]. ppd: pixels per degree of the viewer's visual angle. Raises SceneError.
     """
-    a, b = (_opponents(image) for image in image_pair(a, b))
+    a, b = image_pair(a, b)
+    errors = np.empty(a.shape[:2], np.float32)
+
+    def fill(outer: Window, inner: Window):
+        errors[outer][inner] = _tile_map(a[outer], b[outer], ppd)[inner]
+
+    over_tiles(fill, a.shape, max(_sensitivity_radius(ppd), _feature_radius(ppd)))
+    return errors
+
+
+def _tile_map(a: np.ndarray, b: np.ndarray, ppd: float) -> np.ndarray:
+    """flip_map() of one tile, without checks."""
+    a, b = _opponents(a), _opponents(b)
     colour = _colour_difference(_hunt_lab(_contrast_filtered(a, ppd)), _hunt_lab(_contrast_filtered(b, ppd)))
     feature = _feature_difference(a[0], b[0], ppd)
     return colour ** (1 - feature)
@@ -97,17 +111,22 @@ def _sensitivity_filter(plane: np.ndarray, terms: tuple[tuple[float, float], ...
 
     One separable filter per term.
     """
-    widest = max(b for channel in SENSITIVITY for _, b in channel)
-    x = _tap_offsets(np.ceil(3 * np.sqrt(widest / (2 * np.pi**2)) * ppd)) / ppd
+    x = _tap_offsets(_sensitivity_radius(ppd)) / ppd
     gaussians = [np.exp(-((np.pi * x) ** 2) / b) for _, b in terms]
     weights = [a * np.sqrt(np.pi / b) * g.sum() ** 2 for (a, b), g in zip(terms, gaussians, strict=True)]
     parts = (filter_separable(plane, g / g.sum(), g / g.sum(), "edge") for g in gaussians)
     return np.sum([np.float32(w / sum(weights)) * part for w, part in zip(weights, parts, strict=True)], axis=0)
 
 
-def _tap_offsets(radius: float) -> np.ndarray:
+def _sensitivity_radius(ppd: float) -> int:
+    """Radius of the filters of contrast sensitivity in pixels: three standard deviations of the widest one."""
+    widest = max(b for channel in SENSITIVITY for _, b in channel)
+    return math.ceil(3 * math.sqrt(widest / (2 * math.pi**2)) * ppd)
+
+
+def _tap_offsets(radius: int) -> np.ndarray:
     """Pixel offsets -radius to radius, float64."""
-    return np.arange(-int(radius), int(radius) + 1, dtype=np.float64)
+    return np.arange(-radius, radius + 1, dtype=np.float64)
 
 
 def _hyab(p: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -143,12 +162,17 @@ def _feature_difference(y_a: np.ndarray, y_b: np.ndarray, ppd: float) -> np.ndar
 def _features(y: np.ndarray, ppd: float) -> tuple[np.ndarray, np.ndarray]:
     """Strength of edges and of points in the luminance (H, W): norms of the first and of the second Gaussian derivatives."""
     sigma = 0.5 * FEATURE_WIDTH * ppd
-    x = _tap_offsets(np.ceil(3 * sigma))
+    x = _tap_offsets(_feature_radius(ppd))
     gaussian = np.exp(-(x**2) / (2 * sigma**2))
     smooth = gaussian / gaussian.sum()
     derivatives = (_normalized_derivative(-x * gaussian), _normalized_derivative((x**2 / sigma**2 - 1) * gaussian))
     edge, point = (np.hypot(filter_separable(y, smooth, taps, "edge"), filter_separable(y, taps, smooth, "edge")) for taps in derivatives)
     return edge, point
+
+
+def _feature_radius(ppd: float) -> int:
+    """Radius of the filters of edges and points in pixels."""
+    return math.ceil(3 * 0.5 * FEATURE_WIDTH * ppd)
 
 
 def _normalized_derivative(taps: np.ndarray) -> np.ndarray:

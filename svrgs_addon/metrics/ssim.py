@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .arrays import filter_separable, image_pair
+from .arrays import Window, filter_separable, image_pair, over_tiles
 
 C1 = 0.01**2  # (K1 L)², L = 1
 C2 = 0.03**2
@@ -21,15 +21,19 @@ def ssim(a: np.ndarray, b: np.ndarray) -> float:
     x = np.arange(WINDOW) - WINDOW // 2
     taps = np.exp(-(x**2) / (2 * SIGMA**2))
     taps = taps / taps.sum()
-    return float(np.mean([_channel_mean(a[..., c], b[..., c], taps) for c in range(3)]))
+
+    def tile_sum(outer: Window, inner: Window) -> float:
+        return sum(float(np.sum(_channel_map(a[*outer, c], b[*outer, c], taps)[inner], dtype=np.float64)) for c in range(3))
+
+    return sum(over_tiles(tile_sum, a.shape, WINDOW // 2)) / a.size
 
 
-def _channel_mean(a: np.ndarray, b: np.ndarray, taps: np.ndarray) -> float:
-    """Mean SSIM of one channel (H, W)."""
+def _channel_map(a: np.ndarray, b: np.ndarray, taps: np.ndarray) -> np.ndarray:
+    """SSIM of each pixel of one channel (H, W)."""
     # Only the sum of the two variances is needed, so four filtered images are enough instead of five.
     moments = np.stack([a, b, a * a + b * b, a * b])
     mean_a, mean_b, mean_squares, mean_product = filter_separable(moments, taps, taps, "constant")
     product, squares = mean_a * mean_b, mean_a**2 + mean_b**2
     luminance = (2 * product + C1) / (squares + C1)
     structure = (2 * (mean_product - product) + C2) / (mean_squares - squares + C2)
-    return float(np.mean(luminance * structure, dtype=np.float64))
+    return luminance * structure

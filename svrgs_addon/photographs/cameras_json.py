@@ -36,6 +36,8 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
 
 def _read_entries(path: str | os.PathLike) -> list:
     """The entries of the file, unchecked. Raises FormatError if it is not a JSON list with at least one entry."""
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe would wait for ever
+        raise FormatError(f"{path}: is not a regular file; give a cameras.json of 3DGS")
     try:
         if os.path.getsize(path) > MAX_BYTES:
             raise FormatError(f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it is not a cameras.json of 3DGS")
@@ -59,8 +61,6 @@ def _camera(entry: dict) -> Camera:
     fx, fy = float(entry["fx"]), float(entry["fy"])
     position = np.array(entry["position"], np.float64).reshape(3)
     rotation = np.array(entry["rotation"], np.float64).reshape(3, 3)  # camera to world
-    if not (np.isfinite([fx, fy, *position]).all() and fx > 0 and fy > 0):
-        raise FormatError("its focal length or position is not usable")
     if not np.abs(rotation).max() < 2 or not np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_ROTATION_ERROR or np.linalg.det(rotation) < 0:
         raise FormatError("its rotation is not a rotation matrix")
     orthographic = entry.get("orthographic", False)
@@ -68,9 +68,12 @@ def _camera(entry: dict) -> Camera:
         raise FormatError(f"orthographic is {orthographic!r}; true or false is expected")
     viewmat = np.eye(4)
     viewmat[:3, :3] = rotation.T
-    viewmat[:3, 3] = -rotation.T @ position
-    K = np.array([[fx, 0, width / 2], [0, fy, height / 2], [0, 0, 1]])
-    return Camera(viewmat, K, width, height, name, orthographic)
+    with np.errstate(all="ignore"):  # the camera is checked below
+        viewmat[:3, 3] = -rotation.T @ position
+    camera = Camera(viewmat, np.array([[fx, 0, width / 2], [0, fy, height / 2], [0, 0, 1]]), width, height, name, orthographic)
+    if not camera.usable:
+        raise FormatError("its focal length or position is not usable")
+    return camera
 
 
 def _side(value: object) -> int:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import copy
 import functools
+import itertools
+import os
 import signal
 import sys
 import tempfile
@@ -19,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .. import packages
 from ..camera import Camera
 from ..errors import FormatError, SceneError
 from ..files.images import MAX_SIDE
@@ -50,11 +53,23 @@ class Model:
 
 
 def find_model(folder: Path) -> Path:
-    """The folder with the three files of the model: `folder` or one of MODEL_FOLDERS below it. Raises SceneError."""
+    """The folder with the three files of the model: `folder`, one of MODEL_FOLDERS below it, or the only sparse/N.
+
+    Raises SceneError if there is none, FormatError if there are several sparse/N but no sparse/0.
+    """
     for below in MODEL_FOLDERS:
-        if has_files(folder / below, ".bin") or has_files(folder / below, ".txt"):
+        if _has_model(folder / below):
             return folder / below
+    numbered = [found for found in sorted((folder / "sparse").glob("[0-9]*")) if _has_model(found)]
+    if len(numbered) > 1:
+        raise FormatError(f"{folder}: holds several models, but no sparse/0; name one of {', '.join(map(str, numbered))}")
+    if numbered:
+        return numbered[0]
     raise SceneError(f"{folder}: holds no COLMAP model (cameras, images and points3D as .bin or .txt, here or in sparse/0)")
+
+
+def _has_model(folder: Path) -> bool:
+    return has_files(folder, ".bin") or has_files(folder, ".txt")
 
 
 def read_model(folder: Path) -> Model:
@@ -62,8 +77,8 @@ def read_model(folder: Path) -> Model:
     library = import_pycolmap()
     try:
         with tempfile.TemporaryDirectory() as temp_dir:
-            copy_checked(folder, Path(temp_dir), _param_count)
-            return _convert(library.Reconstruction(temp_dir))
+            names = copy_checked(folder, Path(temp_dir), _param_count)
+            return _convert(library.Reconstruction(temp_dir), names)
     except FormatError as error:
         raise FormatError(f"{folder}: {error}") from None
     except OSError as error:
@@ -81,7 +96,7 @@ def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolma
     """
     _check_aspect(view, width, height)
     if not (np.isfinite(view.camera.params).all() and np.isfinite(view.viewmat).all()):
-        raise SceneError(f"{view.name}: its camera has a focal length or pose that is not usable")
+        raise SceneError(f"{view.name}: its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP again")
     kinds = import_pycolmap().CameraModelId
     if view.camera.model in (kinds.PINHOLE, kinds.SIMPLE_PINHOLE):
         full = Camera(view.viewmat, view.camera.calibration_matrix(), view.camera.width, view.camera.height, view.name)
@@ -101,48 +116,55 @@ def undistort_image(pixels: np.ndarray, distorted: pycolmap.Camera) -> np.ndarra
 
 
 def check_name(name: str) -> None:
-    """Raises FormatError if an image name leads out of the image folder, on POSIX or on Windows."""
+    """Raises FormatError if an image name leads out of the image folder, on POSIX or on Windows, or cannot be the name of a file."""
+    try:
+        possible = b"\0" not in os.fsencode(name)
+    except UnicodeEncodeError:  # half of a pair of surrogates
+        possible = False
+    if not possible:
+        raise FormatError(f"image name {name!r} cannot be the name of a file")
     for path in (PurePosixPath(name), PureWindowsPath(name)):
         if not path.name or path.anchor or ".." in path.parts:
             raise FormatError(f"image name {name!r} does not stay inside the image folder")
 
 
 def import_pycolmap() -> ModuleType:
-    """pycolmap. Raises SceneError if it is not installed. The handler of SIGTERM stays as it was."""
+    """pycolmap. Raises SceneError if it is not installed, NativeError if it cannot be loaded. The handler of SIGTERM stays as it was."""
     before = None if "pycolmap" in sys.modules else signal.getsignal(signal.SIGTERM)
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise SceneError(f"reading COLMAP models needs the package pycolmap: run {sys.executable} -m pip install pycolmap") from error
+    library = packages.load("pycolmap", "reading COLMAP models")
     if before is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, before)  # the import installs a handler that prints a stack trace
-    return pycolmap
+    return library
 
 
-def _convert(reconstruction: pycolmap.Reconstruction) -> Model:
-    """The model with the images that have a pose. Raises FormatError."""
-    images = [image for image in reconstruction.images.values() if image.has_pose]
+def _convert(reconstruction: pycolmap.Reconstruction, names: dict[int, str]) -> Model:
+    """The model with the images that have a pose. names: of all images, by image id. Raises FormatError."""
+    images = [(names[image.image_id], image) for image in reconstruction.images.values() if image.has_pose]
+    images.sort(key=lambda pair: pair[0])
+    twice = next((a for (a, _), (b, _) in itertools.pairwise(images) if a == b), None)
+    if twice is not None:
+        raise FormatError(f"names the photograph {twice!r} twice; remove one of the two images, or export the model again")
     points = [point for _, point in sorted(reconstruction.points3D.items())]
     positions = np.array([point.xyz for point in points], np.float64).reshape(-1, 3)
     if not (np.abs(positions) < np.finfo(np.float32).max).all():
         raise FormatError("has a 3-D point that is not at a finite place; run COLMAP's mapper again")
     return Model(
-        views=[_view(image) for image in sorted(images, key=lambda image: image.name)],
+        views=[_view(name, image) for name, image in images],
         points=positions.astype(np.float32),
         point_colors=np.array([point.color for point in points], np.uint8).reshape(-1, 3),
     )
 
 
-def _view(image: pycolmap.Image) -> View:
+def _view(name: str, image: pycolmap.Image) -> View:
     """The view of an image with a pose. Raises FormatError for a name or an image size that is not allowed."""
-    check_name(image.name)
+    check_name(name)
     assert image.camera is not None
     width, height = image.camera.width, image.camera.height
     if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):  # undistorting visits every border pixel
-        raise FormatError(f"the camera of {image.name} is {width} x {height}; the limit is {MAX_SIDE} per side")
+        raise FormatError(f"the camera of {name} is {width} x {height}; the limit is {MAX_SIDE} per side")
     viewmat = np.eye(4)
     viewmat[:3] = image.cam_from_world().matrix()
-    return View(image.name, viewmat, copy.copy(image.camera))
+    return View(name, viewmat, copy.copy(image.camera))
 
 
 @functools.lru_cache(maxsize=256)  # most views of a dataset share a camera
@@ -155,10 +177,9 @@ def _undistort_camera(model: str, size: tuple[int, int], params: tuple[float, ..
 
 
 def _checked_camera(camera: Camera) -> Camera:
-    """Returns the camera. Raises SceneError if its pose or intrinsics are not finite or a focal length is not positive."""
-    finite = np.isfinite(camera.K).all() and np.isfinite(camera.viewmat).all()
-    if not (finite and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
-        raise SceneError(f"{camera.name}: its camera has a focal length or pose that is not usable")
+    """Returns the camera. Raises SceneError if its pose or intrinsics are not usable."""
+    if not camera.usable:
+        raise SceneError(f"{camera.name}: its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP again")
     return camera
 
 

@@ -1,4 +1,4 @@
-"""A COLMAP dataset for fine-tuning and evaluation: posed photographs and sparse points.
+"""A dataset for fine-tuning and evaluation: posed photographs and sparse points, from COLMAP or transforms.json.
 
 Photographs are read on demand, cached up to a memory budget, and can be read ahead in background threads.
 """
@@ -6,6 +6,7 @@ Photographs are read on demand, cached up to a memory budget, and can be read ah
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 import threading
 from collections import deque
@@ -21,7 +22,9 @@ from ..camera import Camera
 from ..errors import SceneError
 from ..files.images import image_size, read_pixels, to_bytes
 from .cameras_json import load_cameras_json
-from .colmap import View, find_model, pinhole_camera, read_model, undistort_image
+from .colmap import View, pinhole_camera, undistort_image
+from .photo_files import photograph, present
+from .sources import read_source
 
 if TYPE_CHECKING:
     import pycolmap
@@ -33,7 +36,6 @@ EXTENT_MARGIN = 1.1  # as in 3DGS
 MEMORY_BUDGET = 4 * 2**30  # bytes of cached photographs
 READ_AHEAD = 3  # photographs
 READER_THREADS = 2
-MISSING_SHOWN = 3  # names of missing photographs in a message
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Photo:
 class Dataset:
     """Views in the order of image names, with pinhole cameras for the undistorted and scaled photographs, and sparse points.
 
-    Coordinates are those of the COLMAP world.
+    Views whose photograph is missing are left out; `notes` says so. Coordinates are those of the files.
     """
 
     cameras: list[Camera]
@@ -59,6 +61,7 @@ class Dataset:
     photos: list[Photo] = field(default_factory=list)  # one per camera; empty if only cameras were loaded
     background: tuple[float, float, float] = (0, 0, 0)  # display sRGB 0..1, behind transparent pixels
     memory_budget: int = MEMORY_BUDGET  # bytes of cached photographs
+    notes: tuple[str, ...] = ()  # sentences that the user must see: what is missing, which cameras were read
     _cache: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -131,49 +134,41 @@ def load_dataset(
     need_points: bool = False,
     memory_budget: int = MEMORY_BUDGET,
 ) -> Dataset:
-    """Loads a COLMAP dataset. folder: its root, its `sparse` or `sparse/0`, or the folder of the model's files.
+    """Loads a dataset. folder: its root, its `sparse` or `sparse/0`, the folder of the model's files, or a transforms.json.
 
     images: name of the image folder in the dataset ("images", "images_4", ...), or a path; default "images". Intrinsics are
     scaled to the size of each photograph. holdout: every holdout-th view in name order is a test view; 0: none. background:
     display sRGB 0..1, behind transparent pixels. cameras_only: no photograph is opened; cameras have the size in the model.
-    need_points: refuse a model without points. memory_budget: bytes of cached photographs. Raises SceneError, FormatError.
+    need_points: refuse a model without points. memory_budget: bytes of cached photographs.
+
+    Views whose photograph is missing are left out and logged as a warning. The others stay test or training views as in the whole
+    dataset. Raises SceneError, FormatError; SceneError also if fewer than a third of the photographs are there.
     """
-    folder = Path(folder)
-    location = find_model(folder)
-    model = read_model(location)
+    source = read_source(Path(folder), images, not cameras_only)
+    model, notes = source.model, source.notes
     if not model.views:
-        raise SceneError(f"{location}: has no view with a pose; run COLMAP's mapper again")
+        raise SceneError(f"{source.location}: has no view with a pose; run COLMAP's mapper again")
     if need_points and not len(model.points):
-        raise SceneError(f"{location}: has no 3-D points to start from; run COLMAP's mapper again")
-    if cameras_only:
+        raise SceneError(f"{source.location}: has no 3-D points to start from; run COLMAP's mapper again, or export the sparse points")
+    numbers, photos = list(range(len(model.views))), list[Photo]()
+    if source.image_folder is None:
         cameras = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views]
-        photos: list[Photo] = []
     else:
-        cameras, photos = _fit_photos(model.views, _image_folder(folder, location, images or "images"))
-    test = [i for i in range(len(cameras)) if holdout and i % holdout == 0]
-    train = [i for i in range(len(cameras)) if not holdout or i % holdout]
-    return Dataset(cameras, model.points, model.point_colors, train, test, photos, background, memory_budget)
-
-
-def _image_folder(folder: Path, location: Path, images: str) -> Path:
-    """The first folder with this name from the given folder up to the root of the dataset, else the path `images`. Raises SceneError."""
-    here = Path(os.path.abspath(folder))
-    above = here.parents[:2] if folder == location or here.name == "sparse" else ()
-    for candidate in [*(base / images for base in (here, *above)), Path(images)]:
-        if os.path.isdir(candidate):
-            return candidate
-    raise SceneError(f"{folder}: has no image folder {images}; give the name or path of the folder with the photographs")
+        numbers, missing = present([view.name for view in model.views], source.image_folder)
+        cameras, photos = _fit_photos([model.views[i] for i in numbers], source.image_folder)
+        notes += missing
+    for note in notes:
+        logging.warning("%s", note)
+    test = [k for k, i in enumerate(numbers) if holdout and i % holdout == 0]
+    train = [k for k, i in enumerate(numbers) if not holdout or i % holdout]
+    return Dataset(cameras, model.points, model.point_colors, train, test, photos, background, memory_budget, notes)
 
 
 def _fit_photos(views: list[View], folder: Path) -> tuple[list[Camera], list[Photo]]:
     """The pinhole camera of each view at the size of its photograph, and the photographs. Raises SceneError, FormatError."""
-    missing = [view.name for view in views if not os.path.isfile(folder / view.name)]
-    if missing:
-        shown = ", ".join(missing[:MISSING_SHOWN]) + (", ..." if len(missing) > MISSING_SHOWN else "")
-        raise SceneError(f"{folder}: {len(missing)} of {len(views)} photographs are missing: {shown}")
     cameras, photos = [], []
     for view in views:
-        path = folder / view.name
+        path = photograph(folder, view.name) or folder / view.name  # reading it then says that it is gone
         camera, distorted = pinhole_camera(view, *image_size(path, upright=False))
         cameras.append(camera)
         photos.append(Photo(path, distorted))

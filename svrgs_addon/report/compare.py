@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import __version__
-from ..camera import view_stem
+from .. import __version__, memory
+from ..camera import refuse_same_stems, view_stem
 from ..files.atomic import check_writable
 from ..files.images import write_image
 from ..files.registry import load_scene
@@ -17,32 +17,37 @@ from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from .page import MASK_PERCENTILE, Report, View, write_report
 from .pictures import difference_image, mask_to_rgb, to_uint8
-from .prune_report import report_pictures, report_views
+from .prune_report import report_indices, report_pictures, report_views
 
 
 def compare(a: Path, b: Path, dataset: Dataset, out: Path, lpips_weights: Path | None = None) -> dict:
     """Writes index.html and, for each of a few test views, one PNG: A | B | difference | spatial mask of A | spatial mask of B.
 
-    Returns the JSON result: 'a' and 'b' with the keys of `svrgs eval`, 'report' (the page), 'pictures' (the files). Raises SplatError.
+    Returns the JSON result: 'a' and 'b' with the figures of `svrgs eval`, 'report' (the page), 'pictures' (the files), 'notes' of the
+    dataset. Raises SplatError.
     """
     check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)
-    scenes, figures = [], []
-    for path in (a, b):
-        scene = load_scene(path).scene
+    views, shown = dataset.test_indices or dataset.train_indices, [dataset.cameras[i] for i in report_indices(dataset)]
+    refuse_same_stems(shown, "give one of the photographs another name, in the COLMAP model too")
+    scenes = [load_scene(path).scene for path in (a, b)]
+    for path, scene in zip((a, b), scenes, strict=True):
         refuse_unseen(scene, dataset.cameras, str(path))
-        scenes.append(scene)
-        views = dataset.test_indices or dataset.train_indices
+    cameras, largest = [dataset.cameras[i] for i in views], max(scene.count for scene in scenes)
+    needed = memory.comparing(largest, cameras, shown, dataset.memory_budget, lpips is not None)
+    memory.refuse_excess(f"{a} and {b}: comparing them", needed)
+    figures = []
+    for path, scene in zip((a, b), scenes, strict=True):
         figures.append({**evaluate(scene, dataset, views, Rasterizer(), lpips), "bytes": path.stat().st_size})
     before, after = (report_pictures(scene, dataset) for scene in scenes)
     pictures = list(report_views(before, after, dataset))
     files = [_save(out, view) for view in pictures]
     page = Report(
         scene=f"{a.name} and {b.name}", before=figures[0], after=figures[1], names=(a.name, b.name),
-        lpips_missing=missing, views=tuple(pictures), versions={"SVR-GS": __version__},
+        lpips_missing=missing, notes=dataset.notes, views=tuple(pictures), versions={"SVR-GS": __version__},
     )  # fmt: skip
     path = write_report(out, page)
-    return {"a": figures[0], "b": figures[1], "report": str(path), "pictures": [str(file) for file in files]}
+    return {"a": figures[0], "b": figures[1], "report": str(path), "pictures": [str(file) for file in files], "notes": list(dataset.notes)}
 
 
 def _save(out: Path, view: View) -> Path:

@@ -60,6 +60,7 @@ class Report:
     method: str | None = None
     lambda_f: float | None = None
     lpips_missing: str = ""  # why lpips is None
+    notes: tuple[str, ...] = ()  # sentences of the dataset, such as which photographs are missing
     phases: tuple[Phase, ...] = ()
     seconds: float | None = None  # total
     iterations_per_second: float | None = None
@@ -75,7 +76,7 @@ def write_report(folder: str | Path, report: Report) -> Path:
     cannot be written."""
     path = Path(folder) / "index.html"
     with atomic_write(path) as file:
-        file.write(page(report).encode())
+        file.write(page(report).encode(errors="surrogateescape").decode(errors="replace").encode())  # paths need not be UTF-8
     return path
 
 
@@ -156,7 +157,8 @@ def _head(report: Report) -> str:
     before, after = report.before.get("count"), report.after.get("count")
     if before and after is not None:
         settings.append(f"{_integer(before)} → {_integer(after)} Gaussians ({_per_cent(before, after)})")
-    return f'<header>\n<h1>{escape(report.scene)}</h1>\n<p class="soft">{" · ".join(settings)}</p>\n</header>'
+    notes = "".join(f'\n<p class="note">{escape(note)}</p>' for note in report.notes)
+    return f'<header>\n<h1>{escape(report.scene)}</h1>\n<p class="soft">{" · ".join(settings)}</p>{notes}\n</header>'
 
 
 def _quality(report: Report) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..files.images import library_path
 from ..render.color_maps import colored
 
 DIFFERENCE_GAIN = 4
@@ -102,9 +103,10 @@ def _webp(rgb: np.ndarray) -> bytes | None:
     spec["compression"] = f"webp:{WEBP_QUALITY}"
     with tempfile.TemporaryDirectory() as folder:  # OpenImageIO's Python interface writes only to files
         path = Path(folder) / "picture.webp"
-        output: Any = OpenImageIO.ImageOutput.create(str(path))
+        name = library_path(path)
+        output: Any = OpenImageIO.ImageOutput.create(name)
         if output is None:
             return None
-        written = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(rgb))
+        written = output.open(name, spec) and output.write_image(np.ascontiguousarray(rgb))
         output.close()
         return path.read_bytes() if written else None

@@ -32,6 +32,7 @@ def write_prune_report(folder: Path, name: str, before: list, after: Scene, data
         method=result["method"],
         lambda_f=result["lambda_f"],
         lpips_missing=lpips_missing,
+        notes=dataset.notes,
         phases=_phases(run, result["seconds_by_phase"]),
         seconds=result["seconds"],
         iterations_per_second=result["iterations_per_second"],

@@ -132,11 +132,13 @@ def camera(stage):
 
 @pytest.fixture
 def watch():
-    module = part("operators.job_watch")
+    module, queue = part("operators.job_watch"), part("operators.job_queue")
+    part("operators.job_list").forget()
     yield module
+    queue._queue.clear()
     for job in module.jobs.values():
         if job.running:
-            job.cancel()
+            job.kill()
             follow(module, lambda job=job: not job.running)
     module.jobs.clear()
 
@@ -152,7 +154,7 @@ def splat(tmp_path):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     settings = bpy.context.scene.svrgs_prune
     for name in settings.bl_rna.properties.keys():
-        if name not in ("rna_type", "name", "lambda_f"):
+        if name not in ("rna_type", "name", "lambda_f", "amount", "method_choice"):
             settings.property_unset(name)
     settings.colmap, settings.folder = str(DATA / "tiny"), str(tmp_path / "jobs")
     return bpy.context.object

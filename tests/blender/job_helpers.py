@@ -29,6 +29,11 @@ def follow(watch, until, seconds: float = 60):
         time.sleep(0.02)
 
 
+def ended(job) -> bool:
+    """Whether its process ended well, and its result was loaded where that is possible."""
+    return job.state == "done" and not job.running
+
+
 def marked(bridge, obj) -> np.ndarray:
     return bridge.values(obj, "removed")
 
@@ -61,7 +66,7 @@ class Layout:
             if name == "prop":
                 assert words[1] in words[0].bl_rna.properties, words[1]
             self.notes.append((name, *words, *options.values()))
-            return Layout(self.notes) if name in ("row", "column", "box") else SimpleNamespace()
+            return Layout(self.notes) if name in ("row", "column", "box", "grid_flow") else SimpleNamespace()
 
         return draw
 

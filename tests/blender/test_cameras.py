@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from extension import DATA, part
+from job_helpers import drawn
 from mathutils import Matrix, Vector
 
 PX = 0.01
@@ -65,7 +67,7 @@ def test_photographs_and_points_come_along(dataset):
     bpy.ops.svrgs.import_colmap(directory=str(folder))
     for obj, name, size in zip(cameras(), views.names, views.sizes, strict=True):
         (background,) = obj.data.background_images
-        assert Path(background.image.filepath).samefile(folder / "images" / name)
+        assert Path(bpy.path.abspath(background.image.filepath)).samefile(folder / "images" / name)
         assert tuple(background.image.size) == tuple(size) and obj.data.show_background_images
     (points,) = (obj for obj in bpy.data.objects if obj.type == "MESH")
     stored = np.empty(3 * len(points.data.vertices), np.float32)
@@ -74,6 +76,20 @@ def test_photographs_and_points_come_along(dataset):
     assert points.parent == cameras()[0].parent
     colour = np.array(points.data.attributes["Color"].data[0].color_srgb)
     np.testing.assert_allclose(colour, (200 / 255, 150 / 255, 100 / 255, 1), atol=1e-6)
+
+
+def test_transforms_json_gives_the_same_cameras(capfd):
+    found = []
+    for name in ("tiny", "nerfstudio"):
+        bpy.ops.svrgs.import_colmap(directory=str(DATA / name))
+        bpy.context.view_layer.update()
+        found.append([obj for obj in cameras() if obj.name.partition(".png")[2] == ("" if name == "tiny" else ".001")])
+    assert len(found[0]) == len(found[1]) == 12
+    for a, b in zip(*found, strict=True):
+        np.testing.assert_allclose(a.matrix_world, b.matrix_world, atol=1e-6)
+        files = [Path(bpy.path.abspath(obj.data.background_images[0].image.filepath)) for obj in (a, b)]
+        assert files[0].samefile(files[1])
+    assert f"the cameras are those of {DATA}/nerfstudio/transforms.json" in capfd.readouterr().out
 
 
 def test_cameras_join_the_splat_wherever_it_stands():
@@ -193,7 +209,7 @@ def test_photographs_of_a_distorting_lens_are_shown_as_their_pinholes_see_them(t
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
     for obj in cameras():
         image = obj.data.background_images[0].image
-        assert Path(image.filepath).parent == tmp_path and tuple(image.size) == tuple(obj.data["svrgs_size"])
+        assert Path(bpy.path.abspath(image.filepath)).resolve().parent == tmp_path and tuple(image.size) == tuple(obj.data["svrgs_size"])
 
 
 def follow(undistort, seconds: float = 60):
@@ -204,20 +220,26 @@ def follow(undistort, seconds: float = 60):
         time.sleep(0.02)
 
 
-def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, monkeypatch):
+def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, monkeypatch, capfd):
     """In a window. One camera is deleted meanwhile."""
     undistort, looking = part("operators.undistort"), bpy.context.scene.svrgs_looking
     monkeypatch.setattr(undistort, "WAIT", False)
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
+    said = capfd.readouterr().out
     try:
         assert len(cameras()) == 2 and not any(obj.data.background_images for obj in cameras())
-        assert looking.photographs == "Undistorting the photographs …"
+        assert "Imported 2 cameras and 0 photographs; 2 photographs are being undistorted first; 120 sparse points, hidden" in said
+        assert "; the scene's camera is now '00.png', 60 x 44" in said
+        assert looking.photographs in [f"Undistorting photographs: {done} of 2" for done in range(3)]
+        (thread,) = undistort._threads
+        thread.join()
+        assert looking.photographs == "Undistorting photographs: 2 of 2"
         bpy.data.objects.remove(cameras()[0])
         follow(undistort)
     finally:
         undistort.forget()
     (left,) = cameras()
-    assert Path(left.data.background_images[0].image.filepath).parent == tmp_path and not looking.photographs
+    assert Path(bpy.path.abspath(left.data.background_images[0].image.filepath)).resolve().parent == tmp_path and not looking.photographs
 
 
 def test_photographs_that_cannot_be_undistorted_are_missed_and_it_is_said(tmp_path, capfd):
@@ -236,6 +258,43 @@ def test_cameras_come_without_photographs_and_say_so(tmp_path, capfd):
     assert len(cameras()) == 12 and not any(obj.data.background_images for obj in cameras())
     out = capfd.readouterr().out
     assert "has no image folder images; give the name" in out and "; the cameras were loaded without photographs" in out
+
+
+def copy_of(name: str, folder: Path) -> Path:
+    shutil.copytree(DATA / name, folder, symlinks=False)
+    return folder
+
+
+def test_missing_photographs_are_said_and_the_others_shown(tmp_path, capfd):
+    folder = copy_of("tiny", tmp_path / "data")
+    for name in ("01.png", "02.png"):
+        (folder / "images" / name).unlink()
+    bpy.ops.svrgs.import_colmap(directory=str(folder))
+    sentence = "2 of 12 photographs are missing: 01.png, 02.png; the other 10 are used"
+    assert len(cameras()) == 10 and all(obj.data.background_images for obj in cameras())
+    out = capfd.readouterr().out
+    assert sentence in out and "Imported 10 cameras and 10 photographs" in out
+    assert sentence in bpy.context.scene.svrgs_looking.photographs and "photographs are missing" in drawn("scene")
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    assert not bpy.context.scene.svrgs_looking.photographs, "what was said is about the import before"
+
+
+def test_one_damaged_photograph_does_not_hide_the_others(tmp_path):
+    folder = copy_of("distorted", tmp_path / "data")
+    data = (folder / "images/00.png").read_bytes()
+    (folder / "images/00.png").write_bytes(data[: len(data) // 2])
+    bpy.ops.svrgs.import_colmap(directory=str(folder))
+    assert [len(obj.data.background_images) for obj in cameras()] == [0, 1]
+    assert "00.png: cannot be read as an image" in bpy.context.scene.svrgs_looking.photographs
+
+
+def test_each_photograph_finds_its_camera_if_others_vanish_meanwhile(tmp_path, monkeypatch):
+    folder, undistort = copy_of("distorted", tmp_path / "data"), part("operators.undistort")
+    start = undistort.start
+    monkeypatch.setattr(undistort, "start", lambda *words: ((folder / "images/00.png").unlink(), start(*words)))
+    bpy.ops.svrgs.import_colmap(directory=str(folder))
+    first, second = cameras()
+    assert not first.data.background_images and Path(second.data.background_images[0].image.filepath).name == "01.png.png"
 
 
 def test_a_folder_without_a_model_is_refused(tmp_path):

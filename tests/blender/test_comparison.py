@@ -36,6 +36,11 @@ def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage,
         assert 0 < row["ssim"] <= 1 and 0 <= row["flip"] < 1
 
 
+def test_the_picture_opens_in_a_window_where_there_is_one():
+    with pytest.raises(RuntimeError, match="without a window"):
+        bpy.ops.svrgs.open_image(name="SVR-GS Wipe")
+
+
 def test_the_wipe_moves(stage, bridge, room, camera):
     mark_removed(room, np.arange(bridge.count(room)) % 2)
     bpy.ops.svrgs.compare()

@@ -111,12 +111,6 @@ def test_one_click_sets_engine_colours_and_resolution(stage, tmp_path):
     assert "no camera" in part("operators.set_up_rendering").camera_words(stage)
 
 
-def test_import_cameras_says_what_it_did_to_the_scene(stage, capfd):
-    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
-    said = capfd.readouterr().out
-    assert f"camera is now '{stage.camera.name}', its resolution {stage.render.resolution_x} x {stage.render.resolution_y}" in said
-
-
 def test_the_panels_say_what_is_missing(stage, room):
     def drawn_panel(name):
         layout = Layout()

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
+
 import bpy
 import numpy as np
 from extension import DATA, part
+from job_helpers import LONG, follow, set_up
 
 
 def said() -> str:
@@ -26,3 +29,33 @@ def test_an_estimate_is_shown_only_beside_what_it_was_made_for(bridge):
     assert part("operators.estimate").of(splat)["count"] == 250
     bridge.replace_gaussians(splat, bridge.scene_from_object(splat).select(np.arange(99)))
     assert "would stay" not in said()
+
+
+def test_it_says_how_good_the_result_would_be(bridge):
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat, settings = bpy.context.object, bpy.context.scene.svrgs_prune
+    settings.colmap = str(DATA / "tiny")
+    settings.method, settings.goal, settings.share = "pressure", "SHARE", 20
+    bpy.ops.svrgs.estimate()
+    found = part("operators.estimate").of(splat)
+    before, removed, after = (found[f"psnr_{name}"] for name in ("before", "removed", "after"))
+    assert removed < after <= before
+    assert f"PSNR about {after:.1f} dB or more after pruning (now {before:.1f} dB; without recovery about {removed:.1f} dB)" in said()
+    settings.method = "opacity"
+    bpy.ops.svrgs.estimate()
+    assert f"PSNR now {before:.1f} dB; after pruning: not foreseen for this method or goal" in said()
+
+
+MISSING = "1 of 12 photographs are missing: 05.png; the other 11 are used"
+
+
+def test_missing_photographs_are_said_beside_the_estimate_and_while_a_job_runs(splat, watch, tmp_path):
+    shutil.copytree(DATA / "tiny", tmp_path / "data")
+    (tmp_path / "data/images/05.png").unlink()
+    set_up(LONG | {"colmap": str(tmp_path / "data"), "method": "pressure"})
+    bpy.ops.svrgs.estimate()
+    assert "would stay" in said() and MISSING in said()
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: job.facts.get("iteration"))
+    assert MISSING in said()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import ctypes.util
 from dataclasses import replace
 
@@ -22,8 +23,8 @@ def shaders():
     return part("operators.bridge_gpu").Shaders()
 
 
-def quads_picture(shaders, scene, camera, hidden: float = 1.0, reduction: int = 1) -> np.ndarray:
-    """(H, W, 4) of all Gaussians, from the top; hidden: depth in [0, 1] of what is in front."""
+def quads_picture(shaders, scene, camera, hidden=1.0, reduction: int = 1) -> np.ndarray:
+    """(H, W, 4) of all Gaussians, from the top; hidden: depth in [0, 1] of what is in front, a number or (H, W)."""
     bridge_gpu, native, quads = part("operators.bridge_gpu"), part("svrgs_addon.native"), part("svrgs_addon.render.quads")
     cloud = quads.quads(scene, scene.count)
     lists = {
@@ -37,11 +38,9 @@ def quads_picture(shaders, scene, camera, hidden: float = 1.0, reduction: int = 
     scale, shift = (-2 / (far - near), -(far + near) / (far - near)) if camera.orthographic else (-(far + near) / (far - near), -2 * far * near / (far - near))
     constants = {
         "modelview": Matrix(flip @ camera.viewmat), "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]),
-        "size": (small.width, small.height), "parallel": float(camera.orthographic), "depth_scale": scale, "depth_shift": shift,
-        "near": near, "enlarge": 1.0, "antialiased": float(scene.antialiased), "reduction": reduction,
+        "view": (small.width, small.height, near, 1.0), "mode": (float(camera.orthographic), float(scene.antialiased), scale, shift),
     }  # fmt: skip
-    values = np.full(camera.width * camera.height, hidden, np.float32)
-    depth = gpu.types.GPUTexture((camera.width, camera.height), format="R32F", data=gpu.types.Buffer("FLOAT", values.size, values))
+    depth = bridge_gpu.depth_texture(np.broadcast_to(np.float32(hidden), (camera.height, camera.width)), reduction)
     target = bridge_gpu.Target(small.width, small.height)
     bridge_gpu.draw_quads(shaders, target, lists, depth, constants, scene.count)
     with target.frame.bind():
@@ -78,3 +77,19 @@ def test_fewer_pixels_show_the_same_picture(shaders):
     whole, small = quads_picture(shaders, scene, camera), quads_picture(shaders, scene, camera, reduction=2)
     blocks = whole.reshape(SIDE, 2, 2 * SIDE, 2, 4).mean(axis=(1, 3))
     assert small.shape == blocks.shape and np.abs(small - blocks).mean() < 0.03
+
+
+def test_a_thin_line_in_front_leaves_no_dots_in_a_smaller_picture(shaders):
+    """The lines of the grid and of bounds are in the viewport's depth buffer."""
+    scenes = part("svrgs_addon.bench.scenes")
+    scene, camera = scenes.room(2000), scenes.orbit_camera(4 * SIDE, 2 * SIDE)
+    line = np.ones((2 * SIDE, 4 * SIDE), np.float32)
+    line[np.arange(2 * SIDE), np.arange(2 * SIDE)] = 0.0
+    np.testing.assert_array_equal(quads_picture(shaders, scene, camera, line, reduction=4), quads_picture(shaders, scene, camera, reduction=4))
+    assert (quads_picture(shaders, scene, camera, line) != quads_picture(shaders, scene, camera)).any(), "at full size it hides what is behind it"
+
+
+def test_blender_does_not_complain_about_the_push_constants(shaders, capfd):
+    part("operators.bridge_gpu").Shaders()
+    ctypes.CDLL(None).fflush(None)
+    assert "Push constants" not in "".join(capfd.readouterr())

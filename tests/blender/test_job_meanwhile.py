@@ -7,7 +7,7 @@ import shutil
 import bpy
 import pytest
 from extension import DATA, part
-from job_helpers import LONG, SHORT, delete, drawn, follow, marked, set_up
+from job_helpers import LONG, SHORT, delete, drawn, ended, follow, marked, set_up
 
 
 def undo(times: int = 1):
@@ -30,7 +30,7 @@ def test_undo_leaves_a_running_job_to_its_splat(splat, watch, results, times):
     bpy.ops.ed.undo_push(message="moved")
     undo(times)
     splat = bpy.data.objects["scene"]
-    assert splat.location.x == 0 and watch.current(bpy.context)[0] == splat and bpy.ops.svrgs.job_pause.poll()
+    assert splat.location.x == 0 and watch.current(bpy.context)[0] == splat and bpy.ops.svrgs.job_stop.poll()
     bpy.ops.ed.redo()
     follow(watch, lambda: results.pruned_of(bpy.data.objects["scene"]))
 
@@ -48,7 +48,7 @@ def test_undo_of_what_arrived_leaves_the_result_to_be_loaded(splat, watch, resul
 def test_undo_does_not_bring_a_discarded_job_back(splat, watch):
     start(**LONG)
     (job,) = watch.jobs.values()
-    bpy.ops.svrgs.job_cancel()
+    bpy.ops.svrgs.job_stop()
     follow(watch, lambda: not job.running)
     bpy.ops.svrgs.job_discard()
     bpy.ops.ed.undo_push(message="discarded")
@@ -66,7 +66,7 @@ def test_a_started_job_is_a_step_of_undo(splat, watch):
 
 
 def another_job(splat, watch) -> tuple:
-    """Starts a job of the splat and one of another; (that splat, the first job, the other)."""
+    """Starts a job of the splat and one of another, which waits; (that splat, the first job, the other)."""
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     other = bpy.context.object
     set_up(SHORT)
@@ -81,7 +81,7 @@ def test_a_splat_deleted_meanwhile_stops_no_other_job(splat, watch, results):
     keep = bpy.data.scenes.new("keeps a pointer to it")
     keep["splat"] = splat
     delete(splat)
-    follow(watch, lambda: not first.running and not second.running)
+    follow(watch, lambda: ended(second))
     assert first.state == second.state == "done" and results.pruned_of(other) and not results.pruned_of(splat)
     bpy.data.scenes.remove(keep)
 
@@ -99,7 +99,7 @@ def test_a_result_arrives_where_its_collection_is_excluded(splat, watch, results
     assert job.state == "done" and result.svrgs_share == pytest.approx(50) and results.pair_of(result) == (splat, result)
 
 
-@pytest.mark.parametrize("what", ["follow", "cancel"])
+@pytest.mark.parametrize("what", ["follow", "stop"])
 def test_a_job_whose_folder_was_deleted_fails_in_a_sentence(splat, watch, what):
     set_up(LONG)
     bpy.ops.svrgs.job_start()
@@ -107,8 +107,8 @@ def test_a_job_whose_folder_was_deleted_fails_in_a_sentence(splat, watch, what):
     follow(watch, lambda: job.facts.get("iteration", 0) > 5)
     process = job._process
     shutil.rmtree(job.folder.path, ignore_errors=True)  # the process writes meanwhile
-    if what == "cancel":
-        bpy.ops.svrgs.job_cancel()
+    if what == "stop":
+        bpy.ops.svrgs.job_stop()
     follow(watch, lambda: not job.running)
     assert process.poll() is not None and watch.tick() is None
     assert job.state == "failed" and "messages.jsonl" in job.facts["text"] and "The job failed" in drawn("prune")
@@ -140,7 +140,7 @@ def test_trouble_of_one_job_leaves_the_others_running(splat, watch, results, mon
         raise MemoryError
 
     monkeypatch.setattr(first, "poll", broken)
-    follow(watch, lambda: not second.running)
+    follow(watch, lambda: ended(second))
     assert first.state == "failed" and first.facts["text"] == "MemoryError" and not first.running
     assert results.pruned_of(other) and not results.pruned_of(splat)
 
@@ -235,7 +235,7 @@ def test_a_copy_of_a_splat_has_no_part_in_its_job(splat, watch):
     assert watch.FOLDER not in copy and watch.current(bpy.context) is None and bpy.ops.svrgs.job_start.poll()
     bpy.context.view_layer.objects.active = splat
     assert watch.current(bpy.context) == (splat, job)
-    bpy.ops.svrgs.job_cancel()
+    bpy.ops.svrgs.job_stop()
     follow(watch, lambda: not job.running)
     bpy.context.view_layer.objects.active = copy
     assert not bpy.ops.svrgs.job_discard.poll() and job.folder.path.exists()
@@ -248,9 +248,9 @@ def test_the_panel_shows_another_splats_job_only_where_none_is_active(splat, wat
     set_up(LONG)
     bpy.ops.svrgs.job_start()
     bpy.context.view_layer.objects.active = other
-    assert "svrgs.job_start" in drawn("prune") and "svrgs.job_pause" not in drawn("prune")
+    assert "svrgs.job_start" in drawn("prune") and "svrgs.job_stop" not in drawn("prune")
     bpy.ops.object.camera_add()
-    assert "svrgs.job_pause" in drawn("prune")
+    assert "svrgs.job_stop" in drawn("prune")
 
 
 def test_applied_outside_the_view_layer(pruned, bridge):
@@ -260,7 +260,7 @@ def test_applied_outside_the_view_layer(pruned, bridge):
     collection.objects.link(result)
     bpy.context.scene.collection.objects.unlink(result)
     bpy.context.view_layer.layer_collection.children["aside"].exclude = True
-    original.hide_viewport = False
+    original.hide_set(False)
     bpy.context.view_layer.objects.active = original
     bpy.ops.svrgs.apply()
     assert bridge.count(result) == 125 and not result.modifiers and bpy.context.object == original

@@ -56,16 +56,19 @@ def test_enabling_loads_nothing_heavy():
 def test_every_operator_and_panel_explains_itself():
     for name in dir(bpy.ops.svrgs):
         rna = getattr(bpy.ops.svrgs, name).get_rna_type()
-        assert rna.name.istitle() or "3D" in rna.name or "COLMAP" in rna.name, rna.name
+        assert all(word.lstrip("(")[0].isupper() or word in ("3D", "from", "in", "of", "to") for word in rna.name.split()), rna.name
         assert rna.description and not rna.description.endswith(".") and "undocumented" not in rna.description, rna.identifier
         for prop in rna.properties:
             if prop.identifier != "rna_type" and not prop.is_hidden:
                 assert not prop.description.endswith("."), (rna.identifier, prop.identifier)
 
 
-def test_every_setting_for_looking_and_of_files_explains_itself():
+def test_every_setting_explains_itself():
     files = (bpy.ops.svrgs.import_ply, bpy.ops.svrgs.import_colmap, bpy.ops.svrgs.export_ply)
-    for rna in (bpy.context.scene.svrgs_looking.bl_rna, *(operator.get_rna_type() for operator in files)):
+    settings = (bpy.context.scene.svrgs_looking.bl_rna, bpy.context.scene.svrgs_prune.bl_rna)
+    for rna in (*settings, *(operator.get_rna_type() for operator in files)):
         for prop in rna.properties:
             if prop.identifier not in ("rna_type", "name") and not prop.is_hidden:
                 assert prop.description and not prop.description.endswith("."), (rna.identifier, prop.identifier)
+                items = prop.enum_items if prop.type == "ENUM" else ()
+                assert all(item.name and item.description and not item.description.endswith(".") for item in items), (rna.identifier, prop.identifier)

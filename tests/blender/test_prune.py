@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import bpy
 import pytest
@@ -48,41 +50,124 @@ def test_pruning_the_active_splat_is_the_job_of_the_command_line(from_a_shell, b
     assert part("operators.job_result").pair_of(pruned) == (source, pruned) and source.hide_render and not pruned.hide_render
 
 
-def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, bridge):
+def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, bridge, tmp_path):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     bpy.context.object.parent.location = (1, 2, 3)
     source = bpy.context.object
-    bpy.ops.svrgs.prune(**SHORT)
+    bpy.ops.svrgs.prune(out=str(tmp_path / "out.ply"), **SHORT)
     pruned = bpy.context.object
     bpy.context.view_layer.update()
     assert bridge.count(pruned) == from_a_shell[0]["count"] and pruned.parent == source.parent and pruned.matrix_world == source.matrix_world
 
 
-def test_pruning_a_file_needs_no_object(from_a_shell, bridge):
-    bpy.ops.svrgs.prune(scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), **SHORT)
+def test_pruning_a_file_needs_no_object(from_a_shell, bridge, tmp_path):
+    bpy.ops.svrgs.prune(scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT)
     assert bridge.count(bpy.context.object) == from_a_shell[0]["count"]
+
+
+# --- the file of the result
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """Folder of a saved .blend with the splat "tiny.001", its dataset in data/ beside it. Afterwards the .blend is unsaved again."""
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    bpy.context.object.name = "tiny.001"
+    (tmp_path / "data").symlink_to(DATA / "tiny")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    yield tmp_path
+    bpy.ops.wm.read_homefile(use_empty=True)
+
+
+@pytest.fixture
+def unsaved():
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+
+
+@pytest.mark.filterwarnings("error")  # Blender warns of a property that is not made for paths with //
+def test_in_background_the_result_lies_beside_the_blend(from_a_shell, saved, capfd):
+    bpy.ops.svrgs.prune(colmap="//data", report_folder="//report", **SHORT)
+    (result,) = json_lines(capfd.readouterr().out)
+    assert result["out"] == str(saved / "tiny_001_pruned.ply") and result["scene"] == str(saved / "work.blend")
+    assert Path(result["out"]).read_bytes() == from_a_shell[1] and (saved / "report/index.html").exists()
+
+
+def test_in_background_the_result_of_a_file_lies_beside_it(from_a_shell, unsaved, tmp_path, capfd):
+    scene = shutil.copy(DATA / "tiny/scene.ply", tmp_path / "a.ply")
+    bpy.ops.svrgs.prune(scene=str(scene), colmap=str(DATA / "tiny"), **SHORT)
+    (result,) = json_lines(capfd.readouterr().out)
+    assert (result["scene"], result["out"]) == (str(scene), str(tmp_path / "a_pruned.ply"))
+    assert (tmp_path / "a_pruned.ply").read_bytes() == from_a_shell[1]
+
+
+def test_an_existing_file_is_only_replaced_when_told(saved):
+    for name, more in (("tiny_001_pruned.ply", {}), ("mine.ply", {"out": "//mine.ply"})):
+        (saved / name).write_text("a day's work")
+        with pytest.raises(RuntimeError, match=f"{name}: exists; name another output with out=, or replace it with overwrite=True"):
+            bpy.ops.svrgs.prune(colmap="//data", **SHORT, **more)
+        assert (saved / name).read_text() == "a day's work" and len(bpy.data.objects) == 1
+    bpy.ops.svrgs.prune(colmap="//data", overwrite=True, out="//mine.ply", **SHORT)
+    assert (saved / "mine.ply").read_bytes()[:3] == b"ply"
+
+
+def test_a_link_is_only_written_through_when_it_is_named(saved):
+    (saved / "tiny_001_pruned.ply").symlink_to(saved / "elsewhere.ply")
+    with pytest.raises(RuntimeError, match=r"tiny_001_pruned.ply: is a link to .*elsewhere.ply; name the output with out="):
+        bpy.ops.svrgs.prune(colmap="//data", overwrite=True, **SHORT)
+    assert not (saved / "elsewhere.ply").exists()
+    bpy.ops.svrgs.prune(colmap="//data", out="//tiny_001_pruned.ply", **SHORT)
+    assert (saved / "elsewhere.ply").exists() and (saved / "tiny_001_pruned.ply").is_symlink()
+
+
+@pytest.mark.parametrize(
+    "more, sentence",
+    [
+        ({}, "name a file for the result with out=: in background mode it lies beside the .blend, and this one has not been saved"),
+        ({"out": "//a.ply"}, "//a.ply: begins at the folder of the .blend, which has not been saved"),
+        ({"out": "/nowhere/a.ply", "colmap": "//tiny"}, "//tiny: begins at the folder of the .blend, which has not been saved"),
+        ({"out": "/tmp"}, "/tmp: is a folder; give the name of a file"),
+        ({"out": "/nowhere/result"}, "/nowhere/result: scenes are written as .ply"),
+    ],
+)
+def test_an_output_without_a_place_is_refused_in_a_sentence(unsaved, more, sentence):
+    with pytest.raises(RuntimeError, match=f"^Error: {sentence}"):
+        bpy.ops.svrgs.prune(**{"colmap": str(DATA / "tiny")} | more, **SHORT)
+    assert len(bpy.data.objects) == 1
+
+
+def test_with_a_window_the_result_is_in_the_scene_alone(saved, bridge, capfd, monkeypatch):
+    monkeypatch.setattr(part("operators.prune"), "BACKGROUND", False)
+    bpy.ops.svrgs.prune(colmap="//data", **SHORT)
+    (result,) = json_lines(capfd.readouterr().out)
+    assert result["out"] is None and bridge.count(bpy.context.object) == 125
+    assert sorted(path.name for path in saved.iterdir()) == ["data", "work.blend"]
+
+
+# --- refusals and options
 
 
 @pytest.mark.parametrize(
     "options, sentence",
     [({}, "pruning needs the photographs"), ({"colmap": "/nowhere"}, "/nowhere: holds no COLMAP model"), ({"scene": "/nowhere.ply"}, "there is no such file")],
 )
-def test_what_cannot_be_pruned_is_said_in_a_sentence(options, sentence):
+def test_what_cannot_be_pruned_is_said_in_a_sentence(options, sentence, tmp_path):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     options = {"colmap": str(DATA / "tiny"), **options} if "scene" in options else options
     with pytest.raises(RuntimeError, match=sentence):
-        bpy.ops.svrgs.prune(**SHORT, **options)
+        bpy.ops.svrgs.prune(out=str(tmp_path / "out.ply"), **SHORT, **options)
     assert len(bpy.data.objects) == 1
 
 
-def test_a_drop_is_the_option_of_the_command_line(capfd):
+def test_a_drop_is_the_option_of_the_command_line(capfd, tmp_path):
+    colmap, out = str(DATA / "tiny"), str(tmp_path / "out.ply")
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     with pytest.raises(RuntimeError, match="method 'opacity' cannot take --max-drop"):
-        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), max_drop=0.5, method="opacity")
+        bpy.ops.svrgs.prune(colmap=colmap, out=out, max_drop=0.5, method="opacity")
     with pytest.raises(RuntimeError, match="not allowed with"):
-        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), max_drop=0.5, target=0.5)
-    bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), max_drop=0.5, iterations=300, recovery=0)
+        bpy.ops.svrgs.prune(colmap=colmap, out=out, max_drop=0.5, target=0.5)
+    bpy.ops.svrgs.prune(colmap=colmap, out=out, max_drop=0.5, iterations=300, recovery=0)
     (result,) = json_lines(capfd.readouterr().out)
     assert result["count"] < 250
 
@@ -109,7 +194,7 @@ def test_threads_are_taken_from_the_preferences(capfd):
         bpy.context.preferences.addons[PACKAGE].preferences.threads = 0
 
 
-def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch):
+def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch, tmp_path):
     child = part("svrgs_addon.blender.subprocess_python")
     run = child.run
 
@@ -118,7 +203,7 @@ def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch):
         return status, result | {"psnr": None}
 
     monkeypatch.setattr(child, "run", identical)
-    bpy.ops.svrgs.prune(scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), **SHORT)
+    bpy.ops.svrgs.prune(scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT)
     assert "Kept 125 of 250 Gaussians\n" in capfd.readouterr().out and bpy.context.object.name == "scene pruned"
 
 

@@ -60,8 +60,11 @@ def test_y_down_becomes_z_up(splat):
 def test_a_file_comes_out_as_it_went_in(make_scene, ply, tmp_path, degree, further):
     ply.write_ply(tmp_path / "in.ply", make_scene(degree=degree, further=further))
     bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "in.ply"))
+    content = (tmp_path / "in.ply").read_bytes()
+    assert exported(tmp_path).read_bytes() == content
     bpy.context.object.rotation_euler = (1, 2, 3)
-    assert exported(tmp_path).read_bytes() == (tmp_path / "in.ply").read_bytes()
+    assert exported(tmp_path, space="LOCAL").read_bytes() == content
+    assert exported(tmp_path).read_bytes() != content
 
 
 def test_a_saved_and_copied_splat_keeps_every_bit(splat, tmp_path):

@@ -31,18 +31,28 @@ def test_settings_and_images_survive_a_file(tmp_path, stage, room, camera):
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_numbers_of_pictures_go_with_the_pictures(tmp_path, bridge, room, camera, packed):
-    """Blender saves a picture with the file only if it is packed."""
+def test_figures_of_pictures_are_saved_with_them(tmp_path, bridge, room, camera, packed):
+    """packed: the user has packed the images, too."""
     mark_removed(room, np.arange(bridge.count(room)) % 2)
     bpy.ops.svrgs.compare()
     bpy.ops.svrgs.spatial_mask()
     if packed:
         for image in bpy.data.images:
-            image.use_fake_user = True
             image.pack()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
     looking = bpy.context.scene.svrgs_looking
-    assert bool(looking.compare_result) == bool(looking.mask_result) == packed
-    if packed:
-        assert pixels(bpy.data.images["SVR-GS Wipe"])[..., :3].any()
+    assert looking.compare_result and looking.mask_result
+    assert pixels(bpy.data.images["SVR-GS Wipe"])[..., :3].any()
+
+
+def test_figures_go_with_pictures_that_were_deleted(tmp_path, bridge, room, camera):
+    mark_removed(room, np.arange(bridge.count(room)) % 2)
+    bpy.ops.svrgs.compare()
+    bpy.ops.svrgs.spatial_mask()
+    for image in list(bpy.data.images):
+        bpy.data.images.remove(image)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
+    looking = bpy.context.scene.svrgs_looking
+    assert not looking.compare_result and not looking.mask_result

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzz.targets import SPLATS, Checkpoint, Colmap, cameras_json
+from fuzz.targets import SPLATS, Checkpoint, Colmap, cameras_json, transforms_json
 from svrgs_addon.bench.scenes import room
 from svrgs_addon.files.registry import FORMATS
 
@@ -19,6 +19,8 @@ def target(name: str, folder: Path):
         return SPLATS[name], ply_seeds(folder) if name == "ply" else splat_seeds(name, folder)
     if name == "cameras-json":
         return cameras_json, [json.dumps(camera_entries()).encode()]
+    if name == "transforms-json":
+        return transforms_json, [json.dumps(contents).encode() for contents in transforms_contents()]
     if name == "checkpoint":
         found = Checkpoint(checkpoint_folder(folder))
     else:
@@ -54,6 +56,15 @@ def camera_entries(count: int = 2) -> list[dict]:
     turn = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     sizes = {"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "orthographic": False}
     return [{"id": i, "img_name": f"{i:02}", "position": [0.1 * i, 0.0, -3.0], "rotation": turn, **sizes} for i in range(count)]
+
+
+def transforms_contents() -> list[dict]:
+    """Pinholes as instant-ngp writes them, and a lens with distortion as Nerfstudio does."""
+    pose = [[1.0, 0.0, 0.0, 0.1], [0.0, 0.0, -1.0, -3.0], [0.0, 1.0, 0.0, 0.2], [0.0, 0.0, 0.0, 1.0]]
+    frames = [{"file_path": f"./images/{i:02}.png", "transform_matrix": pose} for i in range(2)]
+    lens = {"fl_x": 60.0, "fl_y": 58.0, "cx": 31.0, "cy": 25.0, "w": 64, "h": 48, "k1": -0.1, "k2": 0.02, "p1": 0.002, "p2": -0.001}
+    named = {"camera_model": "OPENCV", "applied_transform": pose[:3], "ply_file_path": "sparse_pc.ply"}
+    return [{"camera_angle_x": 0.9, "w": 64, "h": 48, "frames": frames}, {**named, "frames": [frame | lens for frame in frames]}]
 
 
 def colmap_folder(folder: Path, text: bool) -> Path:

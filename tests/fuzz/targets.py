@@ -28,6 +28,7 @@ from svrgs_addon.native import Rasterizer
 from svrgs_addon.photographs.cameras_json import load_cameras_json
 from svrgs_addon.photographs.colmap import pinhole_camera, read_model
 from svrgs_addon.photographs.colmap_files import MODEL_FILES
+from svrgs_addon.photographs.transforms_json import read_transforms
 from svrgs_addon.scene import Scene
 
 SECONDS = 1.0  # of the processor
@@ -65,6 +66,18 @@ def cameras_json(data: bytes) -> bool:
         accepted, cameras = _held(lambda: load_cameras_json(path), len(data))
         for camera in cameras or ():
             assert np.isfinite(camera.viewmat).all() and np.isfinite(camera.K).all() and camera.K[0, 0] > 0 < camera.K[1, 1]
+        return accepted
+
+
+def transforms_json(data: bytes) -> bool:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "transforms.json")
+        path.write_bytes(data)
+        accepted, found = _held(lambda: read_transforms(path), len(data))
+        if accepted:
+            _held(lambda: [pinhole_camera(view, view.camera.width, view.camera.height) for view in found.model.views], len(data))
+            assert found.image_folder.resolve().is_relative_to(Path(folder).resolve())
+            assert all(".." not in view.name.split("/") and np.isfinite(view.viewmat).all() for view in found.model.views)
         return accepted
 
 

@@ -17,7 +17,7 @@ BLUR = 0.3  # px², added to both variances of a splat
 ALPHA_MIN = 1 / 255  # a splat fainter than this at a pixel does not hit it
 ALPHA_MAX = 0.99
 T_MIN = 1e-4  # colour stops where the transmittance would fall below this
-FRUSTUM_MARGIN = 0.3  # x/z is clamped at 1.3 times the half view (K centred), for the Jacobian only
+FRUSTUM_MARGIN = 0.3  # x/z is clamped this share of half the image beyond its borders (as gsplat does), for the Jacobian only
 DET_RATIO_MIN = 0.000025  # floor under the square root of the antialiasing factor
 
 C0 = 0.28209479177387814

@@ -18,11 +18,16 @@ from pathlib import Path
 import bpy
 
 SIZE = (1280, 1120)
+HEADER, HEADER_HEIGHT = (825, 97), 28  # the first header of the sidebar's tab; from one header to the next where all panels are closed
 DATA, OUT = (Path(word) for word in sys.argv[sys.argv.index("--") + 1 :])
 
 
 def window() -> bpy.types.Window:
     return bpy.context.window_manager.windows[0]
+
+
+def area(kind: str) -> bpy.types.Area:
+    return next(area for area in window().screen.areas if area.type == kind)
 
 
 def click(x: int, y: int, **modifiers: bool) -> Iterator[float]:
@@ -34,6 +39,21 @@ def click(x: int, y: int, **modifiers: bool) -> Iterator[float]:
         window().event_simulate(type="LEFTMOUSE", value=value, x=x, y=SIZE[1] - y, **modifiers)
         yield 0.1
     yield 0.2
+
+
+def drag(x: int, y: int, to_x: int, to_y: int) -> Iterator[float]:
+    """Left drag in ten moves."""
+    window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x - 5, y=SIZE[1] - y)
+    yield 0.2
+    window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x, y=SIZE[1] - y)
+    yield 0.2
+    window().event_simulate(type="LEFTMOUSE", value="PRESS", x=x, y=SIZE[1] - y)
+    for step in range(1, 11):
+        yield 0.1
+        window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x + (to_x - x) * step // 10, y=SIZE[1] - (y + (to_y - y) * step // 10))
+    yield 0.2
+    window().event_simulate(type="LEFTMOUSE", value="RELEASE", x=to_x, y=SIZE[1] - to_y)
+    yield 0.3
 
 
 def key(letter: str, x: int, y: int, **modifiers: bool) -> Iterator[float]:
@@ -56,9 +76,8 @@ def until(condition: Callable[[], object], what: str, seconds: float = 30) -> It
 
 def sidebar(tab: str) -> Iterator[float]:
     """Opens the 3D view's sidebar at a tab."""
-    area = next(area for area in window().screen.areas if area.type == "VIEW_3D")
-    area.spaces.active.show_region_ui = True
-    region = next(region for region in area.regions if region.type == "UI")
+    area("VIEW_3D").spaces.active.show_region_ui = True
+    region = next(region for region in area("VIEW_3D").regions if region.type == "UI")
 
     def there() -> bool:  # tabs exist once the sidebar has been drawn
         region.tag_redraw()
@@ -70,6 +89,23 @@ def sidebar(tab: str) -> Iterator[float]:
 
     yield from until(there, f"the tab {tab}")
     yield 0.5
+
+
+def open_panel(title: str) -> Iterator[float]:
+    """Opens one panel of the sidebar's tab SVR-GS and closes all others."""
+    yield from click(*HEADER, ctrl=True)  # the others close
+    yield from click(*HEADER)
+    yield 0.5
+    yield from click(HEADER[0], header_height(title))
+    yield 0.7
+
+
+def header_height(title: str) -> int:
+    """Height of the panel's header where all panels are closed."""
+    panels = [panel for panel in bpy.types.Panel.__subclasses__() if getattr(panel, "bl_category", "") == "SVR-GS" and not hasattr(panel, "bl_parent_id")]
+    shown = [panel for panel in panels if panel.bl_space_type == "VIEW_3D" and (not hasattr(panel, "poll") or panel.poll(bpy.context))]
+    titles = [panel.bl_label.lstrip("0123456789 ") for panel in sorted(shown, key=lambda panel: getattr(panel, "bl_order", 0))]
+    return HEADER[1] + HEADER_HEIGHT * titles.index(title)
 
 
 def shot(name: str):

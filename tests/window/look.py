@@ -18,21 +18,16 @@ import bpy
 import driver
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-from driver import DATA, OUT, click, key, shot, until
+from driver import DATA, OUT, area, click, drag, key, shot, until
 from mathutils import Vector
 
 PACKAGE = "bl_ext.user_default.svrgs"
 VIEW = (400, 600)  # somewhere in the 3D view
-MASK_HEADER, MASK_REFRESH = (825, 990), (880, 296)  # the header below all other panels; the button where they are closed
-COMPARE_HEADER, COMPARE = (820, 153), (842, 258)
+LEFT, MASK_REFRESH, WIPE, COMPARE = 842, 31, 105, 126  # buttons: column, and distances below the header of their panel
 
 
 def part(name: str):
     return importlib.import_module(f"{PACKAGE}.{name}")
-
-
-def area(kind: str) -> bpy.types.Area:
-    return next(area for area in driver.window().screen.areas if area.type == kind)
 
 
 def apart(space: bpy.types.SpaceView3D) -> float:
@@ -82,6 +77,16 @@ def see_overlay(space: bpy.types.SpaceView3D, seen: dict):
     shot("overlay")
 
 
+def see_without_overlays(space: bpy.types.SpaceView3D, seen: dict):
+    """The splat stays where Blender's overlays are hidden."""
+    space.overlay.show_overlays = False
+    yield from until(lambda: [live for live in overlay_views() if live.picture() and live.picture().key[-1] is False], "a picture without overlays", 60)
+    seen["without_overlays"] = [float(live.picture().result[0][..., 3].mean()) for live in overlay_views()]
+    yield 0.5
+    shot("without-overlays")
+    space.overlay.show_overlays = True
+
+
 def see_parallel_rays(space: bpy.types.SpaceView3D, seen: dict):
     space.region_3d.view_perspective = "ORTHO"
     space.region_3d.view_distance, space.region_3d.view_location = 8, (0, 0, 0)  # else as far away as Blender happens to have been
@@ -96,8 +101,9 @@ def see_rendered_viewport(space: bpy.types.SpaceView3D, seen: dict):
     scene, viewport = bpy.context.scene, part("operators.viewport")
     scene.render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
     space.shading.type = "RENDERED"
-    yield from rest(lambda: [view.live for view in viewport._open])
-    seen["rendered"] = [list(view.live.picture().result.shape[:2]) for view in viewport._open]
+    views = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]  # noqa: E731
+    yield from rest(views)
+    seen["rendered"] = [list(live.picture().result.shape[:2]) for live in views()]
     shot("rendered")
 
 
@@ -114,8 +120,8 @@ def see_f12(seen: dict):
 
 def see_mask(seen: dict):
     looking = bpy.context.scene.svrgs_looking
-    yield from click(*MASK_HEADER, ctrl=True)  # the other panels close
-    yield from click(*MASK_REFRESH)
+    yield from driver.open_panel("Spatial Mask")
+    yield from click(LEFT, driver.header_height("Spatial Mask") + MASK_REFRESH)
     yield from until(lambda: looking.mask_result, "the spatial mask")
     yield 0.8
     seen["mask"] = json.loads(looking.mask_result)
@@ -126,21 +132,49 @@ def see_comparison(seen: dict):
     looking = bpy.context.scene.svrgs_looking
     bpy.ops.svrgs.prune(method="contribution", target=0.4, iterations=0, recovery=0)
     yield 0.8
-    yield from click(*COMPARE_HEADER, ctrl=True)
-    yield from click(*COMPARE)
+    yield from driver.open_panel("Compare")
+    yield from click(LEFT, driver.header_height("Compare") + COMPARE)
     yield from until(lambda: looking.compare_result, "the comparison")
     yield 0.8
     seen["compare"] = json.loads(looking.compare_result)
     shot("compare")
 
 
+def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
+    """Both sides, exact, in a Solid and in a Rendered viewport; the mouse moves the line."""
+    looking, wipe, viewport = bpy.context.scene.svrgs_looking, part("operators.viewport_wipe"), part("operators.viewport")
+    yield from click(LEFT, driver.header_height("Compare") + WIPE)
+    yield from until(lambda: looking.wiping, "the wipe")
+    panes = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]  # noqa: E731
+    yield from until(lambda: len(panes()) == 2, "two sides")
+    yield from rest(panes)
+    shot("wipe-rendered")
+    sides = [len(panes())]
+    space.shading.type = "SOLID"
+    yield from until(lambda: len(overlay_views()) == 2, "two sides")
+    yield from rest(overlay_views)
+    seen["wipe"] = [*(obj.name for obj in wipe.pair(bpy.context.scene)), *sides, len(overlay_views())]
+    area_3d, region = area("VIEW_3D"), next(region for region in area("VIEW_3D").regions if region.type == "WINDOW")
+    x = area_3d.x + round(looking.wipe * region.width)
+    yield from drag(x, VIEW[1], x - 200, VIEW[1])
+    seen["moved"] = [looking.wipe * region.width + area_3d.x, x - 200]
+    shot("wipe")
+    yield from click(LEFT, driver.header_height("Compare") + WIPE)
+    yield from until(lambda: not looking.wiping, "the end of the wipe")
+    yield from until(lambda: len(overlay_views()) == 1, "one side")
+    bpy.ops.svrgs.open_image(name="SVR-GS Wipe")
+    yield 0.5
+    seen["opened"] = [space.image.name for window in bpy.context.window_manager.windows[1:] for space in [window.screen.areas[0].spaces.active]]
+
+
 def steps():
     seen, space = {}, load()
     yield from driver.sidebar("SVR-GS")
-    for see in (see_overlay, see_parallel_rays, see_rendered_viewport):
+    for see in (see_overlay, see_without_overlays, see_parallel_rays, see_rendered_viewport):
         yield from see(space, seen)
     for see in (see_f12, see_mask, see_comparison):
         yield from see(seen)
+    yield from see_wipe(space, seen)
     (OUT / "seen.json").write_text(json.dumps(seen))
 
 

@@ -1,4 +1,4 @@
-"""Estimate, prune, pause, go on, look at fewer, apply and undo, with the mouse. Writes what it saw to OUT/seen.json."""
+"""Estimate, prune, stop, go on, look at fewer, apply and undo, with the mouse. Writes what it saw to OUT/seen.json."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from driver import DATA, OUT, click, key, shot, until
 
 PACKAGE = "bl_ext.user_default.svrgs"
 LEFT, RIGHT = 842, 961  # the two buttons of a row
-START, PAUSE, RESUME, APPLY = 468, 526, 507, 370  # heights of these rows
+START, STOP, RESUME, APPLY = 171, 291, 298, 156  # distances of these rows below the header
 VIEW = (400, 700)  # somewhere in the 3D view
 
 
@@ -39,32 +39,32 @@ def load() -> str:
 
 def ask_for_estimate(splat: str, seen: dict):
     estimate = part("operators.estimate")
-    yield from click(LEFT, START)
+    yield from click(LEFT, driver.header_height("Prune") + START)
     yield from until(lambda: "kept" in estimate.of(bpy.data.objects[splat]), "an estimate")
     yield 0.5
     seen["estimate"] = estimate.sentences(bpy.data.objects[splat])
     shot("estimate")
 
 
-def start_and_pause(seen: dict):
+def start_and_stop(seen: dict):
     watch = part("operators.job_watch")
     job = lambda: watch.current(bpy.context)[1]  # noqa: E731
-    yield from click(RIGHT, START)
+    yield from click(RIGHT, driver.header_height("Prune") + START)
     yield from until(job, "a job")
     yield from until(lambda: job().facts.get("iteration", 0) > 1500, "1500 iterations")
     yield 0.3
     seen["running"] = job().facts
     shot("running")
-    yield from click(LEFT, PAUSE)
-    yield from until(lambda: not job().running, "the pause")
+    yield from click(LEFT, driver.header_height("Prune") + STOP)
+    yield from until(lambda: not job().running, "the stop")
     yield 0.5
-    seen["paused"] = dict(job().facts)
-    shot("paused")
+    seen["stopped"] = dict(job().facts)
+    shot("stopped")
 
 
 def go_on_to_the_result(seen: dict):
     results = part("operators.job_result")
-    yield from click(LEFT, RESUME)
+    yield from click(LEFT, driver.header_height("Prune") + RESUME)
     yield from until(lambda: "pruned" in bpy.context.object.name, "the result", 90)
     yield 0.8
     pruned, kept = bpy.context.object.name, bpy.context.object["svrgs_kept"]
@@ -80,7 +80,7 @@ def apply_fewer_and_undo(pruned: str, seen: dict):
     seen["fewer"] = results.shown_count(bpy.context.object)
     shot("fewer")
     bpy.ops.ed.undo_push(message="Fewer")
-    yield from click(LEFT, APPLY)
+    yield from click(LEFT, driver.header_height("Prune") + APPLY)
     yield from until(lambda: not results.undecided(bpy.data.objects[pruned]), "Apply")
     seen["applied"] = len(bpy.data.objects[pruned].data.attributes["scale"].data)
     yield 0.5
@@ -96,19 +96,20 @@ def delete_and_undo(splat: str, pruned: str, seen: dict):
     yield from until(lambda: pruned not in bpy.context.scene.objects, "the key Delete")
     yield 0.5
     original = bpy.data.objects[splat]
-    seen["deleted"] = [original.hide_viewport, results.PRUNED in original, "removed" in original.data.attributes]
+    seen["deleted"] = [original.hide_get(), results.PRUNED in original, "removed" in original.data.attributes]
     yield from key("Z", *VIEW, ctrl=True)
     yield from until(lambda: pruned in bpy.context.scene.objects, "the undoing of Delete")
     yield 0.5
     pair = bpy.data.objects[splat], bpy.data.objects[pruned]
-    seen["back"] = [results.pair_of(pair[0]) == results.pair_of(pair[1]) == pair, pair[0].hide_viewport, results.shown_count(pair[1])]
+    seen["back"] = [results.pair_of(pair[0]) == results.pair_of(pair[1]) == pair, pair[0].hide_get(), results.shown_count(pair[1])]
 
 
 def steps():
     seen, splat = {}, load()
     yield from driver.sidebar("SVR-GS")
+    yield from driver.open_panel("Prune")
     yield from ask_for_estimate(splat, seen)
-    yield from start_and_pause(seen)
+    yield from start_and_stop(seen)
     pruned = yield from go_on_to_the_result(seen)
     yield from apply_fewer_and_undo(pruned, seen)
     yield from delete_and_undo(splat, pruned, seen)

@@ -3,7 +3,8 @@ struct CameraParams {
   R axis[3][3];                     // rows of the view rotation
   R position[3], position_rest[3];  // together the camera centre
   R fx, fy;
-  R low_x, high_x, low_y, high_y;  // x/z, y/z are clamped between these where the Jacobian is taken
+  // x/z, y/z are clamped between these where the Jacobian is taken: the image borders, widened by a share of half the image (gsplat).
+  R low_x, high_x, low_y, high_y;
   bool orthographic, antialiased;
 
   explicit CameraParams(const Frame& f) : fx(R(f.fx)), fy(R(f.fy)), orthographic(f.orthographic), antialiased(f.antialiased) {

@@ -1,6 +1,7 @@
 // Projects a batch of W Gaussians from the world to the screen.
-// Equations: 3DGS Eq. 5-6 (covariance, EWA projection), with the full K and the 3DGS clamp of x/z, y/z. For
-// orthographic cameras 1/z is replaced by 1, and x/z, y/z in the Jacobian by 0.
+// Equations: 3DGS Eq. 5-6 (covariance, EWA projection), with the full K. In the Jacobian, x/z and y/z are clamped to the frustum
+// widened beyond the true image borders, as in gsplat (camera-inl.h); 3DGS clamps at +-1.3 tan(fov / 2), which is the same only where
+// the principal point is the image centre. For orthographic cameras 1/z is replaced by 1, and x/z, y/z in the Jacobian by 0.
 
 struct Batch {  // raw parameters of W Gaussians, transposed
   D offset[3];  // mean from the camera centre

@@ -15,7 +15,7 @@ from ..settings import Densify, Phase, Rates, Settings, recovery_phase
 
 __all__ = ["Keep", "Method", "RunView"]
 
-LEARN = "Learning which Gaussians are needed"  # label of the pruning phase
+DECIDE, REMOVE = "Deciding which Gaussians to remove", "Removing Gaussians"  # labels of pruning phases: masks or events decide; opacities fade
 
 
 @dataclass
@@ -28,7 +28,7 @@ class Method:
     name: str  # value of --method
     help: str = field(repr=False)  # what the method does, in one sentence without a full stop: shown in --help and in Blender's menu
     number: int = field(repr=False)  # number in Blender's menu, stored in .blend files: never change it, never use it again
-    label: str = field(default="", repr=False)  # in Blender's menu; empty: the name
+    label: str = field(repr=False)  # how menus and --help call it
     lambda_f_help: str = field(default="", repr=False)  # the meaning of lambda_F for this method
     lambda_f: float = 0.0  # default of lambda_F; 0: the method does not use it
     lambda_m: float = 0.0  # default weight of the method's term over all masks or opacities
@@ -116,7 +116,7 @@ class Method:
 
 def learning_phase(steps: int, rates: Rates, prune_every: int) -> list[Phase]:
     """The pruning phase of `svrgs prune`, in which the method is active. An empty list for 0 steps."""
-    return [Phase("prune", steps, rates, active=True, prune_every=prune_every, label=LEARN)] if steps else []
+    return [Phase("prune", steps, rates, active=True, prune_every=prune_every, label=DECIDE)] if steps else []
 
 
 def _recovery(steps: int, *rates: float) -> list[Phase]:

@@ -53,4 +53,4 @@ class Compact3DGS(Masked):
         return float(sigmoid((model.values[MASK] - THRESHOLD) / NEARNESS, np).sum(dtype=np.float64))
 
 
-METHODS = (Compact3DGS("compact3dgs", "Compact3DGS, its mask only: learns a gate on opacity and scale and removes the Gaussians whose gate closes", 11),)
+METHODS = (Compact3DGS("compact3dgs", "learns a gate on opacity and scale and removes the Gaussians whose gate closes", 11, "Compact3DGS"),)

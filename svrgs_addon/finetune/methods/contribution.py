@@ -9,4 +9,4 @@ class Contribution(Ranked):
         return scores.contribution(scene, cameras, rasterizer, options)[0]
 
 
-METHODS = (Contribution("contribution", "removes, in one cut, the Gaussians of lowest contribution: the sum of αT over all views", 15),)
+METHODS = (Contribution("contribution", "removes, in one cut, the Gaussians that add least to the photographs (sum of αT)", 15, "Contribution"),)

@@ -2,4 +2,4 @@
 
 from .opacity_pressure import PressureMethod
 
-METHODS = (PressureMethod("gns", "GNS: lowers all opacities with the same pressure and removes the Gaussians that fade", 12, share=0.25),)
+METHODS = (PressureMethod("gns", "lowers all opacities with the same pressure and removes the Gaussians that fade", 12, "GNS", share=0.25),)

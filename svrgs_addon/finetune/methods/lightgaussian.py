@@ -31,4 +31,6 @@ def volume_factor(log_scales: np.ndarray) -> np.ndarray:
     return np.exp(VOLUME_POWER * np.minimum(volumes - largest, 0.0))
 
 
-METHODS = (LightGaussian("lightgaussian", "LightGaussian: removes, in one cut, the Gaussians of lowest global significance", 13, share=0.34),)
+METHODS = (
+    LightGaussian("lightgaussian", "removes, in one cut, the Gaussians of lowest significance (opacity, size, visibility)", 13, "LightGaussian", share=0.34),
+)

@@ -36,11 +36,14 @@ class MaskGS(Masked):
         return terms if phase.densify is None or first <= number <= last else terms | {"lambda_m": 0.0}
 
 
+LIKE_BETA = "when pruning, the same as MaskGaussian; in training, "
+
 METHODS = (
-    MaskGS("maskgs", "MaskGaussian: samples one mask per Gaussian and penalises the mean of all masks; the same as maskgs-beta", 7),
+    MaskGS("maskgs", "learns the probability that each Gaussian exists and penalises the mean of all", 7, "MaskGaussian"),
     MaskGS(
-        "maskgs-alpha", "MaskGaussian, schedule alpha: strong penalty, from 19/30 to 20/30 of the training steps", 8, lambda_m=0.1, window=(19 / 30, 20 / 30)
+        "maskgs-alpha", LIKE_BETA + "schedule alpha: a strong penalty from 19/30 to 20/30 of the steps", 8, "MaskGaussian Alpha",
+        lambda_m=0.1, window=(19 / 30, 20 / 30),
     ),
-    MaskGS("maskgs-beta", "MaskGaussian, schedule beta: weak penalty in every step", 9),
-    MaskGS("maskgs-gamma", "MaskGaussian, schedule gamma: twice the penalty of beta, in every step", 10, lambda_m=1e-3),
-)
+    MaskGS("maskgs-beta", LIKE_BETA + "schedule beta: a weak penalty in every step", 9, "MaskGaussian Beta"),
+    MaskGS("maskgs-gamma", LIKE_BETA + "schedule gamma: twice the penalty of beta", 10, "MaskGaussian Gamma", lambda_m=1e-3),
+)  # fmt: skip

@@ -9,4 +9,4 @@ class MaxContribution(Ranked):
         return scores.contribution(scene, cameras, rasterizer, options)[1]
 
 
-METHODS = (MaxContribution("max-contribution", "RadSplat: removes, in one cut, the Gaussians whose largest αT in any pixel is lowest", 16),)
+METHODS = (MaxContribution("max-contribution", "removes, in one cut, the Gaussians that never add much to any pixel (largest αT)", 16, "RadSplat"),)

@@ -8,4 +8,4 @@ class Opacity(Ranked):
         return scene.opacity_logits
 
 
-METHODS = (Opacity("opacity", "removes, in one cut, the Gaussians of lowest opacity", 14),)
+METHODS = (Opacity("opacity", "removes, in one cut, the Gaussians of lowest opacity", 14, "Opacity"),)

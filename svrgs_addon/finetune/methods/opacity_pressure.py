@@ -21,7 +21,7 @@ from ..quality import fewest_within
 from ..saliency import saliency
 from ..scores import top
 from ..settings import Densify, Phase, Rates
-from .base import Keep, Method, RunView
+from .base import REMOVE, Keep, Method, RunView
 
 STEPS, PRESS_EVERY, EASE = 8_000, 50, 1_000  # published; EASE: steps with the first form of the penalty, and with OPACITY_RATE after the trim
 SHARE_OF_TRAINING = 8 / 23  # published: pressure from step 15 000 to 23 000 of 23 000
@@ -112,7 +112,7 @@ class PressureMethod(Method):
 def pressure_phase(steps: int, first: float, last: float) -> list[Phase]:
     """The phase with pressure. The position rate falls from `first` to `last`. An empty list for 0 steps."""
     rates = Rates(position_first=first, position_last=last, position_steps=steps, opacity=OPACITY_RATE)
-    return [Phase("press", steps, rates, active=True, prune_every=0, label="Lowering opacities")] if steps else []
+    return [Phase("prune", steps, rates, active=True, prune_every=0, label=REMOVE)] if steps else []
 
 
 def opacity_at(logits: np.ndarray, rank: int) -> float:

@@ -28,7 +28,7 @@ WEIGHTS = "pressure_weights"  # name among the model's values, so that rows move
 @dataclass
 class Pressure(PressureMethod):
     lambda_f: float = 1e-4
-    lambda_f_help: str = field(default="the saliency above which a Gaussian stays (removal error over mask penalty)", repr=False)
+    lambda_f_help: str = field(default="the saliency above which a Gaussian stays", repr=False)
     goal_zero: float = 1.0
     least_between: int = 4
     max_drop_method: str = "saliency"  # a budget must be known when the pressure starts
@@ -70,4 +70,4 @@ def _with_dropout(phases: list[Phase]) -> list[Phase]:
     return [replace(phase, dropout=DROPOUT) if phase.name == "recover" else phase for phase in phases]
 
 
-METHODS = (Pressure("pressure", "lowers opacities, most where the removal error is small, and removes the Gaussians that fade", 0, "Recommended"),)
+METHODS = (Pressure("pressure", "fades out and removes the Gaussians that the photographs need least", 0, "Recommended"),)

@@ -9,4 +9,4 @@ class PUP(Ranked):
         return log_determinants(scene, cameras, rasterizer, options)
 
 
-METHODS = (PUP("pup", "PUP 3D-GS: removes, in one cut, the Gaussians whose position and size change the views least", 17),)
+METHODS = (PUP("pup", "removes, in one cut, the Gaussians whose position and size change the photographs least", 17, "PUP 3D-GS"),)

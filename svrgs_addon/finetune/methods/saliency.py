@@ -58,4 +58,4 @@ class Saliency(Method):
         self.count = state["count"]
 
 
-METHODS = (Saliency("saliency", "removes the Gaussians of low saliency in 8 pruning events, with plain training in between", 6),)
+METHODS = (Saliency("saliency", "removes the Gaussians of lowest saliency in 8 steps, with plain training in between", 6, "Saliency"),)

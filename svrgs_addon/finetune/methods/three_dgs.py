@@ -2,4 +2,4 @@
 
 from .base import Method
 
-METHODS = (Method("3dgs", "plain 3DGS: prunes nothing beyond its own rules", 18, prunes=False),)
+METHODS = (Method("3dgs", "prunes nothing beyond the rules of plain 3DGS", 18, "3DGS", prunes=False),)

@@ -1,0 +1,42 @@
+"""Open in Image Editor: shows an image of this extension in a window of its own."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+
+
+class SVRGS_OT_open_image(bpy.types.Operator):
+    bl_idname = "svrgs.open_image"
+    bl_label = "Open in Image Editor"
+    bl_description = "Show the picture in its full size in an Image Editor in a new window"
+    bl_options = {"REGISTER"}
+
+    name: bpy.props.StringProperty(name="Image", description="Name of the image")
+
+    @classmethod
+    def poll(cls, context):
+        if not bpy.app.background:
+            return True
+        cls.poll_message_set(tr("Blender runs without a window"))
+        return False
+
+    def execute(self, context):
+        image = bpy.data.images.get(self.name)
+        if image is None:
+            self.report({"ERROR"}, tr("There is no image '{name}': draw it first").format(name=self.name))
+            return {"CANCELLED"}
+        known = set(context.window_manager.windows)
+        bpy.ops.wm.window_new()
+        area = max((window for window in context.window_manager.windows if window not in known), key=lambda window: window.width).screen.areas[0]
+        area.ui_type = "IMAGE_EDITOR"
+        area.spaces.active.image = image
+        return {"FINISHED"}
+
+
+def register():
+    bpy.utils.register_class(SVRGS_OT_open_image)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_OT_open_image)

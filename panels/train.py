@@ -1,0 +1,35 @@
+"""Step 2 for cameras without a splat: train one from their photographs."""
+
+import bpy
+
+from .wrapped_label import wrapped_label
+
+
+class SVRGS_PT_train(bpy.types.Panel):
+    bl_label = "2  Train"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "SVR-GS"
+    bl_order = 1
+
+    @classmethod
+    def poll(cls, context):
+        return bool(context.scene.svrgs_train.about)
+
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.svrgs_train
+        wrapped_label(layout, settings.about, "OUTLINER_OB_CAMERA")
+        column = layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(settings, "iterations")
+        column.operator("svrgs.train", icon="PLAY", text="Train Splat from Photographs")
+        if settings.problem:
+            wrapped_label(layout, settings.problem, "INFO")
+
+
+def register():
+    bpy.utils.register_class(SVRGS_PT_train)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_PT_train)

@@ -1,0 +1,67 @@
+"""Free disk space: how much there is, and space that is held for files that are written later."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+from ..errors import SceneError
+from ..memory import size_text
+
+FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))  # the disk, the largest file, the quota of the user
+CAN_HOLD = hasattr(os, "posix_fallocate")
+
+
+class HeldSpace:
+    """Bytes on the disk of a folder that no other program can use until release().
+
+    They are in a file without a name, so that they are free again when this process ends, however it ends. Where files cannot be
+    allocated in advance, nothing is held. Raises OSError if the disk has less space.
+    """
+
+    def __init__(self, folder: Path, size: int):
+        self._file = tempfile.TemporaryFile(dir=folder) if CAN_HOLD and size else None  # noqa: SIM115 (until release)
+        try:
+            if self._file is not None:
+                os.posix_fallocate(self._file.fileno(), 0, size)
+        except OSError as error:
+            self.release()
+            if error.errno in FULL:
+                raise
+
+    def release(self):
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
+def refuse_shortage(path: str | os.PathLike, needed: dict[Path, int], purpose: str):
+    """Raises SceneError, which names `path`, if a disk has less than the bytes needed in its folders. purpose: what they are for."""
+    totals: Counter[int] = Counter()
+    for folder, size in needed.items():
+        place = existing_parent(folder)
+        try:
+            device, free = os.stat(place).st_dev, shutil.disk_usage(place).free
+        except OSError as error:
+            raise SceneError(f"{path}: cannot be written into {place} ({error.strerror or error})") from error
+        totals[device] += size
+        if free < totals[device]:
+            raise SceneError(shortage(path, sum(needed.values()), purpose, place, free))
+
+
+def shortage(path: str | os.PathLike, size: int, purpose: str, folder: Path, free: int) -> str:
+    """The sentence that `folder` has too little space."""
+    return (
+        f"{path}: needs {size_text(size)} of disk space for {purpose}, but only {size_text(free)} are free in {folder}; "
+        "free disk space or choose another folder"
+    )
+
+
+def existing_parent(folder: Path) -> Path:
+    """The folder, or the nearest folder above it that exists."""
+    folder = Path(os.path.realpath(folder))
+    return next(place for place in (folder, *folder.parents) if place.is_dir())

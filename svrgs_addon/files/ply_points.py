@@ -1,0 +1,69 @@
+"""Reads point clouds with colours from PLY files, such as the sparse points beside a transforms.json."""
+
+from __future__ import annotations
+
+import os
+from typing import BinaryIO
+
+import numpy as np
+
+from ..errors import FormatError
+from .ply_body import MAX_ASCII_BYTES, parse_numbers
+from .ply_header import ENCODINGS, MAX_HEADER_BYTES, parse_header
+
+MAX_POINTS = 20_000_000
+PLACE, COLOUR = ("x", "y", "z"), ("red", "green", "blue")
+GREY = 128  # of points without colours
+
+
+def read_points(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (P, 3) float32 and colours (P, 3) uint8 RGB of a PLY point cloud, binary or ASCII up to 64 MiB.
+
+    Colours are whole numbers 0..255 or floats 0..1 in the file. Raises FormatError, which names the file.
+    """
+    try:
+        with open(path, "rb") as file:
+            columns = _columns(file)
+        return _positions(columns), _colours(columns)
+    except FormatError as error:
+        raise FormatError(f"{path} {error}") from None
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
+    """The columns (P,) of the vertices by name, in the types of the file. Raises FormatError (without the name of the file)."""
+    header = parse_header(file.read(MAX_HEADER_BYTES))
+    vertices = header.elements[0] if header.elements else None
+    if vertices is None or vertices.name != "vertex" or vertices.list_property or not set(PLACE) <= {name for name, _ in vertices.properties}:
+        raise FormatError("is no point cloud: its first element must be vertex, with x, y and z and without lists")
+    if vertices.count > MAX_POINTS:
+        raise FormatError(f"announces {vertices.count:,} points; the limit is {MAX_POINTS:,}")
+    names, row = [name for name, _ in vertices.properties], np.dtype([(name, ENCODINGS[header.encoding] + code) for name, code in vertices.properties])
+    left = os.fstat(file.fileno()).st_size - file.seek(header.size)
+    if header.encoding == "ascii":
+        values = parse_numbers(file.read(min(left, MAX_ASCII_BYTES)))[: vertices.count * len(names)]
+        if len(values) == vertices.count * len(names):
+            return dict(zip(names, values.reshape(-1, len(names)).T, strict=True))
+    elif vertices.count * row.itemsize <= left:
+        rows = np.frombuffer(file.read(vertices.count * row.itemsize), row)
+        return {name: rows[name] for name in names}
+    raise FormatError(f"is incomplete: it holds fewer than the {vertices.count:,} points that its header announces; copy or export it again")
+
+
+def _positions(columns: dict[str, np.ndarray]) -> np.ndarray:
+    """(P, 3) float32. Raises FormatError if one is not finite."""
+    places = np.stack([columns[name].astype(np.float64) for name in PLACE], axis=1)
+    if not (np.abs(places) < np.finfo(np.float32).max).all():
+        raise FormatError("has a point that is not at a finite place; export the points again")
+    return places.astype(np.float32)
+
+
+def _colours(columns: dict[str, np.ndarray]) -> np.ndarray:
+    """(P, 3) uint8; GREY without colours."""
+    if not set(COLOUR) <= columns.keys():
+        return np.full((len(columns["x"]), 3), GREY, np.uint8)
+    values = np.stack([columns[name].astype(np.float64) for name in COLOUR], axis=1)
+    if values.size and np.nanmax(values, initial=0) <= 1 and columns["red"].dtype.kind == "f":
+        values = values * 255
+    return np.rint(np.clip(np.nan_to_num(values), 0, 255)).astype(np.uint8)

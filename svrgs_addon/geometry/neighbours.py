@@ -1,0 +1,92 @@
+"""Distances to the nearest points of a point cloud, exact, with NumPy alone.
+
+The points are split at medians into leaves of up to LEAF points. The points of a leaf are compared with those of all leaves that are
+near enough. A tree of groups of leaves keeps the search for these short.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+LEAF = 32  # points
+GROUP = 64  # leaves that are tested together
+FIRST = 16  # leaves that are looked at first where there are many
+
+
+def nearest_distances(points: np.ndarray, count: int) -> np.ndarray:
+    """The distances (P, count) float64, ascending, of each point to its nearest other ones. points: (P, 3) finite, P > count."""
+    points = np.asarray(points, np.float64)
+    order, starts = _leaves(points)
+    sorted_points = points[order]
+    low, high = (ufunc.reduceat(sorted_points, starts[:-1], axis=0) for ufunc in (np.minimum, np.maximum))
+    groups = np.arange(0, len(low), GROUP)
+    low_of_groups, high_of_groups = np.minimum.reduceat(low, groups, axis=0), np.maximum.reduceat(high, groups, axis=0)
+    found = np.empty((len(points), count))
+    for leaf in range(len(low)):
+        rows = slice(starts[leaf], starts[leaf + 1])
+        own = sorted_points[rows]
+        reach = _reach(own, own, count, np.arange(len(own)))
+        near = np.flatnonzero(_gaps(low[leaf], high[leaf], low_of_groups, high_of_groups) <= reach.max())
+        leaves = (near[:, None] * GROUP + np.arange(GROUP)).ravel()
+        leaves = leaves[leaves < len(low)]
+        gaps = _gaps(low[leaf], high[leaf], low[leaves], high[leaves])
+        leaves, gaps = leaves[gaps <= reach.max()], gaps[gaps <= reach.max()]
+        if len(leaves) > 2 * FIRST:  # the nearest of them bring the reach down
+            first = _rows(starts, np.union1d(leaves[np.argpartition(gaps, FIRST)[:FIRST]], leaf))
+            reach = _reach(own, sorted_points[first], count, np.searchsorted(first, np.arange(rows.start, rows.stop)))
+            leaves = leaves[gaps <= reach.max()]
+            leaves = leaves[_any_within(own, low[leaves], high[leaves], reach)]
+        others = _rows(starts, leaves)
+        found[rows] = _smallest(_squares(own, sorted_points[others]), count, np.searchsorted(others, np.arange(rows.start, rows.stop)))
+    result = np.empty_like(found)
+    result[order] = np.sqrt(found)
+    return result
+
+
+def _leaves(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of the points, leaf after leaf, and where the leaves begin (one more: the number of points)."""
+    stack, parts = [np.arange(len(points))], []
+    while stack:
+        rows = stack.pop()
+        if len(rows) <= LEAF:
+            parts.append(rows)
+            continue
+        axis = int(np.argmax(np.ptp(points[rows], axis=0)))
+        middle = len(rows) // 2
+        split = rows[np.argpartition(points[rows, axis], middle)]
+        stack += [split[middle:], split[:middle]]
+    return np.concatenate(parts), np.cumsum([0, *map(len, parts)])
+
+
+def _rows(starts: np.ndarray, leaves: np.ndarray) -> np.ndarray:
+    """The rows of all points of the leaves, which are in ascending order."""
+    return np.concatenate([np.arange(starts[leaf], starts[leaf + 1]) for leaf in leaves])
+
+
+def _reach(own: np.ndarray, others: np.ndarray, count: int, places: np.ndarray) -> np.ndarray:
+    """Squared distances (A,) of points to their `count`-th nearest of the others, of which `places` (A,) are these points; inf with too few."""
+    return _smallest(_squares(own, others), count, places)[:, -1] if len(others) > count else np.full(len(own), np.inf)
+
+
+def _any_within(points: np.ndarray, lows: np.ndarray, highs: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """(B,) bool: the boxes with corners (B, 3) that one of the points (A, 3) reaches. reach: (A,) squared distances."""
+    gap = np.maximum(np.maximum(lows - points[:, None], points[:, None] - highs), 0)
+    return ((gap**2).sum(axis=2) <= reach[:, None]).any(axis=0)
+
+
+def _gaps(low: np.ndarray, high: np.ndarray, lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
+    """Squared distances (B,) between a box and boxes, given by their corners (3,) and (B, 3)."""
+    gap = np.maximum(np.maximum(lows - high, low - highs), 0)
+    return (gap**2).sum(axis=1)
+
+
+def _squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Squared distances (A, B) between points (A, 3) and (B, 3)."""
+    dx, dy, dz = (a[:, None, axis] - b[None, :, axis] for axis in range(3))
+    return dx * dx + dy * dy + dz * dz
+
+
+def _smallest(squares: np.ndarray, count: int, own: np.ndarray) -> np.ndarray:
+    """The `count` smallest values of each row (A, B), ascending, without that in the column own (A,)."""
+    squares[np.arange(len(own)), own] = np.inf
+    return np.sort(np.partition(squares, count - 1, axis=1)[:, :count], axis=1)

@@ -1,0 +1,57 @@
+"""Packages that are imported only where they are needed."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from types import ModuleType
+
+from .errors import NativeError, SceneError
+
+
+def load(name: str, purpose: str) -> ModuleType:
+    """Imports the package or module. purpose: subject of the sentence if it is missing ('reading COLMAP models').
+
+    Raises SceneError if it is not installed, NativeError if it is installed but cannot be loaded, for instance for lack of memory.
+    """
+    package = name.partition(".")[0]
+    try:
+        with uninterrupted():
+            return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name == package:
+            raise SceneError(f"{purpose} needs the package {package}: run {sys.executable} -m pip install {package}") from None
+        raise NativeError(f"the package {package} cannot be loaded ({import_reason(error)})") from error
+    except (ImportError, RuntimeError) as error:  # pycolmap turns an ImportError into a RuntimeError
+        raise NativeError(f"the package {package} cannot be loaded ({import_reason(error)})") from error
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Context manager for imports: while its block runs, Ctrl-C waits. Then it raises KeyboardInterrupt.
+
+    Within an import, packages in C turn a KeyboardInterrupt into other errors. Other handlers of Ctrl-C than Python's stay as they are.
+    """
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not usual or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    asked: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if asked:
+            raise KeyboardInterrupt
+
+
+def import_reason(error: BaseException) -> str:
+    """The last line of the first error in a chain of errors."""
+    while cause := error.__cause__ or error.__context__:
+        error = cause
+    return (str(error).strip().splitlines() or [type(error).__name__])[-1]

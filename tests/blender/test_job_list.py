@@ -1,0 +1,341 @@
+"""All jobs that Blender knows: the queue, the list, jobs whose splat is gone or came back, and what is left of finished jobs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from extension import DATA, part
+from job_helpers import COUNT, LONG, SHORT, delete, drawn, ended, follow, set_up
+
+
+@pytest.fixture
+def listed(watch):
+    """The rows of the list by the name of the splat, read anew."""
+    module = part("operators.job_list")
+    module._read.clear()
+
+    def rows() -> dict[str, dict]:
+        module.forget()
+        return {row["name"]: row for row in json.loads(bpy.context.window_manager.svrgs_job_list.rows)}
+
+    yield rows
+    for parent in module.job_folders(bpy.context):
+        for file in Path(parent).glob("*/job.json"):
+            part("svrgs_addon.jobs.job_folder").JobFolder(file.parent).discard()
+
+
+@pytest.fixture
+def two(splat, watch):
+    """Two splats with a job each: one runs, one waits. ((splat, job), (splat, job))"""
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    other = bpy.context.object
+    other.name = "other"
+    set_up(SHORT | {"iterations": 1500})
+    for obj in (splat, other):
+        bpy.context.view_layer.objects.active = obj
+        bpy.ops.svrgs.job_start()
+    return tuple(zip((splat, other), watch.jobs.values(), strict=True))
+
+
+def new_file():
+    """File > New."""
+    folder = bpy.context.scene.svrgs_prune.folder
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.context.scene.svrgs_prune.folder, bpy.context.scene.svrgs_prune.colmap = folder, str(DATA / "tiny")
+
+
+def import_again() -> bpy.types.Object:
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    return bpy.context.object
+
+
+# --- the queue
+
+
+def test_a_second_job_waits_and_starts_when_the_first_has_ended(two, watch, results, listed):
+    (splat, first), (other, second) = two
+    assert first.running and not second.running and second.folder.state()["state"] == "queued"
+    assert bpy.context.object == other and "Waiting for 'scene': one job runs at a time" in drawn("prune") and "svrgs.job_stop" in drawn("prune")
+    assert listed()["other"]["state"] == "Waiting for 'scene'" and listed()["scene"]["state"].startswith("Running")
+    with pytest.raises(RuntimeError, match="Waiting for 'scene'"):
+        bpy.ops.svrgs.job_start()
+    follow(watch, lambda: second.running)
+    assert first.state == "done"
+    follow(watch, lambda: ended(second))
+    assert results.pruned_of(splat) and results.pruned_of(other) and watch.tick() is None
+
+
+def test_a_job_that_waits_can_be_taken_out_of_the_queue_and_put_back(two, watch):
+    (_, first), (_, second) = two
+    bpy.ops.svrgs.job_stop()
+    assert "Not started yet Resume starts it from the beginning" in drawn("prune") and bpy.ops.svrgs.job_resume.poll()
+    bpy.ops.svrgs.job_resume()
+    assert "Waiting for 'scene'" in drawn("prune")
+    bpy.ops.svrgs.job_stop()
+    follow(watch, lambda: not first.running)
+    assert watch.tick() is None and second.state == "queued" and not second.running
+    bpy.ops.svrgs.job_resume()
+    assert second.running
+
+
+def test_the_queue_goes_on_with_another_file_open(two, watch, listed):
+    (_, first), (_, second) = two
+    new_file()
+    assert {row["size"].partition(", ")[2] for row in listed().values()} == {"its splat is not in this file"}
+    follow(watch, lambda: ended(second))
+    assert first.state == "done" and {row["state"] for row in listed().values()} == {"Finished"}
+
+
+def test_undo_changes_nothing_in_the_queue(splat, watch, results):
+    other = import_again()
+    other.name = "other"
+    set_up(SHORT | {"iterations": 1500})
+    bpy.ops.ed.undo_push(message="before")
+    for name in ("scene", "other"):
+        bpy.context.view_layer.objects.active = bpy.data.objects[name]
+        bpy.ops.svrgs.job_start("EXEC_DEFAULT", True)
+    for _ in range(2):
+        bpy.ops.ed.undo()
+    bpy.context.view_layer.update()
+    first, second = watch.jobs.values()
+    follow(watch, lambda: ended(second))
+    assert all(results.pruned_of(bpy.data.objects[name]) for name in ("scene", "other"))
+
+
+def test_a_job_that_cannot_start_does_not_stop_the_queue(two, watch):
+    (_, first), (_, second) = two
+    (second.folder / "job.json").write_text("{}")
+    follow(watch, lambda: second.state == "failed")
+    assert first.state == "done" and "is no job of this version" in second.facts["text"]
+
+
+# --- the list
+
+
+def test_a_job_whose_splat_was_deleted_is_listed_stopped_continued_and_opened(splat, watch, listed, bridge):
+    set_up(SHORT | {"iterations": 4000})
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: job.facts.get("iteration", 0) > 100)
+    delete(splat)
+    new_file()
+    row = listed()["scene"]
+    assert row["buttons"] == ["stop"] and row["state"].startswith("Running at") and row["size"].endswith("its splat is not in this file")
+    assert "svrgs.listed_job_stop" in drawn("jobs")
+    bpy.ops.svrgs.listed_job_stop(folder=row["folder"])
+    follow(watch, lambda: not job.running)
+    assert listed()["scene"]["buttons"] == ["resume", "delete"] and listed()["scene"]["state"].startswith("Stopped at")
+    with pytest.raises(RuntimeError, match="has no result yet"):
+        bpy.ops.svrgs.listed_job_open(folder=row["folder"])
+    bpy.ops.svrgs.listed_job_resume(folder=row["folder"])
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: ended(job))
+    assert not bpy.data.objects and listed()["scene"]["buttons"] == ["open", "delete"]
+    bpy.ops.svrgs.listed_job_open(folder=row["folder"])
+    assert bpy.context.object.name == "scene pruned" and bridge.count(bpy.context.object) == 125
+    bpy.ops.svrgs.listed_job_delete(folder=row["folder"])
+    assert not Path(row["folder"]).exists() and not listed() and "There are no jobs" in drawn("jobs")
+
+
+def test_jobs_of_earlier_sessions_are_found_in_the_folders(splat, watch, listed, tmp_path):
+    """Those of an unsaved file are in the extension's folder, others beside the .blend file."""
+    set_up(SHORT | {"folder": ""})
+    bpy.ops.svrgs.job_start()
+    (first,) = watch.jobs.values()
+    follow(watch, lambda: not first.running)
+    new_file()
+    bpy.context.scene.svrgs_prune.folder = ""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    import_again().name = "beside"
+    set_up(SHORT | {"folder": ""})
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: all(map(ended, watch.jobs.values())))
+    assert set(listed()) == {"scene", "beside"}
+    assert Path(listed()["beside"]["folder"]).parent == tmp_path / "svrgs_jobs"
+    assert part("svrgs_addon.memory").size_text(first.folder.size()) in listed()["scene"]["size"]
+
+
+def test_a_result_is_opened_beside_its_splat_where_that_is(splat, watch, listed, results):
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    bpy.ops.object.mode_set(mode="EDIT")
+    follow(watch, lambda: not job.running)
+    folder = listed()["scene"]["folder"]
+    with pytest.raises(RuntimeError, match="Leave Edit Mode first"):
+        bpy.ops.svrgs.listed_job_open(folder=folder)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.ops.svrgs.listed_job_open(folder=folder)
+    assert results.pruned_of(splat) == bpy.context.object
+    assert listed()["scene"]["state"] == "Finished, its result is in this file" and listed()["scene"]["buttons"] == ["delete"]
+
+
+def test_a_job_that_runs_is_not_deleted(splat, watch, listed):
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    with pytest.raises(RuntimeError, match="'scene' runs or waits: stop it first"):
+        bpy.ops.svrgs.listed_job_delete(folder=str(job.folder.path))
+    assert job.running and job.folder.path.exists()
+
+
+def test_a_folder_with_a_broken_job_is_listed_and_can_be_deleted(splat, watch, listed):
+    parent = Path(bpy.context.scene.svrgs_prune.folder)
+    for name, content in (("broken", "{"), ("none", "")):
+        (parent / name).mkdir(parents=True)
+        (parent / name / "job.json").write_text(content)
+    (parent / "not a job").mkdir()
+    assert set(listed()) == {"broken", "none"} and drawn("jobs")
+    with pytest.raises(RuntimeError, match="is no job of this version"):
+        bpy.ops.svrgs.listed_job_resume(folder=str(parent / "broken"))
+    bpy.ops.svrgs.listed_job_delete(folder=str(parent / "broken"))
+    assert set(listed()) == {"none"} and (parent / "not a job").exists()
+    with pytest.raises(RuntimeError, match="holds no job any more"):
+        bpy.ops.svrgs.listed_job_delete(folder=str(parent / "broken"))
+
+
+def test_finished_jobs_are_deleted_together_but_not_what_is_still_to_be_loaded(two, watch, listed, results):
+    (splat, first), (other, second) = two
+    set_up(SHORT)
+    follow(watch, lambda: ended(first))
+    bpy.ops.object.mode_set(mode="EDIT")
+    follow(watch, lambda: ended(second))
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert results.pruned_of(splat) and not results.pruned_of(other)
+    listed()
+    assert bpy.context.window_manager.svrgs_job_list.finished.startswith("Delete 1 Finished, ")
+    bpy.ops.svrgs.delete_finished_jobs()
+    assert not first.folder.path.exists() and second.folder.path.exists() and set(listed()) == {"other"}
+
+
+# --- a splat that comes back
+
+
+@pytest.mark.parametrize("state", ["stopped", "done", "running"])
+def test_a_splat_that_is_imported_again_takes_its_job_over(splat, watch, results, bridge, state):
+    set_up(SHORT | {"iterations": 40 if state == "done" else 3000})
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    if state != "done":
+        follow(watch, lambda: job.facts.get("iteration", 0) > 5)
+        if state == "stopped":
+            bpy.ops.svrgs.job_stop()
+    if state != "running":
+        delete(splat)
+        follow(watch, lambda: not job.running)
+    new_file()
+    splat = import_again()
+    splat.name = "again"
+    assert "A job of this splat was found:" in drawn("prune") and "svrgs.adopt_job" in drawn("prune")
+    bpy.ops.svrgs.adopt_job()
+    assert watch.current(bpy.context)[0] == splat and "A job of this splat was found" not in drawn("prune")
+    if state == "done":
+        bpy.ops.svrgs.job_load()
+    elif state == "stopped":
+        bpy.ops.svrgs.job_resume()
+    follow(watch, lambda: results.pruned_of(splat))
+    assert bridge.count(results.pruned_of(splat)) == 125
+
+
+def test_a_job_of_other_gaussians_is_not_offered(splat, watch, bridge):
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: not job.running)
+    new_file()
+    splat = import_again()
+    scene = bridge.scene_from_object(splat)
+    scene.means[7] += np.float32(1e-3)
+    bridge.replace_gaussians(splat, scene)
+    bpy.context.view_layer.update()
+    assert "was found" not in drawn("prune")
+    with pytest.raises(RuntimeError, match="No job of this splat was found"):
+        bpy.ops.svrgs.adopt_job()
+    fewer = import_again()
+    bridge.replace_gaussians(fewer, bridge.scene_from_object(fewer).select(np.arange(99)))
+    assert "was found" not in drawn("prune")
+
+
+def test_an_edit_after_the_job_was_offered_is_noticed(splat, watch, bridge):
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: not job.running)
+    new_file()
+    splat = import_again()
+    assert "was found" in drawn("prune")
+    bridge.set_values(splat, "position", "FLOAT_VECTOR", bridge.values(splat, "position") + np.float32(1))
+    bpy.context.view_layer.update()
+    assert "was found" not in drawn("prune")
+
+
+def test_the_same_splat_imported_twice_is_not_offered_the_job_of_the_first(splat, watch):
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    other = import_again()
+    assert "was found" not in drawn("prune") and bpy.ops.svrgs.job_start.poll()
+    bpy.context.view_layer.objects.active = other
+    with pytest.raises(RuntimeError, match="No job of this splat was found"):
+        bpy.ops.svrgs.adopt_job()
+
+
+# --- what is left of finished jobs
+
+
+def test_the_files_of_an_applied_job_go_when_the_file_is_saved(pruned, watch, listed, bridge, tmp_path):
+    (job,) = watch.jobs.values()
+    original, result = pruned
+    names = original.name, result.name
+    bpy.ops.svrgs.apply()
+    assert job.folder.path.exists(), "a crash now would lose the result"
+    assert listed()["scene"]["state"] == "Finished: its files are deleted when the file is saved"
+    assert not bpy.context.window_manager.svrgs_job_list.finished
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
+    assert job.folder.path.exists(), "the result is not in this file yet"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    assert not job.folder.path.exists() and not listed()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "work.blend"))
+    original, result = (bpy.data.objects[name] for name in names)
+    assert bridge.count(result) == 125 and bridge.count(original) == COUNT and watch.FOLDER not in original
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_undo_of_apply_needs_no_files(pruned, watch, results, bridge, tmp_path, saved):
+    (job,) = watch.jobs.values()
+    names = [obj.name for obj in pruned]
+    bpy.ops.ed.undo_push(message="before")
+    pruned[1].svrgs_share = 20
+    bpy.ops.ed.undo_push(message="fewer")
+    bpy.ops.svrgs.apply()
+    bpy.ops.ed.undo_push(message="applied")
+    if saved:
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    bpy.ops.ed.undo()
+    bpy.context.view_layer.update()
+    original, result = (bpy.data.objects[name] for name in names)
+    assert results.undecided(result) and results.shown_count(result) == 50 and bridge.count(result) == 125
+    assert job.folder.path.exists() != saved and "50 of 250 Gaussians" in drawn("prune")
+    if not saved:
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+        assert job.folder.path.exists(), "it is not applied now"
+        assert watch.job_of(original).state == "done"
+    bpy.ops.ed.redo()
+    bpy.context.view_layer.update()
+    original, result = (bpy.data.objects[name] for name in names)
+    assert bridge.count(result) == 50 and watch.current(bpy.context) is None and not results.undecided(result)
+    bpy.context.view_layer.objects.active = original
+    assert watch.current(bpy.context) is None and bpy.ops.svrgs.job_start.poll()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    assert not job.folder.path.exists()
+
+
+def test_the_files_of_an_applied_result_that_was_deleted_stay(pruned, watch, tmp_path):
+    (job,) = watch.jobs.values()
+    bpy.ops.svrgs.apply()
+    delete(pruned[1])
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    assert job.folder.path.exists()

@@ -1,0 +1,122 @@
+"""A splat is trained from imported cameras, in the background."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from extension import DATA
+from job_helpers import drawn, follow
+
+
+def splats(bridge) -> list[bpy.types.Object]:
+    return [obj for obj in bpy.data.objects if bridge.is_splat(obj)]
+
+
+@pytest.fixture
+def root(tmp_path, watch) -> bpy.types.Object:
+    """The root of imported cameras; it is active."""
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "nerfstudio"))
+    bpy.context.scene.svrgs_prune.folder = str(tmp_path / "jobs")
+    bpy.context.scene.svrgs_train.iterations = 60
+    return bpy.context.object
+
+
+def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
+    assert root[bridge.POINTS] == 120 and "12 photographs, 120 sparse points" in drawn("train")
+    bpy.ops.svrgs.train()
+    (job,) = watch.jobs.values()
+    assert job.folder.kind == "train" and not bpy.context.scene.svrgs_train.about
+    assert bpy.context.window_manager.svrgs_prune_state.stage == "BUSY" and bpy.context.window_manager.svrgs_prune_state.subject == root.name
+    follow(watch, lambda: splats(bridge))
+    (splat,) = splats(bridge)
+    assert splat.name == f"{root.name} splat" and splat.parent == root and bpy.context.object == splat
+    bpy.context.view_layer.update()
+    np.testing.assert_array_equal(splat.matrix_world, root.matrix_world)
+    assert bridge.count(splat) == job.folder.result()["count"] and bridge.sh_degree(splat) == 3
+    assert watch.job_of(root) is None and bpy.context.window_manager.svrgs_prune_state.stage == "READY", "the splat can be pruned"
+    assert bpy.ops.svrgs.job_start.poll()
+
+
+def test_it_is_stopped_and_resumed_like_any_job(root, watch, bridge):
+    bpy.context.scene.svrgs_train.iterations = 1500
+    bpy.ops.svrgs.train()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: job.facts.get("iteration", 0) > 5)
+    assert not bpy.ops.svrgs.train.poll()
+    bpy.ops.svrgs.job_stop()
+    follow(watch, lambda: not job.running)
+    assert job.state == "stopped" and "Stopped" in bpy.context.window_manager.svrgs_prune_state.sentences
+    with pytest.raises(RuntimeError, match="Resume or discard the job of these cameras first"):
+        bpy.ops.svrgs.train()
+    bpy.ops.svrgs.job_resume()
+    follow(watch, lambda: splats(bridge))
+    assert job.state == "done"
+
+
+def test_a_finished_job_is_loaded_by_hand_if_it_could_not_be_at_once(root, watch, bridge):
+    bpy.ops.svrgs.train()
+    (job,) = watch.jobs.values()
+    mesh = bpy.data.objects.new("other", bpy.data.meshes.new("other"))
+    bpy.context.collection.objects.link(mesh)
+    bpy.context.view_layer.objects.active = mesh
+    bpy.ops.object.mode_set(mode="EDIT")
+    follow(watch, lambda: not job.running)
+    assert not splats(bridge)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.context.view_layer.objects.active = root
+    assert "A finished job was found" in bpy.context.window_manager.svrgs_prune_state.sentences
+    bpy.ops.svrgs.job_load()
+    assert [obj.parent for obj in splats(bridge)] == [root]
+
+
+def test_it_waits_for_other_jobs_and_its_files_go_when_the_file_is_saved(root, watch, bridge, tmp_path):
+    bpy.ops.svrgs.train()
+    (first,) = watch.jobs.values()
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.ops.svrgs.train()
+    second = watch.job_of(bpy.context.object)
+    assert f"Waiting for '{root.name}'" in bpy.context.window_manager.svrgs_prune_state.sentences and not second.running
+    follow(watch, lambda: len(splats(bridge)) == 2)
+    assert watch.job_of(root) is None and first.folder.path.exists() and second.folder.path.exists()
+    assert drawn("jobs").count("its files are deleted when the file is saved".split()[-1]) == 2
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    assert not first.folder.path.exists() and not second.folder.path.exists()
+
+
+def test_a_job_whose_cameras_are_gone_is_opened_as_a_splat(root, watch, bridge):
+    bpy.ops.svrgs.train()
+    (job,) = watch.jobs.values()
+    folder = bpy.context.scene.svrgs_prune.folder
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.context.scene.svrgs_prune.folder = folder
+    assert "its cameras are not in this file" in drawn("jobs")
+    follow(watch, lambda: not job.running)
+    bpy.ops.svrgs.listed_job_open(folder=str(job.folder.path))
+    assert bpy.context.object.name == f"{job.name} splat" and bridge.count(bpy.context.object) == job.folder.result()["count"]
+
+
+def test_discarding_leaves_the_cameras(root, watch, bridge):
+    bpy.ops.svrgs.train()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: job.facts.get("state") == "running")
+    bpy.ops.svrgs.job_stop(now=True)
+    follow(watch, lambda: not job.running)
+    bpy.ops.svrgs.job_discard()
+    assert not job.folder.path.exists() and len(root.children) == 13 and bpy.ops.svrgs.train.poll()
+
+
+def test_it_is_offered_only_where_it_makes_sense(root, bridge):
+    settings = bpy.context.scene.svrgs_train
+    bpy.context.view_layer.objects.active = next(obj for obj in root.children if obj.type == "CAMERA")
+    assert settings.about and bpy.ops.svrgs.train.poll()
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    assert not settings.about and not bpy.ops.svrgs.train.poll(), "a splat is active"
+    bpy.context.view_layer.objects.active = root
+    root[bridge.POINTS] = 0
+    assert "has no sparse points to start from" in drawn("train") and not bpy.ops.svrgs.train.poll()
+
+
+def test_without_cameras_there_is_nothing_to_train_from():
+    assert not bpy.context.scene.svrgs_train.about and not bpy.ops.svrgs.train.poll()

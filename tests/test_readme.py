@@ -1,0 +1,125 @@
+"""Every command of README.md, run as it stands in a folder that holds the files it names. A new line must be added here.
+
+`blender` is Blender as a Python module behind run_as_blender.py, or the Blender that SVRGS_BLENDER names (a command that takes
+Blender's arguments).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pycolmap")
+pytest.importorskip("OpenImageIO")
+
+import tiny_dataset
+from test_extension import extension_zip  # noqa: F401
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text()
+RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
+    "svrgs info scene.ply": (),
+    "svrgs train --colmap DATASET --out trained.ply": ("trained.ply",),
+    "svrgs prune trained.ply --colmap DATASET --out pruned.ply --report report": ("pruned.ply", "report/index.html"),
+    "svrgs prune trained.ply --colmap DATASET --target 0.25 --out quarter.ply": ("quarter.ply",),
+    "svrgs eval pruned.ply --colmap DATASET": (),
+    "svrgs render pruned.ply --colmap DATASET --views test --outputs rgb,mask --out pictures": ("pictures/00.rgb.png", "pictures/00.mask.png"),
+    "svrgs compare trained.ply pruned.ply --colmap DATASET --out comparison": ("comparison/index.html",),
+    "blender --command svrgs prune trained.ply --colmap DATASET --out pruned.ply": ("pruned.ply",),
+    """blender -b FILE.blend --python-expr "import bpy; bpy.ops.svrgs.prune(colmap='DATASET', target=0.25)\"""": ("scene_pruned.ply",),
+    "blender -b --python svrgs_addon/batch.py -- prune FOLDER --out PRUNED": ("PRUNED/one.ply",),
+}
+SHORTER = {"svrgs train --colmap DATASET --out trained.ply": "--iterations 100"}  # added, since 30,000 steps take minutes
+NOT_RUN = {
+    "make demo": "renders and trains for minutes, and downloads packages",
+    "make test": "runs this test",
+    "svrgs bench": "measures for minutes; tests/test_bench.py runs it on small cases",
+}
+
+
+def commands(text: str) -> list[str]:
+    """The commands of all code blocks, indented or fenced, without comments and with single blanks."""
+    blocks = re.findall(r"(?<=\n\n)(?: {4}.*\n)+", text) + re.findall(r"^```.*\n([\s\S]*?)^```", text, re.MULTILINE)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    return [" ".join(re.sub(r"\s# .*", "", line).split()) for line in lines if line.strip()]
+
+
+@pytest.fixture(scope="module")
+def tools(request, tmp_path_factory) -> dict[str, str]:
+    """Environment in which `svrgs` and `blender` are on PATH. The extension is installed in this Blender, unless it cannot be built."""
+    folder = tmp_path_factory.mktemp("tools")
+    programs = {"svrgs": [sys.executable, "-m", "svrgs_addon"], "blender": [sys.executable, ROOT / "tests/run_as_blender.py"]}
+    if os.environ.get("SVRGS_BLENDER"):
+        programs["blender"] = shlex.split(os.environ["SVRGS_BLENDER"])
+    for name, words in programs.items():
+        (folder / name).write_text(f'#!/bin/sh\nexec {shlex.join(map(str, words))} "$@"\n')
+        (folder / name).chmod(0o755)
+    variables = {"PYTHONPATH": str(ROOT), "BLENDER_USER_RESOURCES": str(folder / "user"), "XDG_CACHE_HOME": str(folder / "cache")}
+    return {**os.environ, **variables, "PATH": f"{folder}:{os.environ['PATH']}"}
+
+
+@pytest.fixture(scope="module")
+def inputs(tools, tmp_path_factory) -> Path:
+    """Folder with the files that the commands name, apart from FILE.blend."""
+    folder = tmp_path_factory.mktemp("inputs")
+    tiny = tiny_dataset.write_tiny(folder / "DATASET", seen=20, cameras=tiny_dataset.views(6, 24, 16))
+    shutil.copytree(folder / "DATASET", folder / "FOLDER/one")
+    for name in ("scene.ply", "trained.ply", "pruned.ply"):
+        shutil.copy(tiny.splat, folder / name)
+    (folder / "svrgs_addon").symlink_to(ROOT / "svrgs_addon")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def blend(tools, inputs, extension_zip) -> Path:  # noqa: F811
+    """A .blend whose active object is the splat "scene", made by the Blender in which the extension is now installed."""
+    assert "STATUS Installed" in run(f"blender --command extension install-file -r user_default -e {extension_zip}", tools, inputs)
+    code = "import bpy; bpy.ops.svrgs.import_ply(filepath='scene.ply'); bpy.ops.wm.save_as_mainfile(filepath='FILE.blend')"
+    run(f'blender -b --python-expr "{code}"', tools, inputs)
+    return inputs / "FILE.blend"
+
+
+def run(line: str, variables: dict[str, str], folder: Path) -> str:
+    """stdout of a line in a shell."""
+    done = subprocess.run(["bash", "-c", line], env=variables, cwd=folder, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stdout[-2000:] + done.stderr[-4000:]
+    return done.stdout
+
+
+@pytest.mark.parametrize("line", RUNS)
+def test_command(line, tools, inputs, tmp_path, request):
+    if line.startswith("blender"):
+        request.getfixturevalue("blend")
+    work = tmp_path / "work"
+    shutil.copytree(inputs, work, symlinks=True)
+    for name in RUNS[line]:
+        (work / name).unlink(missing_ok=True)
+    said = run(f"{line} {SHORTER.get(line, '')}", tools, work)
+    assert said and all((work / name).stat().st_size for name in RUNS[line]), said
+    for result in (json.loads(text) for text in said.splitlines() if text.startswith("{")):
+        assert (work / result["out"]).is_file() and result["count"] < result["before"]["count"]
+
+
+def test_every_command_is_known_here():
+    assert sorted({*RUNS, *NOT_RUN}) == sorted(commands(README))
+
+
+def test_every_command_that_is_not_run_exists():
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert set(re.findall(r"(?<![\w.])make ([a-z-]+)", README)) <= set(targets)
+    for line in NOT_RUN:
+        program, command = line.split()
+        assert command in targets if program == "make" else subprocess.run([sys.executable, "-m", "svrgs_addon", command, "--help"], cwd=ROOT).returncode == 0
+
+
+def test_commands_are_found_in_every_kind_of_block():
+    text = "Text:\n\n    a  --b   # comment\n\n    c \\\n      --d\n\n1. item\n    no code\n\n```sh\ne '#1'\n\nf\n```\n"
+    assert commands(text) == ["a --b", "c --d", "e '#1'", "f"]
