@@ -7,7 +7,8 @@ cd "$(dirname "$0")/.."
 python=$1/bin/python
 cxx=${CXX:-g++}
 out=$PWD/build/sanitize
-tests=(tests/test_native_{loss,adam,sampling,stress,poison,arguments,lifetimes,invariants,repeatability,scores,threads,update,removal}.py)
+tests=(tests/test_native_{loss,adam,sampling,stress,poison,arguments,lifetimes,invariants,repeatability,scores,threads,update,removal}.py
+    tests/test_meshes.py tests/test_panorama.py)
 address=(-O1 -g "-fsanitize=address,undefined" -fno-sanitize-recover=all)
 thread=(-O1 -g "-fsanitize=thread")
 program=("$cxx" -std=c++20 -pthread -Inative/include "-Wl,-rpath,$out")

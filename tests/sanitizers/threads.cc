@@ -58,6 +58,25 @@ void cancelled(int microseconds) {
   svrgs_context_destroy(context);
 }
 
+// Triangles of a picture that is drawn in several bands.
+std::vector<float> triangles() {
+  std::mt19937 random(2);
+  std::normal_distribution<float> normal;
+  const int n = 3000, width = 900, height = 400;
+  std::vector<float> corners(9 * n), colors(9 * n, 0.5f), light(3 * n, 0.1f);
+  for (int i = 0; i < 9 * n; ++i) corners[i] = (i % 3 == 2 ? 5.0f : 0.0f) + normal(random);
+  const std::vector<uint8_t> holdout(n);
+  svrgs_triangles t = {};
+  t.count = n, t.corners = corners.data(), t.colors = colors.data(), t.light = light.data(), t.holdout = holdout.data(), t.ambient = 0.6;
+  svrgs_camera camera = {};
+  for (int i : {0, 5, 10, 15}) camera.viewmat[i] = 1;
+  camera.fx = camera.fy = 400, camera.cx = width / 2, camera.cy = height / 2, camera.width = width, camera.height = height;
+  std::vector<float> share(width * height), depth(2 * share.size()), rgba(8 * share.size());
+  const svrgs_layers layers = {share.data(), depth.data(), rgba.data()};
+  views::require(svrgs_draw_triangles(&t, &camera, &layers) == SVRGS_OK, "triangles");
+  return rgba;
+}
+
 }  // namespace
 
 int main() {
@@ -75,6 +94,10 @@ int main() {
     }
   }
   views::require(compared > 10, "views that are drawn");
+  svrgs_set_threads(1);
+  const std::vector<float> one = triangles();
+  svrgs_set_threads(4);
+  views::require(triangles() == one, "the same triangles for any number of threads");
   std::vector<std::thread> drawing;
   for (unsigned seed = 0; seed < 4; ++seed)
     drawing.emplace_back([=] {
