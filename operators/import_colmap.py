@@ -69,7 +69,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         select(context, [splat or root])
         if self.frame:
             frame(context, [splat or root])
-        undistort.begin(photos.warnings)
+        undistort.begin(photos.warnings, root)
         if self.photographs:
             self.show_photographs(folder, cameras, photos)
         if problems := undistort.problems():

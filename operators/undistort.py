@@ -46,11 +46,12 @@ class UndistortThread(threading.Thread):
 
 _threads: list[UndistortThread] = []  # those that run
 _problems: list[str] = []  # of the last import of cameras
+_root: list[int] = []  # session_uid of the empty above those cameras
 
 
-def begin(problems: tuple[str, ...]):
-    """Sets the problems of a new import of cameras; those of the one before are forgotten."""
-    _problems[:] = problems
+def begin(problems: tuple[str, ...], root: bpy.types.Object):
+    """Sets the problems of a new import of cameras, below `root`; those of the one before are forgotten."""
+    _problems[:], _root[:] = problems, [root.session_uid]
 
 
 def start(cameras: list[bpy.types.Object], folder: Path, images: str, target: Path, total: int):
@@ -71,8 +72,8 @@ def progress() -> tuple[int, int]:
 
 
 def problems() -> str:
-    """What is missing or went wrong since the last import of cameras; mostly empty."""
-    return ". ".join(_problems)
+    """What is missing or went wrong since the last import of cameras; mostly empty, and so once they are deleted."""
+    return ". ".join(_problems) if any(obj.session_uid in _root for obj in bpy.data.objects) else ""
 
 
 def status() -> str:

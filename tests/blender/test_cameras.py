@@ -275,6 +275,8 @@ def test_missing_photographs_are_said_and_the_others_shown(tmp_path, capfd):
     out = capfd.readouterr().out
     assert sentence in out and "Imported 10 cameras and 10 photographs" in out
     assert sentence in bpy.context.scene.svrgs_looking.photographs and "photographs are missing" in drawn("scene")
+    bpy.data.batch_remove([obj for obj in bpy.data.objects if obj.type == "EMPTY"])
+    assert not bpy.context.scene.svrgs_looking.photographs, "what was said is about cameras that are gone"
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     assert not bpy.context.scene.svrgs_looking.photographs, "what was said is about the import before"
 
