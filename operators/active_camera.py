@@ -8,7 +8,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from . import bridge
+from . import bridge_cameras
 
 _seen: dict[int, int] = {}  # session_uid of a scene -> session_uid of its last camera; 0: none
 
@@ -21,7 +21,7 @@ def follow(scene, *_):
     before = _seen.get(scene.session_uid)
     _seen[scene.session_uid] = now
     if before is not None and before != now:
-        bridge.apply_camera_size(scene)
+        bridge_cameras.apply_camera_size(scene)
 
 
 @persistent

@@ -1,4 +1,4 @@
-"""Blender's objects <-> Scene and Camera of svrgs_addon: splats, cameras, and the empties above them.
+"""Blender's objects <-> Scene of svrgs_addon: splats, and the empties above them. Cameras are in bridge_cameras.py.
 
 A splat is a point cloud, or a mesh of points in Blender 4.2, which has no point clouds. Its attributes are those of Blender 5.3's own
 splats (svrgs_addon/blender/attribute_layout.py):
@@ -8,8 +8,6 @@ splats (svrgs_addon/blender/attribute_layout.py):
   its activation equals the attribute. After an edit, and in splats of Blender's own import, the activation is inverted.
 - Each further column of a file is an attribute of its own. Types and order of the columns, and the file's comments, are a property
   of the data-block.
-
-A posed photograph is a camera with properties that hold the size and the pixel aspect of its image.
 """
 
 from __future__ import annotations
@@ -23,15 +21,12 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix
 
-from ..svrgs_addon.blender import lens as lenses
 from ..svrgs_addon.blender.attribute_layout import BASE, POSITION, RAW_POSITION, REQUIRED, SH, from_attributes, notes_of, to_attributes
-from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError, SplatError
 from ..svrgs_addon.geometry.moved_points import moved_parts
 from ..svrgs_addon.scene import Scene
 
 NOTES = "svrgs"  # property of a splat's data-block: types and order of further columns, comments
-SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
 Y_DOWN = "svrgs_y_down"  # property of a splat without a root: whether its import has turned it from y down to z up; default True
 SAME_PLACE = 1e-6  # difference between matrices in float32 that means nothing
 ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
@@ -39,7 +34,6 @@ DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: folde
 POINTS = "svrgs_points"  # property of a root: number of sparse points in its dataset
 TYPES = ("MESH", "POINTCLOUD")
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
-FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
 VALUE = {"FLOAT_VECTOR": "vector", "FLOAT2": "vector", "FLOAT4": "vector", "FLOAT_COLOR": "color"}  # name of the values; other types: value
 WIDTH = {"FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "FLOAT4": 4, "QUATERNION": 4, "INT32_2D": 2}  # numbers per value; other types: 1
 
@@ -301,64 +295,6 @@ def _relative(target: Matrix, source: Matrix) -> np.ndarray:
     """target⁻¹ · source; the identity where only rounding is between them."""
     matrix = np.linalg.solve(np.array(target, np.float64), np.array(source, np.float64))
     return np.eye(4) if np.abs(matrix - np.eye(4)).max() < SAME_PLACE * max(1.0, np.abs(matrix[:3, 3]).max()) else matrix
-
-
-# --- cameras
-
-
-def camera_from_object(obj: bpy.types.Object, scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> Camera:
-    """The view of a camera object, in Blender's world.
-
-    size: (width, height) in pixels, with the scene's pixel aspect. Default: the size and aspect of the photograph, or of the scene's
-    render if the camera has no photograph. obj: an evaluated object if animation matters. Raises SceneError if the object is not a
-    camera (Blender accepts any object as the scene's camera), and if the camera is neither perspective nor orthographic.
-    """
-    if obj.type != "CAMERA":
-        raise SceneError(tr("'{name}' is no camera: choose a camera as the scene's camera").format(name=obj.name))
-    data, render = obj.data, scene.render
-    if data.type not in ("PERSP", "ORTHO"):
-        text = tr("camera '{name}' is neither perspective nor orthographic: splats cannot be drawn from other cameras")
-        raise SceneError(text.format(name=obj.name))
-    aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
-    if size is None:
-        size, aspect = (tuple(data[SIZE]), tuple(data[ASPECT])) if SIZE in data else (render_size(scene), aspect)
-    sensor, orthographic = (data.sensor_width, data.sensor_height), data.type == "ORTHO"
-    ortho_scale = data.ortho_scale if orthographic else None
-    lens = lenses.Lens(*size, data.lens, (data.shift_x, data.shift_y), aspect, sensor, data.sensor_fit, ortho_scale)
-    viewmat = FLIP @ np.linalg.inv(_without_scale(obj.matrix_world))
-    return Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name), orthographic)
-
-
-def camera_to_object(camera: Camera, obj: bpy.types.Object):
-    """Gives the camera object the lens, the image size and the pose of a view, in the coordinates of the object's parent."""
-    data, lens = obj.data, lenses.lens_of(camera)
-    data.type, data.sensor_fit = "PERSP", lens.fit
-    data.sensor_width, data.sensor_height = lens.sensor
-    data.lens = lens.lens
-    data.shift_x, data.shift_y = lens.shift
-    data[SIZE], data[ASPECT], data[IMAGE] = (camera.width, camera.height), lens.aspect, camera.name
-    obj.rotation_mode = "QUATERNION"  # Euler angles lose digits near the poles
-    obj.matrix_basis = Matrix(np.linalg.inv(camera.viewmat) @ FLIP)
-
-
-def render_size(scene: bpy.types.Scene) -> tuple[int, int]:
-    """(width, height) of a render in pixels."""
-    render = scene.render
-    return tuple(max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y))
-
-
-def apply_camera_size(scene: bpy.types.Scene):
-    """Gives the scene the image size and the pixel aspect of its camera's photograph, if it has one."""
-    data = scene.camera.data if scene.camera is not None and scene.camera.type == "CAMERA" else {}
-    if SIZE in data:
-        scene.render.resolution_x, scene.render.resolution_y = data[SIZE]
-        scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = data[ASPECT]
-
-
-def _without_scale(matrix: Matrix) -> np.ndarray:
-    pose = np.array(matrix, np.float64)
-    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
-    return pose
 
 
 # --- roots: empties whose children share the coordinates of the files

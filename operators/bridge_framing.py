@@ -13,7 +13,7 @@ from ..svrgs_addon.blender.attribute_layout import BASE, POSITION
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.geometry import bounds
 from ..svrgs_addon.geometry.upright import levelled, tilt, up_direction
-from . import bridge
+from . import bridge, bridge_cameras
 from .bridge_graph import REMOVED
 
 SENSOR = 72.0  # millimetres: the longer side of a viewport, in Blender
@@ -27,7 +27,7 @@ def photographed_view(obj: bpy.types.Object, scene: bpy.types.Scene, objects: li
 
     Its eye is a little in front of the camera, so that the camera itself is not in the picture. None if the camera shows none of them.
     """
-    camera = bridge.camera_from_object(obj, scene)
+    camera = bridge_cameras.camera_from_object(obj, scene)
     parts = list(_points(objects))
     depth = bounds.median_depth(camera, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True))) if parts else None
     if depth is None:

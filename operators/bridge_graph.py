@@ -21,7 +21,7 @@ from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from ..svrgs_addon.geometry.merge import merged
 from ..svrgs_addon.render.meshes import Surface, Triangles, surface
 from ..svrgs_addon.scene import Scene
-from . import bridge
+from . import bridge, bridge_cameras
 
 REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn
 HIDE_MODIFIER = "SVR-GS Removed"  # the modifier that hides marked Gaussians, and its node group
@@ -119,7 +119,7 @@ def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = N
 
 def region_camera(region: bpy.types.Region, view: bpy.types.RegionView3D) -> Camera:
     """The view of a 3D viewport, in Blender's world."""
-    return camera_of_projection(view.window_matrix, bridge.FLIP @ np.array(view.view_matrix, np.float64), region.width, region.height)
+    return camera_of_projection(view.window_matrix, bridge_cameras.FLIP @ np.array(view.view_matrix, np.float64), region.width, region.height)
 
 
 def _instances(depsgraph: bpy.types.Depsgraph) -> Iterator:

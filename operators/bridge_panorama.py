@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_iface as tr
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.render.panorama import Panorama
-from . import bridge
+from . import bridge_cameras
 
 KIND = "EQUIRECTANGULAR"
 
@@ -17,7 +17,7 @@ KIND = "EQUIRECTANGULAR"
 def view_of(obj: bpy.types.Object, scene: bpy.types.Scene) -> Camera | Panorama:
     """The view of the evaluated camera of a render, in Blender's world. Raises SceneError for other objects and other panoramas."""
     if obj.type != "CAMERA" or obj.data.type != "PANO":
-        return bridge.camera_from_object(obj, scene, bridge.render_size(scene))
+        return bridge_cameras.camera_from_object(obj, scene, bridge_cameras.render_size(scene))
     data = obj.data
     if data.panorama_type != KIND:
         kind = data.bl_rna.properties["panorama_type"].enum_items[data.panorama_type].name
@@ -31,7 +31,7 @@ def view_of(obj: bpy.types.Object, scene: bpy.types.Scene) -> Camera | Panorama:
         raise SceneError(text.format(name=obj.name))
     pose = np.array(obj.matrix_world, np.float64)
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
-    return Panorama(bridge.FLIP @ np.linalg.inv(pose), *bridge.render_size(scene), longitude, latitude)
+    return Panorama(bridge_cameras.FLIP @ np.linalg.inv(pose), *bridge_cameras.render_size(scene), longitude, latitude)
 
 
 def _shifted(limits: tuple[float, float], shift: float) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from ..svrgs_addon.metrics.evaluate import render_options, rounded_to_8_bits
 from ..svrgs_addon.native import Rasterizer
 from ..svrgs_addon.report.pictures import contact_sheet, difference_image, to_uint8
 from ..svrgs_addon.scene import Scene
-from . import bridge, bridge_graph, bridge_images, comparison_images, job_result
+from . import bridge, bridge_cameras, bridge_graph, bridge_images, comparison_images, job_result
 from .contribution import chosen_cameras
 from .preferences import threads
 from .spatial_mask import show_in_editors
@@ -89,7 +89,7 @@ class SVRGS_OT_compare(bpy.types.Operator):
         try:
             splats = ComparedSplats(context)
             obj = settings.compare_camera or context.scene.camera
-            camera = bridge.camera_from_object(obj, context.scene)
+            camera = bridge_cameras.camera_from_object(obj, context.scene)
             photo = photograph(obj)
             if photo is not None:
                 camera = camera.resized(photo.shape[1], photo.shape[0])
@@ -121,7 +121,7 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
         try:
             splats, rows, worst = ComparedSplats(context), [], math.inf
             for number, obj in enumerate(cameras):
-                camera = bridge.camera_from_object(obj, context.scene)
+                camera = bridge_cameras.camera_from_object(obj, context.scene)
                 camera = camera.reduced(max(1, max(camera.width, camera.height) // THUMBNAIL))
                 a, b = splats.render(camera, tuple(context.scene.svrgs_looking.background))
                 rows.append([to_uint8(a), to_uint8(b), difference_image(a, b)])

@@ -11,7 +11,7 @@ from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.finetune.scores import contribution
 from ..svrgs_addon.metrics.evaluate import render_options
 from ..svrgs_addon.native import Rasterizer
-from . import bridge, bridge_graph, edit_guard
+from . import bridge, bridge_cameras, bridge_graph, edit_guard
 from .preferences import threads
 
 ATTRIBUTE = "contribution"
@@ -49,7 +49,7 @@ class SVRGS_OT_contribution(bpy.types.Operator):
             native.set_threads(threads(context))
             scene = bridge.scene_from_object(obj)
             placed = bridge_graph.placed([(scene, obj.matrix_world.copy())])
-            views = [placed.seen_by(_reduced(bridge.camera_from_object(camera, context.scene))) for camera in chosen]
+            views = [placed.seen_by(_reduced(bridge_cameras.camera_from_object(camera, context.scene))) for camera in chosen]
             sums, _, hits = contribution(placed.scene, views, Rasterizer(), render_options(scene))
         except (SplatError, NativeError) as error:
             self.report({"ERROR"}, str(error))
@@ -66,7 +66,7 @@ def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object
         return [context.scene.camera] if context.scene.camera is not None else []
     pool = context.selected_objects if which == "SELECTED" else context.scene.objects
     cameras = sorted((obj for obj in pool if obj.type == "CAMERA"), key=lambda obj: obj.name)
-    imported = [obj for obj in cameras if bridge.SIZE in obj.data]
+    imported = [obj for obj in cameras if bridge_cameras.SIZE in obj.data]
     return imported if imported and which == "PHOTOGRAPHS" else cameras
 
 

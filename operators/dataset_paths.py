@@ -19,7 +19,7 @@ from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.photographs.sources import find_cameras
-from . import bridge
+from . import bridge, bridge_cameras
 from .job_watch import FOLDER, folder_of
 from .option_properties import RELATIVE
 
@@ -201,7 +201,7 @@ def find_photographs(root: bpy.types.Object, folder: str) -> tuple[int, int]:
 
 def _file_of(image: bpy.types.Image, camera: bpy.types.Object, root: bpy.types.Object, folder: str) -> str:
     """The file of the image in the folder of the dataset: the first that exists of several; all have the name that it had. '': none."""
-    old, name = absolute(image.filepath), camera.data.get(bridge.IMAGE, "")
+    old, name = absolute(image.filepath), camera.data.get(bridge_cameras.IMAGE, "")
     tries = [_beside(old, dataset_of_root(root)), f"{root.get(bridge.IMAGES) or 'images'}/{name}", f"{UNDISTORTED}/{name}.png"]
     tries += [os.path.join(os.path.basename(os.path.dirname(old)), os.path.basename(old)), os.path.basename(old)]
     files = (os.path.normpath(os.path.join(folder, path)) for path in tries if path and os.path.basename(path) == os.path.basename(old))

@@ -12,7 +12,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.geometry.bounds import clipping
-from . import bridge
+from . import bridge, bridge_cameras
 from .bridge_framing import photographed_view, sphere_of, viewing_distance
 
 
@@ -66,9 +66,8 @@ def _family(objects: list[bpy.types.Object]) -> list[bpy.types.Object]:
 
 def _first_camera(scene: bpy.types.Scene, family: list[bpy.types.Object]) -> bpy.types.Object | None:
     """The scene's camera, if it is among the objects; else the first of their photographs' cameras; None if there is none."""
-    cameras = sorted(
-        (obj for obj in family if obj.type == "CAMERA" and obj.data.type == "PERSP" and bridge.SIZE in obj.data), key=lambda obj: obj.data[bridge.IMAGE]
-    )
+    cameras = [obj for obj in family if obj.type == "CAMERA" and obj.data.type == "PERSP" and bridge_cameras.SIZE in obj.data]
+    cameras.sort(key=lambda obj: obj.data[bridge_cameras.IMAGE])
     return scene.camera if scene.camera in cameras else next(iter(cameras), None)
 
 

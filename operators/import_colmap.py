@@ -18,7 +18,7 @@ from bpy.props import BoolProperty, StringProperty
 from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SplatError
-from . import bridge, dataset_paths, undistort
+from . import bridge, bridge_cameras, dataset_paths, undistort
 from .bridge_framing import level
 from .frame import frame
 from .select import select
@@ -108,7 +108,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         for obj in points + cameras:
             obj.parent = root
         context.scene.camera = cameras[0]
-        bridge.apply_camera_size(context.scene)
+        bridge_cameras.apply_camera_size(context.scene)
         context.view_layer.update()
         for obj in points:
             obj.hide_set(True)  # they would cover the splat, and without one they are black
@@ -142,7 +142,7 @@ def root_for(obj: bpy.types.Object | None, folder: Path, collection: bpy.types.C
 def _camera(camera: Camera, extent: float, collection: bpy.types.Collection) -> bpy.types.Object:
     data = bpy.data.cameras.new(camera.name)
     obj = bpy.data.objects.new(camera.name, data)
-    bridge.camera_to_object(camera, obj)
+    bridge_cameras.camera_to_object(camera, obj)
     data.display_size = DISPLAY_SIZE * extent
     data.clip_start, data.clip_end = 1e-3 * extent, CLIP_END * extent
     collection.objects.link(obj)

@@ -14,7 +14,7 @@ from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.native import Rasterizer, RenderOptions
 from ..svrgs_addon.render import color_maps
 from ..svrgs_addon.report.pictures import with_color_bar
-from . import bridge, bridge_graph, bridge_images, scene_cache
+from . import bridge_cameras, bridge_graph, bridge_images, scene_cache
 from .preferences import threads
 
 NAME = "SVR-GS Spatial Mask"
@@ -33,7 +33,7 @@ def refresh(context: bpy.types.Context) -> dict:
     if placed is None:
         raise SceneError(tr("there is no visible splat: import one"))
     obj = bridge_graph.camera(depsgraph)
-    camera = placed.seen_by(_sized(bridge.camera_from_object(obj, scene), scene.svrgs_looking.mask_size))
+    camera = placed.seen_by(_sized(bridge_cameras.camera_from_object(obj, scene), scene.svrgs_looking.mask_size))
     native.set_threads(threads(context))
     if not _rasterizer:
         _rasterizer.append(Rasterizer())
@@ -53,7 +53,7 @@ def is_stale(context: bpy.types.Context) -> bool:
 
 def _inputs_now(depsgraph: bpy.types.Depsgraph) -> tuple:
     """Everything that a mask depends on."""
-    camera = bridge.camera_from_object(bridge_graph.camera(depsgraph), depsgraph.scene)
+    camera = bridge_cameras.camera_from_object(bridge_graph.camera(depsgraph), depsgraph.scene)
     places = [(scene_cache.number(obj), tuple(map(tuple, matrix))) for obj, matrix in bridge_graph.placed_splats(depsgraph)]
     return camera.key, depsgraph.scene.svrgs_looking.mask_size, *places
 

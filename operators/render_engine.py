@@ -19,7 +19,7 @@ from ..svrgs_addon.native import Rasterizer
 from ..svrgs_addon.render.composite import composite, composite_while, split
 from ..svrgs_addon.render.panorama import composite_view
 from ..svrgs_addon.render.passes import BEHIND, PASSES, blank, passes
-from . import bridge, bridge_graph, bridge_images, bridge_meshes, bridge_panorama
+from . import bridge_cameras, bridge_graph, bridge_images, bridge_meshes, bridge_panorama
 from .bridge_images import working_space
 from .preferences import threads
 from .viewport import Viewport
@@ -110,7 +110,7 @@ def kinds(scene: bpy.types.Scene) -> tuple:
 
 def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
     """The rows (from the top) and columns that are rendered: all, or those of the border."""
-    width, height = bridge.render_size(scene)
+    width, height = bridge_cameras.render_size(scene)
     render = scene.render
     if not render.use_border:
         return slice(0, height), slice(0, width)

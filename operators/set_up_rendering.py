@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from . import bridge, compositor_nodes, splat_layer
+from . import bridge, bridge_cameras, compositor_nodes, splat_layer
 
 EEVEE = "BLENDER_EEVEE_NEXT" if bpy.app.version < (5, 0, 0) else "BLENDER_EEVEE"
 WITHOUT_MATERIALS = ("SVRGS", "BLENDER_WORKBENCH")
@@ -77,9 +77,9 @@ def camera_words(scene: bpy.types.Scene) -> str:
     """Gives the scene the resolution of its camera's photograph, if it has one. Returns a sentence about camera and resolution."""
     if scene.camera is None:
         return tr("The scene has no camera yet: add one")
-    photograph = scene.camera.type == "CAMERA" and bridge.SIZE in scene.camera.data
-    bridge.apply_camera_size(scene)
-    width, height = bridge.render_size(scene)
+    photograph = scene.camera.type == "CAMERA" and bridge_cameras.SIZE in scene.camera.data
+    bridge_cameras.apply_camera_size(scene)
+    width, height = bridge_cameras.render_size(scene)
     text = tr("The camera is '{name}', the resolution {width} x {height}")
     text = tr("The camera is '{name}', the resolution {width} x {height}, as its photograph") if photograph else text
     return text.format(name=scene.camera.name, width=width, height=height)

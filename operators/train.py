@@ -13,7 +13,7 @@ from bpy.props import IntProperty, PointerProperty, StringProperty
 from ..svrgs_addon.jobs.job_folder import JobFolder
 from ..svrgs_addon.jobs.job_process import Job
 from ..svrgs_addon.jobs.options import ITERATIONS
-from . import bridge, dataset_paths, job_queue
+from . import bridge, bridge_cameras, dataset_paths, job_queue
 from .job import JobOperator, new_folder
 from .job_watch import is_busy, is_resumable, job_of, link, start_timer
 from .native_check import native_problem
@@ -82,7 +82,7 @@ def _about(_) -> str:
     job = job_of(root)
     if root is None or (job is not None and (is_busy(job) or is_resumable(job))):
         return ""
-    photographs = sum(obj.type == "CAMERA" and bridge.SIZE in obj.data for obj in root.children_recursive)
+    photographs = sum(obj.type == "CAMERA" and bridge_cameras.SIZE in obj.data for obj in root.children_recursive)
     points = root.get(bridge.POINTS)
     text = tr("'{name}': {photographs:,} photographs") if points is None else tr("'{name}': {photographs:,} photographs, {points:,} sparse points")
     return text.format(name=root.name, photographs=photographs, points=points)

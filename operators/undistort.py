@@ -14,7 +14,7 @@ from bpy.app.translations import pgettext_iface as tr
 
 from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
 from ..svrgs_addon.errors import SplatError
-from . import bridge, dataset_paths
+from . import bridge_cameras, dataset_paths
 from .job_watch import redraw_panels
 
 INTERVAL = 0.5  # seconds between two looks whether it is done
@@ -26,7 +26,7 @@ class UndistortThread(threading.Thread):
 
     def __init__(self, cameras: list[bpy.types.Object], folder: Path, images: str, target: Path, total: int):
         super().__init__(daemon=True)
-        self.cameras = {obj.data[bridge.IMAGE]: obj.session_uid for obj in cameras}  # by image name
+        self.cameras = {obj.data[bridge_cameras.IMAGE]: obj.session_uid for obj in cameras}  # by image name
         self.request = folder, images, target
         self.photos: PosedPhotos | None = None
         self.problems: tuple[str, ...] = ()

@@ -62,7 +62,7 @@ def table(layout, result: dict):
         if key in rows[0]:
             lines.append((key.upper(), *(text.format(row[key]) for row in rows)))
     box = layout.box()
-    box.label(text=tr("{camera}: {psnr:.1f} dB between them").format(camera=result["camera"], psnr=result["between"]), translate=False)
+    wrapped_label(box, tr("{camera}: {psnr:.1f} dB between them").format(camera=result["camera"], psnr=result["between"]))
     grid = box.grid_flow(row_major=True, columns=3, even_columns=True, align=True)
     for line in lines:
         for text in line:

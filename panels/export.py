@@ -18,7 +18,7 @@ class SVRGS_PT_export(bpy.types.Panel):
         if not state.size:
             layout.label(text="Select the splat to export", icon="INFO")
             return
-        layout.label(text=f"{context.object.name}: {state.size}", translate=False)
+        wrapped_label(layout, f"{context.object.name}: {state.size}")
         if state.marked:
             wrapped_label(layout, tr("{count:,} hidden Gaussians stay out of the file. Apply deletes them").format(count=state.marked), "INFO")
         layout.operator("svrgs.export_ply", icon="EXPORT")

@@ -109,14 +109,14 @@ def test_cameras_join_the_splat_wherever_it_stands():
     np.testing.assert_allclose(bpy.context.object.matrix_world, before, atol=1e-6)
 
 
-def test_an_imported_camera_goes_back_as_it_was(dataset, bridge):
+def test_an_imported_camera_goes_back_as_it_was(dataset):
     folder, views = dataset
     bpy.ops.svrgs.import_colmap(directory=str(folder))
     root = cameras()[0].parent
     root.matrix_world = Matrix.Translation((3, -1, 2)) @ Matrix.Rotation(1, 4, "Y") @ Matrix.Scale(2.5, 4)
     bpy.context.view_layer.update()
     for view, obj in enumerate(cameras()):
-        camera = bridge.camera_from_object(obj, bpy.context.scene).moved(root.matrix_world)
+        camera = part("operators.bridge_cameras").camera_from_object(obj, bpy.context.scene).moved(root.matrix_world)
         np.testing.assert_allclose(camera.viewmat, views.viewmats[view], atol=2e-5)
         np.testing.assert_allclose(camera.K, views.Ks[view], atol=PX / 10)
         assert (camera.width, camera.height, camera.name) == (*views.sizes[view], views.names[view])
@@ -126,7 +126,7 @@ def test_an_imported_camera_goes_back_as_it_was(dataset, bridge):
 @pytest.mark.parametrize("size", [(640, 360, 100), (301, 500, 50)])
 @pytest.mark.parametrize("aspect", [(1, 1), (1.5, 1), (1, 2)])
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
-def test_any_camera_is_what_blender_makes_of_it(bridge, kind, fit, size, aspect):
+def test_any_camera_is_what_blender_makes_of_it(kind, fit, size, aspect):
     scene, rng = bpy.context.scene, np.random.default_rng(1)
     data = bpy.data.cameras.new("own")
     data.sensor_fit, data.lens, data.sensor_width, data.sensor_height = fit, 31, 30, 20
@@ -139,7 +139,7 @@ def test_any_camera_is_what_blender_makes_of_it(bridge, kind, fit, size, aspect)
     scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = aspect
     try:
         bpy.context.view_layer.update()
-        camera = bridge.camera_from_object(obj, scene)
+        camera = part("operators.bridge_cameras").camera_from_object(obj, scene)
         points = np.array([obj.matrix_world.normalized() @ Vector((*xy, z)) for *xy, z in rng.uniform((-3, -3, -9), (3, 3, -2), (40, 3))])
         found = camera.pixels(points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3])
         assert np.abs(found - seen_by_blender(obj, scene, points)).max() < PX
@@ -152,11 +152,11 @@ def test_any_camera_is_what_blender_makes_of_it(bridge, kind, fit, size, aspect)
         scene.render.pixel_aspect_x = scene.render.pixel_aspect_y = 1
 
 
-def test_panoramas_are_refused(bridge):
+def test_panoramas_are_refused():
     obj = bpy.data.objects.new("flat", bpy.data.cameras.new("flat"))
     obj.data.type = "PANO"
     with pytest.raises(Exception, match="'flat' is neither perspective nor orthographic"):
-        bridge.camera_from_object(obj, bpy.context.scene)
+        part("operators.bridge_cameras").camera_from_object(obj, bpy.context.scene)
 
 
 class Nothing(bpy.types.RenderEngine):

@@ -52,7 +52,7 @@ def test_the_wipe_moves(stage, bridge, room, camera):
         np.testing.assert_array_equal(wipe[:, edge:], pruned[:, edge:])
 
 
-def test_a_contact_sheet_of_all_cameras(stage, bridge):
+def test_a_contact_sheet_of_all_cameras(stage):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     splat = bpy.context.object
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))

@@ -11,7 +11,7 @@ from extension import DATA, part
 from job_helpers import Layout
 from mathutils import Matrix
 from mesh_objects import shader_of, wall
-from view_helpers import LEVEL, drawn, f12
+from view_helpers import LEVEL, drawn, f12, view_of
 
 pytestmark = pytest.mark.usefixtures("stage")
 COLOR, GREEN = (0.3, 0.05, 0.6), (0.0, 0.5, 0.0)  # linear
@@ -78,15 +78,15 @@ def rendered(path) -> np.ndarray:
     return np.concatenate([seen[..., :3] * seen[..., 3:], seen[..., 3:]], axis=2)
 
 
-def raw(bridge, scene, camera, matrix) -> dict:
+def raw(scene, camera, matrix) -> dict:
     """As drawn(), without rounding."""
-    native, view = part("svrgs_addon.native"), bridge.camera_from_object(camera, bpy.context.scene, bridge.render_size(bpy.context.scene)).moved(matrix)
+    native, view = part("svrgs_addon.native"), view_of(camera, bpy.context.scene).moved(matrix)
     return native.Rasterizer().forward(scene, view, native.RenderOptions(), outputs=("rgb", "alpha"))
 
 
-def parts(bridge, gaussians, stage, room, camera, depth):
+def parts(gaussians, stage, room, camera, depth):
     """The Gaussians before and behind a wall across the view."""
-    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage)).moved(room.matrix_world)
+    view = view_of(camera, stage).moved(room.matrix_world)
     before = gaussians.means @ view.viewmat[2, :3] + view.viewmat[2, 3] <= depth
     return gaussians.select(np.flatnonzero(before)), gaussians.select(np.flatnonzero(~before))
 
@@ -136,21 +136,21 @@ def test_the_panels_say_what_is_missing(stage, room):
 # --- Set Up Compositing
 
 
-def test_splats_and_meshes_are_put_together_by_depth(tmp_path, cycles, bridge, gaussians, room, camera):
+def test_splats_and_meshes_are_put_together_by_depth(tmp_path, cycles, gaussians, room, camera):
     """A glowing wall: the Gaussians before it over its colour, those behind it hidden. Beside it all of them."""
     glow(wall(camera, 1.5))
     bpy.ops.svrgs.set_up_compositing()
     assert cycles.svrgs_looking.not_drawn == ""
-    before, _ = parts(bridge, gaussians, cycles, room, camera, 1.5)
-    front = rgba(raw(bridge, before, camera, room.matrix_world))
+    before, _ = parts(gaussians, cycles, room, camera, 1.5)
+    front = rgba(raw(before, camera, room.matrix_world))
     np.testing.assert_allclose(rendered(tmp_path / "wall.png"), over(front, srgb(COLOR)).clip(0, 1), atol=1.5 * LEVEL)
     for obj in [obj for obj in bpy.data.objects if obj.name == "wall"]:
         bpy.data.objects.remove(obj)
-    alone = rgba(raw(bridge, gaussians, camera, room.matrix_world))
+    alone = rgba(raw(gaussians, camera, room.matrix_world))
     np.testing.assert_allclose(rendered(tmp_path / "alone.png"), alone.clip(0, 1), atol=1.5 * LEVEL)
 
 
-def test_edges_of_meshes_have_no_fringe(tmp_path, cycles, bridge, gaussians, room, camera):
+def test_edges_of_meshes_have_no_fringe(tmp_path, cycles, gaussians, room, camera):
     """A tilted glowing square: each pixel is its share of the square and else the picture without it."""
     obj = wall(camera, 1.5, half=0.4)
     obj.matrix_world = camera.matrix_world @ Matrix.Rotation(0.3, 4, "Z")
@@ -159,8 +159,8 @@ def test_edges_of_meshes_have_no_fringe(tmp_path, cycles, bridge, gaussians, roo
     share = rendered(tmp_path / "square.png")[..., 3:]
     room.hide_render = False
     bpy.ops.svrgs.set_up_compositing()
-    before, _ = parts(bridge, gaussians, cycles, room, camera, 1.5)
-    front, whole = (rgba(raw(bridge, scene, camera, room.matrix_world)) for scene in (before, gaussians))
+    before, _ = parts(gaussians, cycles, room, camera, 1.5)
+    front, whole = (rgba(raw(scene, camera, room.matrix_world)) for scene in (before, gaussians))
     expected = share * over(front, srgb(COLOR)) + (1 - share) * whole
     edge = (share[..., 0] > 0.1) & (share[..., 0] < 0.9) & (whole[..., 3] > 0.98)
     differs = np.abs(rendered(tmp_path / "edge.png") - expected)
@@ -174,7 +174,7 @@ def test_a_film_that_was_opaque_has_the_background_behind_all(tmp_path, cycles, 
     bpy.ops.svrgs.set_up_compositing()
     assert cycles.render.film_transparent
     background = tuple(cycles.svrgs_looking.background)
-    expected = rgba(raw(bridge, few, camera, half.matrix_world))
+    expected = rgba(raw(few, camera, half.matrix_world))
     np.testing.assert_allclose(rendered(tmp_path / "f12.png"), over(expected, np.float32((*background, 1))).clip(0, 1), atol=1.5 * LEVEL)
     bpy.ops.svrgs.set_up_rendering()
     assert not cycles.render.film_transparent
@@ -192,19 +192,19 @@ def test_with_an_opaque_film_the_world_is_behind_the_splats(tmp_path, cycles, br
     cycles.render.film_transparent = False
     seen = rendered(tmp_path / "opaque.png")
     few = gaussians.select(np.arange(0, gaussians.count, 20))
-    view = bridge.camera_from_object(camera, cycles, bridge.render_size(cycles)).moved(half.matrix_world)
+    view = view_of(camera, cycles).moved(half.matrix_world)
     before = few.select(np.flatnonzero(few.means @ view.viewmat[2, :3] + view.viewmat[2, 3] <= 1.5))
     for scene, behind, inside in ((few, srgb(GREEN), share[..., 0] == 0), (before, srgb(COLOR), share[..., 0] == 1)):
-        picture = rgba(raw(bridge, scene, camera, half.matrix_world))
+        picture = rgba(raw(scene, camera, half.matrix_world))
         assert inside.sum() > 500
         np.testing.assert_allclose(seen[inside], over(picture, behind).clip(0, 1)[inside], atol=2 * LEVEL)
 
 
-def test_a_holdout_is_a_hole_in_the_whole_picture(tmp_path, cycles, bridge, gaussians, room, camera):
+def test_a_holdout_is_a_hole_in_the_whole_picture(tmp_path, cycles, gaussians, room, camera):
     wall(camera, 1.5).is_holdout = True
     bpy.ops.svrgs.set_up_compositing()
-    before, _ = parts(bridge, gaussians, cycles, room, camera, 1.5)
-    expected = raw(bridge, before, camera, room.matrix_world)["alpha"]
+    before, _ = parts(gaussians, cycles, room, camera, 1.5)
+    expected = raw(before, camera, room.matrix_world)["alpha"]
     np.testing.assert_allclose(f12(tmp_path / "holdout.png")[..., 3], expected, atol=1.5 * LEVEL)
 
 
@@ -234,7 +234,7 @@ def test_meshes_cast_shadows_on_splats_through_a_shadow_catcher(tmp_path, cycles
     np.testing.assert_allclose(shadow[corner], light[corner], atol=0.05)
 
 
-def test_camera_size_and_border_are_those_of_the_scene(tmp_path, cycles, bridge, gaussians, room, camera):
+def test_camera_size_and_border_are_those_of_the_scene(tmp_path, cycles, gaussians, room, camera):
     bpy.ops.svrgs.set_up_compositing()
     layer, other = layer_of(cycles), bpy.data.objects.new("other", camera.data)
     cycles.collection.objects.link(other)
@@ -242,7 +242,7 @@ def test_camera_size_and_border_are_those_of_the_scene(tmp_path, cycles, bridge,
     cycles.camera, cycles.render.resolution_x, cycles.render.resolution_percentage = other, 120, 50
     bpy.context.view_layer.update()
     seen = rendered(tmp_path / "other.png")
-    expected = rgba(raw(bridge, gaussians, other, room.matrix_world))
+    expected = rgba(raw(gaussians, other, room.matrix_world))
     assert seen.shape == (30, 60, 4)
     np.testing.assert_allclose(seen, expected.clip(0, 1), atol=1.5 * LEVEL)
     cycles.render.use_border = cycles.render.use_crop_to_border = True
@@ -275,7 +275,7 @@ def test_a_second_click_changes_nothing(cycles, room, camera):
     assert (len(bpy.data.scenes), len(tree.nodes), wires()) == once and cycles.svrgs_looking.not_drawn == ""
 
 
-def test_nodes_of_the_user_stay_and_get_the_whole_picture(tmp_path, cycles, bridge, room, camera):
+def test_nodes_of_the_user_stay_and_get_the_whole_picture(tmp_path, cycles, room, camera):
     """A Flip node between render and output: it gets the whole picture."""
     bpy.ops.svrgs.set_up_compositing()
     tree = tree_of(cycles)
@@ -296,13 +296,13 @@ def test_nodes_of_the_user_stay_and_get_the_whole_picture(tmp_path, cycles, brid
     assert np.abs(mirrored - plain).max() > 0.2
 
 
-def test_set_up_rendering_takes_the_compositing_away(tmp_path, cycles, bridge, gaussians, room, camera):
+def test_set_up_rendering_takes_the_compositing_away(tmp_path, cycles, gaussians, room, camera):
     bpy.ops.svrgs.set_up_compositing()
     assert not room.visible_camera
     bpy.ops.svrgs.set_up_rendering()
     cycles.render.film_transparent = False
     assert len(bpy.data.scenes) == 1 and room.visible_camera
-    expected = drawn(bridge, gaussians, camera, room.matrix_world)["rgb"]
+    expected = drawn(gaussians, camera, room.matrix_world)["rgb"]
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
 
 

@@ -31,7 +31,7 @@ def test_an_estimate_is_shown_only_beside_what_it_was_made_for(bridge):
     assert "would stay" not in said()
 
 
-def test_it_says_how_good_the_result_would_be(bridge):
+def test_it_says_how_good_the_result_would_be():
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     splat, settings = bpy.context.object, bpy.context.scene.svrgs_prune
     settings.colmap = str(DATA / "tiny")

@@ -62,7 +62,7 @@ def test_balanced_is_what_the_default_strength_is(splat):
 
 @pytest.mark.parametrize("degree, further", [(0, False), (1, True), (3, True), (3, False)])
 @pytest.mark.parametrize("order", ["3dgs", "without normals"])
-def test_the_size_that_is_foreseen_is_that_of_the_file(tmp_path, bridge, ply, make_scene, degree, further, order):
+def test_the_size_that_is_foreseen_is_that_of_the_file(tmp_path, ply, make_scene, degree, further, order):
     from dataclasses import replace
 
     scene = make_scene(500, degree, further)

@@ -68,7 +68,7 @@ def test_the_original_stays_until_it_is_discarded(pruned):
     assert bpy.ops.svrgs.job_start.poll(), "what was pruned can be pruned again"
 
 
-def test_a_result_that_does_not_please_is_discarded(pruned, bridge):
+def test_a_result_that_does_not_please_is_discarded(pruned):
     original, _ = pruned
     bpy.ops.svrgs.discard(what="RESULT")
     assert list(bpy.data.objects) == [original] and not original.hide_get() and not original.modifiers
@@ -130,7 +130,7 @@ def test_probability_of_existence_is_an_attribute_where_masks_were_learned(prune
     assert "svrgs:probability" not in original.data.attributes and "svrgs:score" in original.data.attributes
 
 
-def test_compare_takes_what_apply_would_keep(pruned, bridge, results):
+def test_compare_takes_what_apply_would_keep(pruned, results):
     import json
 
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))

@@ -218,7 +218,7 @@ def test_a_copy_of_a_result_is_applied_by_itself(pruned, bridge, results):
 
 
 @pytest.mark.parametrize("linked", [False, True])
-def test_a_copy_of_the_original_is_a_splat_of_its_own(pruned, bridge, results, linked):
+def test_a_copy_of_the_original_is_a_splat_of_its_own(pruned, results, linked):
     original, result = pruned
     result.svrgs_share = 80  # the original is the one that is shown
     copy = duplicate(original, linked)

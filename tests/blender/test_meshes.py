@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 from mesh_objects import lit, lit_wall, material, shader_of, wall
-from view_helpers import LEVEL, drawn, f12
+from view_helpers import LEVEL, drawn, f12, view_of
 
 pytestmark = pytest.mark.usefixtures("stage")
 CENTRE = (30, 50)  # row, column of a pixel in the middle
@@ -31,20 +31,20 @@ def picture(name: str, pixels: np.ndarray):
     return image
 
 
-def before_wall(bridge, gaussians, stage, room, camera, depth: float):
-    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage)).moved(room.matrix_world)
+def before_wall(gaussians, stage, room, camera, depth: float):
+    view = view_of(camera, stage).moved(room.matrix_world)
     return gaussians.select(gaussians.means @ view.viewmat[2, :3] + view.viewmat[2, 3] <= depth)
 
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
-def test_what_meshes_hide_is_hidden(tmp_path, stage, bridge, gaussians, room, camera, kind):
+def test_what_meshes_hide_is_hidden(tmp_path, stage, gaussians, room, camera, kind):
     """A wall across the view: the Gaussians before it over its colour. Hidden for the render, it is not there."""
     camera.data.type = kind
     without = f12(tmp_path / "without.png")
     obj = wall(camera, 3)
-    before = before_wall(bridge, gaussians, stage, room, camera, 3)
+    before = before_wall(gaussians, stage, room, camera, 3)
     assert 100 < before.count < 2900
-    expected = drawn(bridge, before, camera, room.matrix_world, background=tuple(lit_wall(camera)))["rgb"]
+    expected = drawn(before, camera, room.matrix_world, background=tuple(lit_wall(camera)))["rgb"]
     assert np.abs(f12(tmp_path / "wall.png")[..., :3] - expected).max() <= LEVEL
     for hide in ("hide_render", "visible_camera"):
         setattr(obj, hide, hide == "hide_render")
@@ -193,7 +193,7 @@ def test_meshes_of_instances_and_curves_are_there(tmp_path, alone, stage, camera
 
 @pytest.mark.parametrize("transparent", [False, True])
 @pytest.mark.parametrize("of", ["object", "collection"])
-def test_a_holdout_cuts_a_hole(tmp_path, stage, bridge, gaussians, room, camera, of, transparent):
+def test_a_holdout_cuts_a_hole(tmp_path, stage, gaussians, room, camera, of, transparent):
     stage.render.film_transparent = transparent
     stage.svrgs_looking.background = (0, 0, 0) if transparent else (0.2, 0.3, 0.4)
     obj = wall(camera, 1.5)
@@ -205,7 +205,7 @@ def test_a_holdout_cuts_a_hole(tmp_path, stage, bridge, gaussians, room, camera,
         stage.collection.objects.unlink(obj)
         held.objects.link(obj)
         bpy.context.view_layer.layer_collection.children["held"].holdout = True
-    expected = drawn(bridge, before_wall(bridge, gaussians, stage, room, camera, 1.5), camera, room.matrix_world, ("rgb", "alpha"))
+    expected = drawn(before_wall(gaussians, stage, room, camera, 1.5), camera, room.matrix_world, ("rgb", "alpha"))
     seen = f12(tmp_path / "holdout.png")
     np.testing.assert_allclose(seen[..., 3], expected["alpha"], atol=LEVEL)
     np.testing.assert_allclose(seen[..., :3] * seen[..., 3:], expected["rgb"], atol=1.5 * LEVEL)

@@ -29,7 +29,7 @@ def test_f12_is_svrgs_render(tmp_path, stage):
 
 
 @pytest.mark.parametrize("change", ["plain", "percentage", "aspect", "portrait", "background", "scaled", "orthographic"])
-def test_f12_is_the_rasterizers_picture(tmp_path, stage, bridge, gaussians, room, camera, change):
+def test_f12_is_the_rasterizers_picture(tmp_path, stage, gaussians, room, camera, change):
     background = (0.0, 0.0, 0.0)
     if change == "percentage":
         stage.render.resolution_percentage = 53
@@ -44,7 +44,7 @@ def test_f12_is_the_rasterizers_picture(tmp_path, stage, bridge, gaussians, room
         room.matrix_world = room.matrix_world @ Matrix.Scale(0.7, 4)
     elif change == "scaled":
         room.matrix_world = Matrix.Translation((0, 1, 0)) @ Matrix.Rotation(0.4, 4, "Z") @ room.matrix_world @ Matrix.Scale(0.7, 4)
-    expected = drawn(bridge, gaussians, camera, room.matrix_world, background=tuple(background))["rgb"]
+    expected = drawn(gaussians, camera, room.matrix_world, background=tuple(background))["rgb"]
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
 
 
@@ -75,7 +75,7 @@ def test_a_transparent_film_keeps_the_colours(tmp_path, stage, bridge, gaussians
     stage.render.film_transparent = True
     half = gaussians.select(np.arange(0, gaussians.count, 20))
     obj = bridge.object_from_scene("half", half, stage.collection)
-    expected, rendered = drawn(bridge, half, camera, obj.matrix_world, ("rgb", "alpha")), f12(tmp_path / "film.png")
+    expected, rendered = drawn(half, camera, obj.matrix_world, ("rgb", "alpha")), f12(tmp_path / "film.png")
     assert rendered[..., 3].min() < 0.1 and rendered[..., 3].max() > 0.9
     np.testing.assert_allclose(rendered[..., 3], expected["alpha"], atol=LEVEL)
     np.testing.assert_allclose(rendered[..., :3] * rendered[..., 3:], expected["rgb"], atol=1.5 * LEVEL)
@@ -92,11 +92,11 @@ def test_several_splats_are_one_picture(tmp_path, stage, bridge, gaussians, room
     first = bridge.object_from_scene("first", moved, stage.collection, bridge.AXES @ away)
     bridge.object_from_scene("second", parts[1], stage.collection)
     both = part("svrgs_addon.geometry.merge").merged(parts)
-    expected = drawn(bridge, both, camera, bridge.AXES)["rgb"]
+    expected = drawn(both, camera, bridge.AXES)["rgb"]
     assert np.abs(f12(tmp_path / "two.png")[..., :3] - expected).max() <= 2 * LEVEL
     assert np.abs(expected - whole[..., :3]).max() > 0.05, "colours that depend on the direction count"
     first.hide_render = True
-    expected = drawn(bridge, parts[1], camera, bridge.AXES)["rgb"]
+    expected = drawn(parts[1], camera, bridge.AXES)["rgb"]
     assert np.abs(f12(tmp_path / "one.png")[..., :3] - expected).max() <= LEVEL
 
 
@@ -117,7 +117,7 @@ def test_passes_hold_what_the_rasterizer_counted(tmp_path, stage, bridge, gaussi
         f12(tmp_path / "passes.png")
     finally:
         engine_module.SVRGS_engine.hand_in = original
-    expected = drawn(bridge, few, camera, bridge.AXES, ("depth", "alpha", "mask", "hits"), mask_kind="svr")
+    expected = drawn(few, camera, bridge.AXES, ("depth", "alpha", "mask", "hits"), mask_kind="svr")
     np.testing.assert_allclose(seen["SpatialMask"], expected["mask"], rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(seen["Count"], expected["hits"])
     np.testing.assert_allclose(seen["Alpha"], expected["alpha"], atol=1e-5)
@@ -174,7 +174,7 @@ def test_nothing_to_render_is_said(camera):
         bpy.ops.render.render()
 
 
-def test_an_animation_follows_the_objects(tmp_path, stage, bridge, gaussians, room, camera):
+def test_an_animation_follows_the_objects(tmp_path, stage, gaussians, room, camera):
     for frame, z in ((1, 0.0), (2, 0.5)):
         room.location.z = z
         room.keyframe_insert("location", frame=frame)
@@ -183,16 +183,16 @@ def test_an_animation_follows_the_objects(tmp_path, stage, bridge, gaussians, ro
     for frame in (1, 2):
         stage.frame_set(frame)
         rendered = pixels(bpy.data.images.load(str(tmp_path / f"frame{frame:04}.png")))
-        assert np.abs(rendered[..., :3] - drawn(bridge, gaussians, camera, room.matrix_world)["rgb"]).max() <= LEVEL
+        assert np.abs(rendered[..., :3] - drawn(gaussians, camera, room.matrix_world)["rgb"]).max() <= LEVEL
 
 
-def test_removed_gaussians_are_not_drawn(tmp_path, stage, bridge, gaussians, room, camera):
+def test_removed_gaussians_are_not_drawn(tmp_path, stage, gaussians, room, camera):
     mark_removed(room, np.arange(gaussians.count) % 2)
-    expected = drawn(bridge, gaussians.select(np.arange(0, gaussians.count, 2)), camera, room.matrix_world)["rgb"]
+    expected = drawn(gaussians.select(np.arange(0, gaussians.count, 2)), camera, room.matrix_world)["rgb"]
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
 
 
-def test_modifiers_count(tmp_path, stage, bridge, gaussians, room, camera):
+def test_modifiers_count(tmp_path, stage, gaussians, room, camera):
     """Geometry nodes that delete the later half of the points."""
     group = bpy.data.node_groups.new("half", "GeometryNodeTree")
     for side in ("INPUT", "OUTPUT"):
@@ -206,7 +206,7 @@ def test_modifiers_count(tmp_path, stage, bridge, gaussians, room, camera):
     for node, socket, to in wires:
         group.links.new(node.outputs[socket], to)
     room.modifiers.new("half", "NODES").node_group = group
-    expected = drawn(bridge, gaussians.select(np.arange(gaussians.count // 2)), camera, room.matrix_world)["rgb"]
+    expected = drawn(gaussians.select(np.arange(gaussians.count // 2)), camera, room.matrix_world)["rgb"]
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
 
 

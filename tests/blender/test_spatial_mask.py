@@ -9,19 +9,19 @@ import bpy
 import numpy as np
 import pytest
 from extension import part
-from view_helpers import drawn, mark_removed, pixels
+from view_helpers import drawn, mark_removed, pixels, view_of
 
 pytestmark = pytest.mark.usefixtures("stage")
 
 
-def test_the_spatial_mask_is_an_image_and_a_texture(stage, bridge, gaussians, room, camera):
+def test_the_spatial_mask_is_an_image_and_a_texture(stage, gaussians, room, camera):
     looking = stage.svrgs_looking
     looking.mask_size, looking.mask_colors, looking.mask_top = 101, "values", 0
     bpy.ops.svrgs.spatial_mask()
     image = bpy.data.images["SVR-GS Spatial Mask"]
     assert image.is_float and image.colorspace_settings.name == "Non-Color" and tuple(image.size) == (101, 61)
     assert bpy.data.textures["SVR-GS Spatial Mask"].image == image
-    expected = drawn(bridge, gaussians, camera, room.matrix_world, ("mask",), mask_kind="svr")["mask"]
+    expected = drawn(gaussians, camera, room.matrix_world, ("mask",), mask_kind="svr")["mask"]
     np.testing.assert_allclose(pixels(image)[..., 0], expected, atol=1e-3, rtol=1e-3)
     result = json.loads(looking.mask_result)
     assert result["camera"] == "camera" and math.isclose(result["largest"], expected.max(), rel_tol=1e-3)
@@ -40,7 +40,7 @@ def test_colours_of_the_mask_change_without_another_drawing(stage, room, camera)
     looking.mask_top = 0
 
 
-def test_the_mask_follows_edits(stage, bridge, gaussians, room, camera):
+def test_the_mask_follows_edits(stage, gaussians, room, camera):
     bpy.ops.svrgs.spatial_mask()
     before = json.loads(stage.svrgs_looking.mask_result)["mean"]
     mark_removed(room, np.arange(gaussians.count) % 2)
@@ -61,7 +61,7 @@ def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, room, camer
             assert not mask_image.is_stale(bpy.context)
 
 
-def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(bridge, gaussians, room, camera, monkeypatch):
+def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(gaussians, room, camera, monkeypatch):
     mask_image = part("operators.mask_image")
     monkeypatch.setattr(mask_image, "id", lambda _: 0, raising=False)
     bpy.ops.svrgs.spatial_mask()
@@ -69,7 +69,7 @@ def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(bridge,
     assert mask_image.is_stale(bpy.context)
 
 
-def test_the_mask_follows_in_the_scene_that_changed(stage, bridge, gaussians, room, camera):
+def test_the_mask_follows_in_the_scene_that_changed(stage, gaussians, room, camera):
     """Whichever scene is active when the time has come to draw."""
     follower = part("operators.spatial_mask")
     other = bpy.data.scenes.new("other")
@@ -89,11 +89,11 @@ def test_the_mask_follows_in_the_scene_that_changed(stage, bridge, gaussians, ro
         stage.svrgs_looking.mask_follow = False
 
 
-def test_contribution_is_the_score(stage, bridge, gaussians, room, camera):
+def test_contribution_is_the_score(stage, gaussians, room, camera):
     bpy.ops.svrgs.contribution(cameras="ACTIVE")
     values = np.empty(gaussians.count, np.float32)
     room.data.attributes["contribution"].data.foreach_get("value", values)
     native = part("svrgs_addon.native")
-    view = bridge.camera_from_object(camera, stage, bridge.render_size(stage)).moved(room.matrix_world)
+    view = view_of(camera, stage).moved(room.matrix_world)
     expected, _, _ = part("svrgs_addon.finetune.scores").contribution(gaussians, [view], native.Rasterizer(), native.RenderOptions())
     np.testing.assert_allclose(values, expected, rtol=1e-3, atol=1e-3)

@@ -207,11 +207,11 @@ def test_nothing_seems_to_change(two, tmp_path, operation):
         assert_looks_like(found, expected)
 
 
-def test_f12_is_the_same_before_and_after(two, tmp_path, bridge, camera, stage):
+def test_f12_is_the_same_before_and_after(two, tmp_path, camera, stage):
     before = f12(tmp_path / "before.png")
     assert before[..., :3].std() > 0.05
     graph = part("operators.bridge_graph")
-    look = lambda: drawn(bridge, *(lambda p: (p.scene, camera, p.matrix))(graph.splats(bpy.context.evaluated_depsgraph_get())))["rgb"]  # noqa: E731
+    look = lambda: drawn(*(lambda p: (p.scene, camera, p.matrix))(graph.splats(bpy.context.evaluated_depsgraph_get())))["rgb"]  # noqa: E731
     apply_with_blender(*two)
     join_with_ours(*two)
     after = f12(tmp_path / "after.png")

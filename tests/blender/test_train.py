@@ -97,7 +97,7 @@ def test_a_job_whose_cameras_are_gone_is_opened_as_a_splat(root, watch, bridge):
     assert bpy.context.object.name == f"{job.name} splat" and bridge.count(bpy.context.object) == job.folder.result()["count"]
 
 
-def test_discarding_leaves_the_cameras(root, watch, bridge):
+def test_discarding_leaves_the_cameras(root, watch):
     bpy.ops.svrgs.train()
     (job,) = watch.jobs.values()
     follow(watch, lambda: job.facts.get("state") == "running")

@@ -24,11 +24,17 @@ def pixels(image) -> np.ndarray:
     return values.reshape(height, width, image.channels)[::-1]
 
 
-def drawn(bridge, scene, camera, matrix, outputs=("rgb",), **options) -> dict:
+def view_of(camera: bpy.types.Object, scene: bpy.types.Scene):
+    """The view that a render of the scene has."""
+    cameras = part("operators.bridge_cameras")
+    return cameras.camera_from_object(camera, scene, cameras.render_size(scene))
+
+
+def drawn(scene, camera, matrix, outputs=("rgb",), **options) -> dict:
     """What the rasterizer makes of a scene under a matrix, seen by Blender's camera; rgb as 8 bits show it."""
     bpy.context.view_layer.update()
     native = part("svrgs_addon.native")
-    view = bridge.camera_from_object(camera, bpy.context.scene, bridge.render_size(bpy.context.scene)).moved(matrix)
+    view = view_of(camera, bpy.context.scene).moved(matrix)
     images = native.Rasterizer().forward(scene, view, native.RenderOptions(**options), outputs=outputs)
     return images | {"rgb": np.round(np.clip(images["rgb"], 0, 1) * 255) / 255} if "rgb" in images else images
 
