@@ -1,7 +1,7 @@
 """How near the quality that Estimate foresees comes to what runs reach: adds rows to docs/results/forecast.jsonl, or makes docs/forecast.md of them.
 
     .venv/bin/python benchmarks/forecast.py --scene demo=DIR --scene lund=DIR ... [--shrink 2]    # first: benchmarks/methods.py --study pareto
-    .venv/bin/python benchmarks/forecast.py --scene demo-12000=DIR --trained FILE.ply --only strengths
+    .venv/bin/python benchmarks/forecast.py --scene demo=DIR --trained FILE.ply --only strengths
     .venv/bin/python benchmarks/forecast.py --show docs/forecast.md                               # from the rows; runs nothing
 
     targets    the methods of METHODS at the counts of benchmarks/methods.py --study pareto; what the runs reached is taken from its rows

@@ -44,7 +44,7 @@ Their splats were trained again for the forecast, with the same command, which g
 ## Light, Balanced and Small
 
 The goals of the panel, with the default method. Forecast and run have the same file. demo, lund and brighton were trained for 3 000 steps
-(`svrgs train --schedule 0.1`), demo-12000 for 12 000 steps, snowmiku-7000 is the scene of [figures.md](figures.md).
+(`svrgs train --schedule 0.1`).
 
 {strengths}
 ## Other numbers of steps
