@@ -1,4 +1,4 @@
-"""The scene: a paved yard with things on it, a meadow and hills around, a sky dome over all.
+"""A paved yard with things on it, a meadow and hills around, a sky dome over all.
 
 Metres, z up. Everything is placed by constants or fixed seeds.
 """

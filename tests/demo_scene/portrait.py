@@ -13,7 +13,7 @@ from demo_scene import lights
 from demo_scene import materials as mat
 from demo_scene.houses import row_of_houses
 from demo_scene.plants import bush, leaf, leaves, stem, trees, tuft
-from demo_scene.shapes import add, again, bar, block, cone, cube, mould, rock, sheet, smooth, sphere
+from demo_scene.shapes import add, again, bar, block, cone, cube, mould, rock, sheet, smooth, sphere, turned
 from demo_scene.views import Pose, pose
 
 DOME_RADIUS = 75.0
@@ -129,15 +129,15 @@ def _stump() -> None:
 
 
 def _potted_plant() -> None:
-    def wall(u: float, v: float) -> Vector:
+    def wall(v: float) -> tuple[float, float]:
         outside = min(v / 0.8, 1)
         up = POT * outside if v <= 0.8 else POT * (1 - 0.25 * (v - 0.8) / 0.2)
         out = 0.095 + 0.055 * outside**1.3 + (0.012 if 0.64 < v <= 0.8 else 0) - (0.02 if v > 0.8 else 0)
-        return Vector((out * math.cos(2 * math.pi * u), out * math.sin(2 * math.pi * u), up))
+        return out, up
 
     clay = [(0.06, 0.16, 0.26), (0.55, 0.50, 0.38), (0.62, 0.22, 0.08), (0.07, 0.20, 0.30)]
     glaze = mat.patterned("glaze", "Wave", clay, roughness=0.25, Scale=7, Distortion=7, Detail=3, bands_direction="Z")
-    smooth(add("pot", sheet(64, 40, wall, closed=False), glaze, at=(-0.02, 0.02, STUMP)))
+    smooth(add("pot", turned(wall, 64, 40), glaze, at=(-0.02, 0.02, STUMP)))
     soil = mat.patterned("soil", "Noise", [(0.02, 0.012, 0.008), (0.10, 0.065, 0.04)], Scale=40)
     middle = Vector((-0.02, 0.02, STUMP + POT))
     add("soil", cone(0.135, 0.135), soil, at=middle - Vector((0, 0, 0.03)), size=(1, 1, 0.02))

@@ -11,7 +11,6 @@ from mathutils import Matrix
 from demo_scene import png
 from demo_scene.views import Intrinsics, Pose
 
-
 Develop = Callable[[int, np.ndarray], np.ndarray]  # a view's number and linear light to (H, W, 3) uint8 sRGB
 
 

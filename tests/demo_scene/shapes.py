@@ -41,10 +41,9 @@ def _set(thing: bpy.types.Object, at, turn, size) -> bpy.types.Object:
 
 def moved(things: list[bpy.types.Object], at, turn: float = 0.0) -> None:
     """Turn things that were modelled around the origin by `turn` degrees around z, then move the origin to `at`."""
-    bpy.context.view_layer.update()
     to_place = Matrix.Translation(at) @ Matrix.Rotation(math.radians(turn), 4, "Z")
     for thing in things:
-        thing.matrix_world = to_place @ thing.matrix_world
+        thing.matrix_basis = to_place @ thing.matrix_basis
 
 
 def lettering(text: str, material, at, turn=(0, 0, 0), height: float = 0.3) -> bpy.types.Object:
@@ -53,9 +52,7 @@ def lettering(text: str, material, at, turn=(0, 0, 0), height: float = 0.3) -> b
     curve.body, curve.size, curve.extrude = text, height, 0.06 * height
     curve.align_x, curve.align_y = "CENTER", "CENTER"
     sign = bpy.data.objects.new(text, curve)
-    bpy.context.collection.objects.link(sign)
-    bpy.context.view_layer.update()
-    mesh = bpy.data.meshes.new_from_object(sign.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+    mesh = bpy.data.meshes.new_from_object(sign)
     bpy.data.objects.remove(sign)
     mesh.materials.clear()
     mesh.materials.append(material)
@@ -89,6 +86,22 @@ def block(width: float, depth: float, height: float):
 
     def shape(solid) -> None:
         bmesh.ops.create_cube(solid, size=1, matrix=Matrix.Translation((0, 0, height / 2)) @ Matrix.Diagonal((width, depth, height, 1)))
+
+    return shape
+
+
+def slab(length: float, height: float, thickness: float, holes: list[tuple[float, float, float, float]] = ()):
+    """A wall on its back: x from -length / 2, y from 0 to its height, its face at z = 0. `holes` are (left, right, bottom, top), from left to right."""
+    pieces, at = [], -length / 2
+    for left, right, bottom, top in holes:
+        pieces += [(at, left, 0, height), (left, right, 0, bottom), (left, right, top, height)]
+        at = right
+    pieces.append((at, length / 2, 0, height))
+
+    def shape(solid) -> None:
+        for left, right, bottom, top in pieces:
+            middle = Matrix.Translation(((left + right) / 2, (bottom + top) / 2, thickness / 2))
+            bmesh.ops.create_cube(solid, size=1, matrix=middle @ Matrix.Diagonal((right - left, top - bottom, thickness, 1)))
 
     return shape
 
@@ -139,6 +152,16 @@ def sheet(columns: int, rows: int, place, closed: bool):
                 solid.faces.new((here[column], here[right], above[right], above[column]))
 
     return shape
+
+
+def turned(profile, columns: int = 32, rows: int = 8):
+    """A round surface around the z axis; `profile` takes v in 0..1 to a radius and a height."""
+
+    def place(u: float, v: float) -> Vector:
+        out, up = profile(v)
+        return Vector((out * math.cos(2 * math.pi * u), out * math.sin(2 * math.pi * u), up))
+
+    return sheet(columns, rows, place, closed=False)
 
 
 def patch(columns: int, rows: int, place):
