@@ -1,7 +1,8 @@
 """Every method in the same trainer: scenes x methods x seeds, one row of figures per run.
 
     .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study table|printed|lambda|pareto|ablation] [--schedule 0.1] [--shrink 2] [--seeds 1]
-    .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # the generated scene, which is made if it is missing
+    .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # a folder that exists
+    .venv/bin/python benchmarks/methods.py --scene demo --scene room --scene portrait --scene row   # the generated scenes, made if missing
     .venv/bin/python benchmarks/methods.py --show docs                              # writes docs/results.md and its charts from the rows
 
 Rows are added to --rows (default docs/results/rows.jsonl), one JSON object per line. A run whose row exists is not run again, so a
@@ -25,7 +26,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from method_report import write_report
-from method_scenes import prepared
+from method_scenes import GENERATED, prepared
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame", "iterations", "before", "curves", "peak_memory_bytes")
@@ -139,14 +140,18 @@ def run(options: argparse.Namespace):
 
 
 def folder_of(options: argparse.Namespace, scene: str) -> Path | None:
-    """The folder of a scene's dataset; None for the generated scene, unless a folder is given."""
+    """The folder of a scene's dataset; None for a generated scene, unless a folder is given."""
     return next((Path(folder) for name, _, folder in (given.partition("=") for given in options.scene) if name == scene and folder), None)
 
 
 def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--scene", action="append", default=[], metavar="NAME=DIR", help="name and folder of a COLMAP dataset; 'demo' without a folder: the generated scene"
+        "--scene",
+        action="append",
+        default=[],
+        metavar="NAME=DIR",
+        help=f"name and folder of a COLMAP dataset; without a folder: a generated scene ({', '.join(GENERATED)})",
     )
     parser.add_argument("--study", action="append", choices=list(STUDIES), help="default: all")
     parser.add_argument("--only", action="append", metavar="WORD", help="only runs whose name contains this")

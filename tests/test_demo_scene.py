@@ -1,17 +1,26 @@
-"""The generated demo dataset: cached, reproducible, and its geometry fits its pictures."""
+"""The generated datasets: cached, reproducible, and their geometry fits their pictures."""
 
 import hashlib
 import importlib.util
 import json
+import shutil
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from demo_scene import capture
+from demo_scene.scenes import SCENES
+
 GENERATOR = Path(__file__).parent / "demo_scene"
 TINY = ("--views", "8", "--width", "96", "--samples", "4", "--points", "600")
+SMALL = {
+    name: ("--scene", name, "--views", str(views), "--width", "96", "--samples", "2", "--points", "600")
+    for name, views in (("room", 12), ("portrait", 5), ("row", 4))
+}
 
 
 def generate(out: Path, *options: str) -> subprocess.CompletedProcess:
@@ -25,22 +34,41 @@ def generate(out: Path, *options: str) -> subprocess.CompletedProcess:
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory) -> Path:
+def blender():
     if importlib.util.find_spec("bpy") is None:
         pytest.skip("bpy is not installed")
     probe = subprocess.run([sys.executable, "-c", "import bpy"], capture_output=True, text=True)
     if probe.returncode:
         pytest.skip(f"bpy cannot be imported: {probe.stderr.strip().splitlines()[-1:]}")
-    out = tmp_path_factory.mktemp("demo") / "scene"
-    done = generate(out, *TINY)
-    assert done.returncode == 0, done.stderr
-    return out
+
+
+@pytest.fixture(scope="module")
+def made(blender, tmp_path_factory):
+    """A function of a scene's name: its dataset, small, made on the first call."""
+
+    @cache
+    def make(name: str) -> Path:
+        out = tmp_path_factory.mktemp(name) / "scene"
+        done = generate(out, *SMALL.get(name, TINY))
+        assert done.returncode == 0, done.stderr
+        return out
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def dataset(made) -> Path:
+    return made("plaza")
+
+
+def read_model(dataset: Path):
+    pycolmap = pytest.importorskip("pycolmap")
+    return pycolmap.Reconstruction(str(dataset / "sparse" / "0"))
 
 
 @pytest.fixture(scope="module")
 def model(dataset):
-    pycolmap = pytest.importorskip("pycolmap")
-    return pycolmap.Reconstruction(str(dataset / "sparse" / "0"))
+    return read_model(dataset)
 
 
 def hashes(folder: Path) -> dict[str, str]:
@@ -72,6 +100,22 @@ def test_same_request_gives_same_bytes(dataset, tmp_path):
     assert done.stderr == "".join(f"rendering the demo scene: {k} of 8 views\n" for k in (2, 4, 6, 8)), "Blender's messages are kept back"
     assert hashes(again) == hashes(dataset)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again"], "leftovers beside it"
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_every_scene_has_the_same_bytes_again(made, tmp_path, name):
+    done = generate(tmp_path / "again", *SMALL[name])
+    assert done.returncode == 0, done.stderr
+    assert hashes(tmp_path / "again") == hashes(made(name))
+    stamp = json.loads((made(name) / "demo_scene.json").read_text())
+    assert stamp["request"]["scene"] == name
+
+
+def test_another_scene_replaces_a_dataset(made, tmp_path):
+    out = tmp_path / "scene"
+    shutil.copytree(made("plaza"), out)
+    assert generate(out, *SMALL["room"]).stdout == f"{out}: written\n"
+    assert hashes(out) == hashes(made("room"))
 
 
 def test_current_dataset_is_left_alone(dataset):
@@ -137,7 +181,23 @@ def test_model_is_a_plain_pinhole_dataset(dataset, model):
     assert sorted(image.name for image in model.images.values()) == sorted(path.name for path in (dataset / "images").iterdir())
 
 
-def test_keypoints_are_the_projections_of_their_points(model):
+@pytest.mark.parametrize("name", SCENES)
+def test_every_scene_has_the_format_it_says(made, name):
+    """And pictures that show something: neither dark nor burnt out, no area of one colour."""
+    model, kind = read_model(made(name)), SCENES[name]
+    camera = next(iter(model.cameras.values()))
+    assert (camera.width, camera.height) == (96, 96 * kind.aspect[1] // kind.aspect[0])
+    assert camera.params[0] == pytest.approx(kind.focal * 96)
+    for picture in pictures(made(name), model).values():
+        grey = picture.mean(axis=2)
+        assert 40 < grey.mean() < 200 and grey.std() > 12
+        assert (grey > 253).mean() < 0.15 and (grey < 3).mean() < 0.15
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_keypoints_are_the_projections_of_their_points(made, name):
+    model = read_model(made(name))
+    assert len(model.points3D) > 150
     for image in model.images.values():
         seen = [p for p in image.points2D if p.has_point3D()]
         xyz = np.array([model.points3D[p.point3D_id].xyz for p in seen])
@@ -145,9 +205,11 @@ def test_keypoints_are_the_projections_of_their_points(model):
         assert np.abs(project(model, image, xyz) - xy).max() < 1e-6
 
 
-def test_points_have_the_colours_of_the_pixels_they_fall_on(dataset, model):
+@pytest.mark.parametrize("name", SCENES)
+def test_points_have_the_colours_of_the_pixels_they_fall_on(made, name):
     """Also in views other than the one that lent the colour; not so if the cameras were off."""
-    images = pictures(dataset, model)
+    model = read_model(made(name))
+    images = pictures(made(name), model)
 
     def colour_error(shift: tuple[float, float]) -> float:
         errors = []
@@ -163,8 +225,50 @@ def test_points_have_the_colours_of_the_pixels_they_fall_on(dataset, model):
     straight = colour_error((0, 0))
     shifted = [colour_error(s) for s in ((2, 0), (-2, 0), (0, 2), (0, -2))]
     print(straight, shifted)
-    assert straight < 16, straight  # seen: 11.8, and 23 to 27 when shifted
-    assert straight < 0.6 * min(shifted), (straight, shifted)
+    assert straight < 16, straight  # seen in plaza: 11.8, and 23 to 27 when shifted
+    assert straight < 0.8 * min(shifted), (straight, shifted)
+
+
+def test_a_phone_drifts_by_ten_percent_smoothly():
+    gains = capture.gains(40)
+    exposure, warmth = gains[:, 1], gains[:, 0] / gains[:, 2]
+    for drift in (exposure, warmth):
+        assert np.ptp(drift) == pytest.approx(0.10, abs=0.002) and abs(drift.mean() - 1) < 0.03
+        assert np.abs(np.diff(drift)).max() < 0.008
+
+
+def test_a_phone_blurs_and_keeps_the_middle():
+    """A bright dot stays where it is, as the poses do; it is spread by about the stated blur."""
+    dot = np.zeros((15, 15, 3))
+    dot[7, 7] = 1
+    for view in range(12):
+        spread = linear(capture.photograph(dot, np.ones(3), view)).mean(axis=2)
+        rows, cols = np.mgrid[-7:8, -7:8]
+        total = spread.sum()
+        assert np.abs([(spread * rows).sum() / total, (spread * cols).sum() / total]).max() < 0.1
+        variance = (spread * (rows**2 + cols**2)).sum() / total / 2
+        assert capture.FOCUS**2 - 0.05 < variance < capture.FOCUS**2 + 0.5
+
+
+def linear(srgb: np.ndarray) -> np.ndarray:
+    """Of uint8 values."""
+    value = srgb / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def test_pictures_of_the_portrait_drift_as_the_stamp_says(made, tmp_path):
+    """Against the same pictures taken without drift."""
+    code = f"import sys; sys.path.insert(0, {str(GENERATOR.parent)!r}); from demo_scene import capture, __main__; capture.DRIFT = 0; sys.exit(__main__.main())"
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "still"), *SMALL["portrait"]], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    model = read_model(made("portrait"))
+    drifting, still = (pictures(folder, model) for folder in (made("portrait"), tmp_path / "still"))
+    stamp = json.loads((made("portrait") / "demo_scene.json").read_text())
+    for image_id, image in model.images.items():
+        before, after = linear(still[image_id]), linear(drifting[image_id])
+        clear = (before > 0.05) & (before < 0.8)
+        measured = [after[..., k][clear[..., k]].sum() / before[..., k][clear[..., k]].sum() for k in range(3)]
+        assert measured == pytest.approx(stamp["gains"][int(image.name[:4])], abs=0.003)
 
 
 def test_marker_shows_where_its_centre_projects(dataset, model):

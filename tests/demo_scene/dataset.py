@@ -15,6 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from . import quiet
+from .scenes import SCENES, Kind
 
 STAMP = "demo_scene.json"
 NO_BLENDER = (
@@ -27,18 +28,30 @@ NO_BLENDER = (
 class Request:
     """What to render; equal requests to equal sources give equal bytes."""
 
-    views: int = 60
-    width: int = 360  # pixels; the height follows as 3/4 of it
-    samples: int = 8  # per pixel
-    points: int = 5000  # aimed at; those seen by one view only are dropped
+    scene: str
+    views: int
+    width: int  # pixels; the height follows from the scene's format
+    samples: int  # per pixel
+    points: int  # aimed at; those seen by one view only are dropped
 
     def __post_init__(self) -> None:
         if self.views < 2 or self.width < 16 or self.samples < 1 or self.points < 1:
             raise ValueError("needs at least 2 views, 16 pixels of width, 1 sample and 1 point")
 
+    @classmethod
+    def of(cls, scene: str, **changes: int | None) -> "Request":
+        """The scene's defaults, and `changes` that are not None."""
+        kind = SCENES[scene]
+        given = {name: value for name, value in changes.items() if value is not None}
+        return cls(**{"scene": scene, "views": kind.views, "width": kind.width, "samples": kind.samples, "points": kind.points, **given})
+
+    @property
+    def kind(self) -> Kind:
+        return SCENES[self.scene]
+
     @property
     def height(self) -> int:
-        return self.width * 3 // 4
+        return self.width * self.kind.aspect[1] // self.kind.aspect[0]
 
 
 def fingerprint(request: Request) -> str:
@@ -97,21 +110,27 @@ def _generate(folder: Path, request: Request) -> None:
 
 def _render(folder: Path, request: Request, progress: Callable[[int, int], None]) -> None:
     # Imported here so that finding a dataset up to date does not start Blender.
-    import bpy  # noqa: F401  bmesh and mathutils can be imported only after it
+    import bpy  # bmesh and mathutils can be imported only after it
 
-    from demo_scene import build, colmap, points, render, views
+    from demo_scene import capture, colmap, points, render, views
 
-    camera = views.Intrinsics.for_size(request.width, request.height)
-    poses = views.rings(request.views)
+    model = importlib.import_module(f"demo_scene.{request.scene}")
+    camera = views.Intrinsics(request.width, request.height, request.kind.focal * request.width)
+    poses = model.cameras(request.views)
+    gains = capture.gains(request.views) if request.kind.phone else None
+    develop = None if gains is None else lambda index, light: capture.photograph(light, gains[index], index)
     (folder / "images").mkdir()
-    scene = build.build_scene()
-    images = render.render_views(scene, camera, poses, folder / "images", request.samples, progress)
-    cloud = points.sample(build.world_surface(scene), camera, poses, images, request.points)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    model.build(scene)
+    images = render.render_views(scene, camera, poses, folder / "images", request.samples, progress, develop)
+    cloud = points.sample(points.world_surface(scene), camera, poses, images, request.points)
     colmap.write_model(folder / "sparse" / "0", camera, poses, cloud)
     stamp = {
         "fingerprint": fingerprint(request),
         "request": asdict(request),
         "points": len(cloud.xyz),
-        "marker": build.MARKER,
+        **getattr(model, "NOTES", {}),
+        **({} if gains is None else {"gains": gains.tolist()}),
     }
     (folder / STAMP).write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")

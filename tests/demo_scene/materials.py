@@ -38,11 +38,11 @@ def patterned(
     colours: list[Colour],
     roughness: float = 0.8,
     metallic: float = 0.0,
-    **settings: float,
+    **settings: float | str,
 ) -> bpy.types.Material:
     """A texture node ("Noise", "Voronoi", "Wave", "Magic", "Checker") through a ramp of colours.
 
-    `settings` are the node's inputs, spaces written as underscores, such as `Scale=4`.
+    `settings` are the node's inputs, spaces written as underscores, such as `Scale=4`, or its properties, such as `wave_type="RINGS"`.
     """
     material, shader = _new(name)
     texture = _texture(material, pattern, settings)
@@ -70,6 +70,23 @@ def bricks(name: str, colours: list[Colour], **settings: float) -> bpy.types.Mat
         texture.inputs[socket].default_value = (*colour, 1)
     _link(material, texture.outputs["Color"], shader.inputs["Base Color"])
     shader.inputs["Roughness"].default_value = 0.85
+    return material
+
+
+def weathered(material: bpy.types.Material, darkest: float = 0.5, **settings: float | str) -> bpy.types.Material:
+    """The same material with its colour multiplied by noise between `darkest` and 1: dirt, wear, grain."""
+    tree = material.node_tree
+    colour = next(n for n in tree.nodes if n.type == "BSDF_PRINCIPLED").inputs["Base Color"]
+    noise = _texture(material, "Noise", {"Scale": 3, "Detail": 6, "Roughness": 0.7, **settings})
+    mix = tree.nodes.new("ShaderNodeMixRGB")
+    mix.blend_type = "MULTIPLY"
+    mix.inputs["Fac"].default_value = 1
+    mix.inputs["Color1"].default_value = colour.default_value
+    if colour.is_linked:
+        _link(material, colour.links[0].from_socket, mix.inputs["Color1"])
+    # Noise is seldom below 0.3 or above 0.7.
+    _ramp(material, noise.outputs[0], [(f, f, f) for f in (darkest, darkest, (1 + darkest) / 2, 1.0, 1.0)], mix.inputs["Color2"])
+    _link(material, mix.outputs[0], colour)
     return material
 
 
@@ -122,10 +139,13 @@ def _coordinates(material) -> bpy.types.NodeSocket:
     return material.node_tree.nodes.new("ShaderNodeTexCoord").outputs["Object"]
 
 
-def _texture(material, pattern: str, settings: dict[str, float]) -> bpy.types.Node:
+def _texture(material, pattern: str, settings: dict[str, float | str]) -> bpy.types.Node:
     node = material.node_tree.nodes.new(f"ShaderNodeTex{pattern}")
     for key, value in settings.items():
-        node.inputs[key.replace("_", " ")].default_value = value
+        if key.islower():
+            setattr(node, key, value)
+        else:
+            node.inputs[key.replace("_", " ")].default_value = value
     _link(material, _coordinates(material), node.inputs["Vector"])
     return node
 

@@ -5,6 +5,7 @@ A point keeps the colour of the pixel it was shot through and the list of views 
 
 from dataclasses import dataclass
 
+import bpy
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
@@ -22,6 +23,19 @@ class Cloud:
     view: np.ndarray  # (M,) int, which view observes
     point: np.ndarray  # (M,) int, which point is observed
     xy: np.ndarray  # (M, 2) float64, where in the image, pixel centres at k + 0.5
+
+
+def world_surface(scene: bpy.types.Scene) -> BVHTree:
+    """Every visible surface, in world coordinates, as one tree for ray casts."""
+    bpy.context.view_layer.update()
+    vertices, polygons = [], []
+    for thing in scene.objects:
+        if thing.type != "MESH":
+            continue
+        first = len(vertices)
+        vertices += [thing.matrix_world @ vertex.co for vertex in thing.data.vertices]
+        polygons += [[first + k for k in face.vertices] for face in thing.data.polygons]
+    return BVHTree.FromPolygons(vertices, polygons)
 
 
 def sample(surface: BVHTree, camera: Intrinsics, poses: list[Pose], images: np.ndarray, count: int) -> Cloud:

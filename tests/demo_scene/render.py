@@ -8,11 +8,25 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from demo_scene import png
 from demo_scene.views import Intrinsics, Pose
 
+Develop = Callable[[int, np.ndarray], np.ndarray]  # a view's number and linear light to (H, W, 3) uint8 sRGB
 
-def render_views(scene: bpy.types.Scene, camera: Intrinsics, poses: list[Pose], folder: Path, samples: int, progress: Callable[[int, int], None]) -> np.ndarray:
-    """Write one PNG a pose into `folder`, telling `progress` how many are done. Returns the images, (V, H, W, 3) uint8 sRGB."""
+
+def render_views(
+    scene: bpy.types.Scene,
+    camera: Intrinsics,
+    poses: list[Pose],
+    folder: Path,
+    samples: int,
+    progress: Callable[[int, int], None],
+    develop: Develop | None = None,
+) -> np.ndarray:
+    """Write one PNG a pose into `folder`, telling `progress` how many are done. Returns the images, (V, H, W, 3) uint8 sRGB.
+
+    Without `develop`, Blender makes the pictures from the light.
+    """
     _configure_cycles(scene, samples)
     _configure_output(scene, camera)
     eye = _add_camera(scene, camera)
@@ -20,12 +34,27 @@ def render_views(scene: bpy.types.Scene, camera: Intrinsics, poses: list[Pose], 
     for index, pose in enumerate(poses):
         eye.matrix_world = Matrix(np.linalg.inv(pose.world_to_camera) @ np.diag([1, -1, -1, 1]))
         scene.cycles.seed = index  # else every view carries the same noise
-        scene.render.filepath = str(folder / pose.name)
-        bpy.ops.render.render(write_still=True)
-        _strip_notes(folder / pose.name)
-        images.append(_read_png(folder / pose.name))
+        path = folder / pose.name
+        if develop is None:
+            _render(scene, "PNG", path)
+            path.write_bytes(png.without_notes(path.read_bytes()))
+            images.append(np.rint(_read(path) * 255).astype(np.uint8))
+        else:
+            light = path.with_suffix(".exr")
+            _render(scene, "OPEN_EXR", light)
+            images.append(develop(index, _read(light)))
+            light.unlink()
+            png.write(path, images[-1])
         progress(len(images), len(poses))
     return np.stack(images)
+
+
+def _render(scene: bpy.types.Scene, file_format: str, path: Path) -> None:
+    scene.render.image_settings.file_format = file_format
+    scene.render.image_settings.color_mode = "RGB"
+    scene.render.image_settings.color_depth = "8" if file_format == "PNG" else "32"
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
 
 
 def _configure_cycles(scene: bpy.types.Scene, samples: int) -> None:
@@ -52,9 +81,6 @@ def _configure_output(scene: bpy.types.Scene, camera: Intrinsics) -> None:
     render.resolution_x, render.resolution_y = camera.width, camera.height
     render.resolution_percentage = 100
     render.dither_intensity = 0
-    render.image_settings.file_format = "PNG"
-    render.image_settings.color_mode = "RGB"
-    render.image_settings.color_depth = "8"
     scene.display_settings.display_device = "sRGB"
     scene.view_settings.view_transform = "Standard"
     scene.view_settings.look = "None"
@@ -70,24 +96,11 @@ def _add_camera(scene: bpy.types.Scene, camera: Intrinsics) -> bpy.types.Object:
     return scene.camera
 
 
-def _strip_notes(path: Path) -> None:
-    """Drop the chunks an image can do without: Cycles notes its render times there."""
-    data = path.read_bytes()
-    kept, at = data[:8], 8  # after the signature: length, type, content, checksum
-    while at < len(data):
-        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
-        if data[at + 4 : at + 8] in (b"IHDR", b"IDAT", b"IEND"):
-            kept += data[at:end]
-        at = end
-    path.write_bytes(kept)
-
-
-def _read_png(path: Path) -> np.ndarray:
-    """(H, W, 3) uint8, first row on top."""
+def _read(path: Path) -> np.ndarray:
+    """(H, W, 3) float32, first row on top: the values of the file, 0..1 in a PNG."""
     image = bpy.data.images.load(str(path))
     width, height = image.size
     flat = np.empty(width * height * 4, dtype=np.float32)
     image.pixels.foreach_get(flat)
     bpy.data.images.remove(image)
-    rgb = flat.reshape(height, width, 4)[::-1, :, :3]
-    return np.rint(rgb * 255).astype(np.uint8)
+    return flat.reshape(height, width, 4)[::-1, :, :3]

@@ -1,4 +1,4 @@
-"""The scene: a paved yard with things on it, a meadow and hills around, a sky dome over all.
+"""A paved yard with things on it, a meadow and hills around, a sky dome over all.
 
 Metres, z up. Everything is placed by constants or fixed seeds.
 """
@@ -10,24 +10,33 @@ import bmesh
 import bpy
 import numpy as np
 from mathutils import Vector
-from mathutils.bvhtree import BVHTree
 
+from demo_scene import lights
 from demo_scene import materials as mat
 from demo_scene.shapes import add, bar, cone, cube, rock, sheet, smooth, sphere
+from demo_scene.views import Pose, look_at
 
 DOME_RADIUS = 60.0
 PAVING = 0.06  # height of the yard's floor
 # A ball on the column, striped yellow and red. It is unshaded and both colours are as red as can be without any blue,
 # so that a test can find the whole ball in an image.
 MARKER = {"centre": [1.3, -0.6, 1.82], "radius": 0.12, "rgb": [[255, 210, 0], [255, 50, 0]]}
+NOTES = {"marker": MARKER}  # for the stamp
 STRIPES = 12  # like a beach ball's, from pole to pole
 
+MIDDLE = np.array([0.0, 0.0, 0.75])  # metres; what every camera looks at, give or take
 
-def build_scene() -> bpy.types.Scene:
-    """Replace whatever is open by the demo scene."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    _light(scene)
+# Share of the views, distance from the axis (m), height (m), both with their jitter.
+RINGS = (
+    (0.40, (4.6, 0.25), (1.25, 0.25)),
+    (0.33, (4.1, 0.25), (2.75, 0.25)),
+    (0.27, (2.95, 0.15), (1.45, 0.45)),
+)
+
+
+def build(scene: bpy.types.Scene) -> None:
+    lights.sun(scene, 3.2, 4, (1.0, 0.93, 0.82), (48, 0, 35))
+    lights.sky(scene, (0.45, 0.60, 0.85), 0.75)
     _surroundings()
     _monument()
     _column()
@@ -36,36 +45,6 @@ def build_scene() -> bpy.types.Scene:
     _crates()
     _railing()
     _trellis()
-    return scene
-
-
-def world_surface(scene: bpy.types.Scene) -> BVHTree:
-    """Every visible surface, in world coordinates, as one tree for ray casts."""
-    bpy.context.view_layer.update()
-    vertices, polygons = [], []
-    for thing in scene.objects:
-        if thing.type != "MESH":
-            continue
-        first = len(vertices)
-        vertices += [thing.matrix_world @ vertex.co for vertex in thing.data.vertices]
-        polygons += [[first + k for k in face.vertices] for face in thing.data.polygons]
-    return BVHTree.FromPolygons(vertices, polygons)
-
-
-def _light(scene: bpy.types.Scene) -> None:
-    sun = bpy.data.lights.new("sun", "SUN")
-    sun.energy = 3.2
-    sun.angle = math.radians(4)
-    sun.color = (1.0, 0.93, 0.82)
-    lamp = bpy.data.objects.new("sun", sun)
-    lamp.rotation_euler = (math.radians(48), 0, math.radians(35))
-    scene.collection.objects.link(lamp)
-    scene.world = bpy.data.worlds.new("world")
-    if scene.world.node_tree is None:
-        scene.world.use_nodes = True
-    background = next(n for n in scene.world.node_tree.nodes if n.type == "BACKGROUND")
-    background.inputs["Color"].default_value = (0.45, 0.60, 0.85, 1)
-    background.inputs["Strength"].default_value = 0.75
 
 
 def _hill_height(x: float, y: float) -> float:
@@ -260,3 +239,25 @@ def _trellis() -> None:
     for step in np.linspace(0, 1, 6):
         bar(lath, corner + across * step, corner + across * step + up)
         bar(lath, corner + up * step, corner + up * step + across)
+
+
+def cameras(count: int) -> list[Pose]:
+    """`count` poses on three rings around the middle.
+
+    Names run around each ring in turn, so every 8th one, the test split, falls all round the
+    scene at every height.
+    """
+    rng = np.random.default_rng(20)
+    shares = np.cumsum([0.0] + [share for share, _, _ in RINGS])
+    edges = np.rint(shares / shares[-1] * count).astype(int)
+    poses = []
+    for ring, (_, radius, height) in enumerate(RINGS):
+        size = edges[ring + 1] - edges[ring]
+        for step in range(size):
+            jitter = rng.uniform(-1, 1, 6)
+            angle = 2 * np.pi * (step + 0.2 * jitter[0] + 0.37 * ring) / size
+            away = radius[0] + radius[1] * jitter[1]
+            eye = [away * np.cos(angle), away * np.sin(angle), height[0] + height[1] * jitter[2]]
+            target = MIDDLE + 0.15 * jitter[3:]
+            poses.append(Pose(f"{len(poses):04d}.png", look_at(np.array(eye), target)))
+    return poses
