@@ -49,7 +49,7 @@ def pruned(tiny, tmp_path_factory) -> dict:
 def test_prune_result(tiny, pruned):
     assert MEASURES | {"before", "after", "seconds", "method", "lambda_f", "out"} <= pruned.keys()
     assert pruned["before"].keys() == pruned["after"].keys() == MEASURES
-    assert (pruned["method"], pruned["lambda_f"]) == ("pressure", None), "the target says how many stay"
+    assert (pruned["method"], pruned["lambda_f"]) == ("removal", None), "the target says how many stay"
     assert tiny_dataset.FAINT <= pruned["first_cut"] < tiny_dataset.COUNT
     assert pruned["count"] == round(0.4 * tiny_dataset.COUNT) and pruned["before"]["count"] == tiny_dataset.COUNT
     assert pruned["psnr"] > pruned["before"]["psnr"] + 1, "fine-tuning does not fit the photographs"
@@ -81,7 +81,7 @@ def test_every_method_runs(tiny, svrgs, tmp_path, method):
     result = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *SHORT, "--out", tmp_path / "o.ply", "--json").json
     assert result["method"] == method and result["lambda_f"] == (METHODS[method].lambda_f or None)
     left = tiny_dataset.COUNT - result["first_cut"]
-    assert result["count"] < left if method in ("pressure", "saliency") else result["count"] == left, "masks cannot have learned in so few steps"
+    assert result["count"] < left if method in ("removal", "saliency") else result["count"] == left, "masks cannot have learned in so few steps"
     assert result["first_cut"] > tiny_dataset.FAINT if METHODS[method].learns_masks else result["first_cut"] == tiny_dataset.FAINT
     assert result["iterations"] == (4 if method == "3dgs" else 12)
 

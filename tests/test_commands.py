@@ -173,7 +173,7 @@ def test_eval_says_why_lpips_is_left_out(tiny, svrgs):
 # --- train
 
 
-@pytest.mark.parametrize("method", ["3dgs", "pressure"])
+@pytest.mark.parametrize("method", ["3dgs", "removal"])
 def test_train_from_sparse_points(tiny, svrgs, tmp_path, method):
     words = ("--method", method, "--iterations", 150, "--recovery", 20, "--sh-degree", 1, "--quiet", "--json")
     result = svrgs("train", "--colmap", tiny.folder, *words, "--out", tmp_path / "trained.ply").json

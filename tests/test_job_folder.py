@@ -50,7 +50,7 @@ def test_words_of_a_request_stay_values(tmp_path):
     assert options.out == tmp_path / "recovered.ply"
 
 
-@pytest.mark.parametrize(("former", "present"), [("svr", "pressure"), ("svr-mask", "svr"), ("svr-worth", "saliency"), ("gns", "gns"), (None, "pressure")])
+@pytest.mark.parametrize(("former", "present"), [("svr", "removal"), ("svr-mask", "svr"), ("svr-worth", "saliency"), ("gns", "gns"), (None, "removal")])
 def test_a_job_of_the_first_schema_keeps_its_method_and_says_once_what_it_is_called_now(tmp_path, former, present):
     options = {"colmap": "x"} if former is None else {"colmap": "x", "method": former}
     (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": options}))

@@ -13,7 +13,7 @@ from pictures import photographed
 from plans import RANKED, prune_settings, train_settings
 from short_runs import to_the_end
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.methods import opacity_pressure
+from svrgs_addon.finetune.methods import gns
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Rates
@@ -101,12 +101,12 @@ def test_gns_ends_at_its_budget_and_keeps_the_opaque():
 def test_gns_draws_in_proportion_to_opacity():
     model = Model.of(scenes.random_scene(30_000, sh_degree=0))
     model.opacity_logits[:] = np.where(np.arange(30_000) < 15_000, np.log(0.8 / 0.2), np.log(0.2 / 0.8))
-    kept = opacity_pressure.drawn_by_opacity(model, 300, [0, 2, 5])
+    kept = gns.drawn_by_opacity(model, 300, [0, 2, 5])
     assert kept.sum() == 300 and kept[:15_000].sum() == pytest.approx(240, abs=5 * math.sqrt(300 * 0.16))
-    assert (opacity_pressure.drawn_by_opacity(model, 300, [0, 2, 6]) != kept).any()
+    assert (gns.drawn_by_opacity(model, 300, [0, 2, 6]) != kept).any()
 
 
 def test_gns_finds_the_opacity_that_the_budget_reaches():
     logits = np.log(np.arange(1, 100) / np.arange(99, 0, -1)).astype(np.float32)  # opacities 0.01 ... 0.99
-    assert opacity_pressure.opacity_at(np.random.default_rng(0).permutation(logits), 10) == pytest.approx(0.90, rel=1e-5)
-    assert opacity_pressure.opacity_at(logits, 1_000) == pytest.approx(0.01, rel=1e-5)
+    assert gns.opacity_at(np.random.default_rng(0).permutation(logits), 10) == pytest.approx(0.90, rel=1e-5)
+    assert gns.opacity_at(logits, 1_000) == pytest.approx(0.01, rel=1e-5)

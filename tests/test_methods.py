@@ -42,7 +42,7 @@ def grown_run(method: str, engine=None, dtype=np.float32, **changes) -> Run:
 
 
 def test_an_unknown_method_is_one_sentence():
-    with pytest.raises(SceneError, match="method 'magic' is unknown: choose one of pressure, svr, .*3dgs$"):
+    with pytest.raises(SceneError, match="method 'magic' is unknown: choose one of removal, svr, .*3dgs$"):
         method_named("magic")
 
 

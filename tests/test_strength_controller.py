@@ -104,12 +104,12 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     assert 0.1 < sorted(drops)[5] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 7, drops
 
 
-@pytest.mark.parametrize(("method", "allowed"), [("saliency", 0.5), ("saliency", 2.0), ("svr", 0.5), ("svr", 2.0), ("gns", 2.0)])
+@pytest.mark.parametrize(("method", "allowed"), [("removal", 0.5), ("removal", 2.0), ("svr", 0.5), ("svr", 2.0), ("gns", 2.0)])
 def test_what_the_recovery_wins_back_is_spent(tiny, data, tmp_path, method, allowed):
     """One Gaussian of this tiny scene can be worth tenths of a dB."""
     settings = replace(prune_settings(method, 300, 200), max_drop=allowed)
     result = train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply"))
-    assert allowed - 0.7 < result["drop"] < allowed + 0.3
+    assert allowed - 0.7 < result["drop"] < allowed + 0.4
     left = result["curves"]["count"]
     assert left[-1] < left[list(result["curves"]["iteration"]).index(300)]
 
@@ -124,7 +124,7 @@ def test_more_is_cut_where_more_is_won_back():
 
 @pytest.mark.parametrize("stop", [501, 650, 651, 790])
 def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, tmp_path, stop):
-    settings = replace(prune_settings("saliency", 500, 300), max_drop=1.0)
+    settings = replace(prune_settings("removal", 500, 300), max_drop=3.0)
     whole, first, second = (Run(Model.of(load_scene(tiny.splat).scene), data, settings, NativeEngine()) for _ in range(3))
     while first.iteration < stop:
         first.advance()

@@ -51,7 +51,7 @@ def test_a_pruned_file_keeps_the_order_of_its_source(tiny, data, tmp_path):
 
 @pytest.mark.parametrize(
     ("method", "min_contribution", "target"),
-    [("pressure", 0.0, 0), ("pressure", 0.2, 0), ("pressure", 0.9, 150), ("pressure", 0.9, 230), ("contribution", 0.1, 40)],
+    [("removal", 0.0, 0), ("removal", 0.2, 0), ("removal", 0.9, 150), ("removal", 0.9, 230), ("contribution", 0.1, 40)],
 )
 def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, min_contribution, target):
     """Faint ones are no part of what is looked at, though all of a scene is drawn once: not even in place of those that no view shows."""
@@ -94,7 +94,7 @@ def test_threads_do_not_change_training(tiny, svrgs, tmp_path):
 def test_a_target_may_be_as_small_as_is_asked_for(tiny, data, tmp_path):
     scene = read_ply(tiny.splat)
     write_ply(tmp_path / "big.ply", scene.select(np.repeat(np.arange(scene.count), 10)))
-    for method in ("svr", "pressure", "opacity"):
+    for method in ("svr", "removal", "opacity"):
         prune(replace(tiny, splat=tmp_path / "big.ply"), data, tmp_path / "o.ply", prune_settings(method, 30, 2, target=2))
         assert read_ply(tmp_path / "o.ply").count == 2
 
@@ -110,8 +110,8 @@ def test_lambda_is_told_where_it_decided(tiny, data, tmp_path):
         options = train_and_prune.JobContext(tmp_path / "o.ply")
         return train_and_prune.prune(tiny.splat, data, prune_settings(settings.pop("method"), 20, 0, lambda_f=1e-5, **settings), options)["lambda_f"]
 
-    assert told(method="pressure") == told(method="svr", target=100) == told(method="saliency") == 1e-5
-    assert told(method="pressure", target=100) is told(method="saliency", max_drop=3.0) is None
+    assert told(method="removal") == told(method="svr", target=100) == told(method="saliency") == 1e-5
+    assert told(method="removal", target=100) is told(method="saliency", max_drop=3.0) is None
 
 
 def test_a_scene_that_would_lose_everything(tiny, data, tmp_path):

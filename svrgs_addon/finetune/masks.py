@@ -1,4 +1,4 @@
-"""Masks: sampling, pruning events and the final decision (MaskGaussian section 3; SVR-GS section II-A); masks for dropout."""
+"""Masks: sampling, pruning events and the final decision (MaskGaussian section 3; SVR-GS section II-A)."""
 
 from __future__ import annotations
 
@@ -20,11 +20,6 @@ def draw(model: Model, seed: int, step: int) -> tuple[np.ndarray, np.ndarray]:
     """
     masks, slope = sample_masks(np.ascontiguousarray(model.values[MASK], np.float32), seed, step)
     return masks, slope.astype(model.dtype, copy=False)
-
-
-def dropout_masks(count: int, share: float, seed: int, step: int) -> np.ndarray:
-    """The dropout masks of a step, (N,) uint8: each is 0 with probability `share`. They have no gradient."""
-    return (np.random.default_rng([seed, 3, step]).random(count, np.float32) >= share).astype(np.uint8)
 
 
 def ever_drawn(model: Model, seed: int, step: int, draws: int) -> np.ndarray:

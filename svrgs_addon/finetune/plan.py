@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from ..errors import SceneError
-from .methods import METHODS
 from .methods.base import Method
 from .settings import Densify, Phase, Settings
 
@@ -50,10 +49,8 @@ def prune_plan(
     max_drop: float = 0.0,
     **rest,
 ) -> Plan:
-    """The plan of `svrgs prune`, which starts from a trained scene. Methods that rank have no phase before the recovery. With a
-    max_drop, the method may be replaced by its max_drop_method. Raises SceneError for a weight that the method lacks."""
-    if max_drop and method.max_drop_method:
-        method = METHODS[method.max_drop_method]
+    """The plan of `svrgs prune`, which starts from a trained scene. Methods that rank have no phase before the recovery. Raises SceneError
+    for a weight that the method lacks."""
     phases = scaled(method.prune_phases(iterations, recovery, prune_every), schedule)
     return _plan(method, phases, True, lambda_f, lambda_m, max_drop=max_drop, **rest)
 
@@ -92,7 +89,7 @@ def weights(method: Method, trained: bool, lambda_f: float | None, lambda_m: flo
     """lambda_f and lambda_m as given, or the method's own if None. Raises SceneError for a weight that the method does not use."""
     own = dict(zip(("lambda_f", "lambda_m"), method.weights(trained), strict=True))
     if lambda_f is not None and not method.lambda_f:
-        raise SceneError(f"method '{method.name}' has no spatial mask: leave lambda-f out, or use pressure, saliency or an svr method")
+        raise SceneError(f"method '{method.name}' has no spatial mask: leave lambda-f out, or use removal, saliency or an svr method")
     if lambda_m is not None and not own["lambda_m"]:
-        raise SceneError(f"method '{method.name}' has no term with the weight lambda-m: leave it out, or use maskgs, compact3dgs, gns or pressure")
+        raise SceneError(f"method '{method.name}' has no term with the weight lambda-m: leave it out, or use maskgs, compact3dgs or gns")
     return own | {key: value for key, value in (("lambda_f", lambda_f), ("lambda_m", lambda_m)) if value is not None}

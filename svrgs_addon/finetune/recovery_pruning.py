@@ -1,7 +1,7 @@
 """Pruning during the recovery, when a drop in PSNR is allowed (--max-drop; docs/methods.md, "Holding a loss of quality").
 
-The recovery wins back PSNR, so more Gaussians can be removed. At the shares CUTS of the recovery, the Gaussians of lowest saliency
-are removed. A cut removes so many that the drop is expected to equal the allowed drop at the next cut. The expectation: the steps
+The recovery wins back PSNR, so more Gaussians can be removed. At the shares CUTS of the recovery, the Gaussians of lowest removal
+error are removed. A cut removes so many that the drop is expected to equal the allowed drop at the next cut. The expectation: the steps
 up to the next cut win back the same share of this cut's loss as they did for the last cut.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from .quality import fewest_within
 from .run_view import Keep, RunView
-from .saliency import saliency
+from .saliency import removal_errors
 from .settings import Phase
 
 CUTS = (0.25, 0.5, 0.75, 0.9)  # shares of the recovery's steps
@@ -41,7 +41,7 @@ class RecoveryPruning:
         spare = now - (self.start - run.settings.max_drop)
         if spare <= 0:
             return None
-        ranking = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        ranking = removal_errors(run.model, run.training_cameras, run.rasterizer, run.score_options)
         share = self.recovered_share(now)
         kept = fewest_within(run, ranking, now - spare - min(spare * share / (1 - share), DEEPEST))
         self.before_cut, self.after_cut = now, run.psnr(kept)

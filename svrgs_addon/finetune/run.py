@@ -163,8 +163,6 @@ class Run:
             update=not self._densifies(phase, number),
             want_means2d=phase.densify is not None and number < phase.densify.until,
         )
-        if rate := phase.dropout_rate(number, len(self.dataset.train_indices)):
-            step.masks = masks.dropout_masks(self.model.count, rate, s.seed, self.iteration)
         return replace(step, **self.method.terms(self, phase, number)) if phase.active else step
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:

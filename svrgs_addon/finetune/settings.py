@@ -59,9 +59,6 @@ class Densify:
         return cls(until=min(cls.until, iterations // 2) if until is None else until)
 
 
-MAX_DROPOUT = 0.3  # largest dropout rate
-
-
 @dataclass(frozen=True)
 class Phase:
     """A part of a run, with its own rates and rules."""
@@ -73,17 +70,9 @@ class Phase:
     active: bool = False  # the method takes part in the steps, and decides at the end of the phase which Gaussians stay
     prune_every: int = 1_000  # steps between pruning events, outside densification; 0: no events
     sh_every: int = 0  # the SH degree rises by 1 every so many steps; 0: all bands from the start
-    dropout: float = 0.0  # divided by the number of training views: the dropout rate of the first 4/5 of the steps
     coarse_until: int = 0  # steps up to this one use reduced photographs
     coarse_factor: int = 2  # reduction of the first steps, per side, a power of 2; it is halved after equal numbers of steps
     label: str = field(default="", repr=False)  # what happens in the phase, as shown to users; not part of a checkpoint's identity
-
-    def dropout_rate(self, number: int, views: int) -> float:
-        """Dropout rate of step `number` (from 1): the probability that the step leaves a Gaussian out.
-
-        It is min(0.3, dropout / views). With few training views, dropout keeps the scene from overfitting them.
-        """
-        return min(MAX_DROPOUT, self.dropout / views) if 5 * number <= 4 * self.steps else 0.0
 
     def reduction(self, number: int) -> int:
         """Reduction of the photographs in step `number` (from 1): so many pixels per side are averaged into one."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import statistics
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..files.registry import invisible, load_scene
 from ..finetune import scores
 from ..finetune.engine import NativeEngine
 from ..finetune.methods import method_named
+from ..finetune.methods.removal import Removal
 from ..finetune.model import Model
 from ..finetune.plan import Plan, prune_plan
 from ..finetune.run import Run
@@ -37,7 +39,7 @@ VIEW_SECONDS, STEP_SECONDS = 0.8, 0.6  # time limits of rendering views and of m
 VIEWS = 8  # training views that are rendered
 DROP_VIEWS = 2  # views on which PSNR is measured, if a drop is allowed
 SIDE = 512  # longer side of a reduced view, pixels
-RANKING_VIEWS = 24  # training views for what ranks the Gaussians: saliency, or the largest alpha T. Fewer leave too many Gaussians unseen
+RANKING_VIEWS = 24  # training views for what ranks the Gaussians: removal error, saliency, or the largest alpha T. Fewer leave too many Gaussians unseen
 STEPS = 3  # steps that are measured, after one that is not
 # For methods that learn masks, a Gaussian is predicted as removed if its mean alpha T over its pixels is below
 # KNEE * (lambda_F / 1e-4)^SLOPE. Fitted to runs of method svr on one scene of photographs, with lambda_F from 1e-5 to 1e-3: a rough estimate.
@@ -61,8 +63,8 @@ def estimate(options: PruneOptions) -> dict:
     refuse_unseen(scene, dataset.cameras, "the splat")
     plan = plan_of_pruning(options)
     sums, peaks, hits, views = _contributions(scene, dataset, RANKING_VIEWS if plan.method.learns_masks else VIEWS)
-    ranking = _saliency(scene, dataset) if _ranks_by_saliency(plan) else peaks
-    kept = max(1, _expected(options, plan, scene, dataset, (sums, peaks, hits, ranking)))
+    ranking = _measured(plan.method.ranking, scene, dataset) if isinstance(plan.method, Removal) else peaks
+    kept = max(1, _expected(options, plan, scene, dataset, (sums, peaks, hits)))
     quality = forecast(scene, dataset, plan, ranking, kept)
     share = kept / scene.count
     rate = _rate(scene, dataset, options)
@@ -83,14 +85,9 @@ def estimate(options: PruneOptions) -> dict:
     }
 
 
-def _ranks_by_saliency(plan: Plan) -> bool:
-    """Whether the Gaussians that stay are about those of highest saliency; else those of largest alpha T."""
-    return bool(plan.method.lambda_f) and not plan.method.learns_masks and not plan.max_drop
-
-
 def _expected(options: PruneOptions, plan: Plan, scene: Scene, dataset: Dataset, seen: tuple) -> int:
-    """Roughly how many Gaussians stay. seen: sums and maxima of alpha T, numbers of pixels, and what the method ranks by, (N,) each."""
-    sums, peaks, hits, ranking = seen
+    """Roughly how many Gaussians stay. seen: sums and maxima of alpha T, and numbers of pixels, (N,) each."""
+    sums, peaks, hits = seen
     if options.max_drop:
         return int(_fewest_within(scene, dataset, peaks, options.max_drop).sum())
     if plan.target:
@@ -98,8 +95,8 @@ def _expected(options: PruneOptions, plan: Plan, scene: Scene, dataset: Dataset,
     kept = peaks >= plan.min_contribution
     if plan.method.learns_masks and options.iterations:
         kept &= sums > np.maximum(hits, 1) * _limit(plan.lambda_f or 1e-4)
-    elif _ranks_by_saliency(plan):
-        kept &= ranking > plan.lambda_f  # exact for the budget of method pressure, rough for method saliency
+    elif isinstance(plan.method, Removal):
+        kept &= _measured(saliency, scene, dataset) > plan.lambda_f
     return int(kept.sum())
 
 
@@ -124,11 +121,11 @@ def _contributions(scene, dataset, limit: int) -> tuple[np.ndarray, np.ndarray, 
     return sums, peaks, hits, views
 
 
-def _saliency(scene, dataset) -> np.ndarray:
-    """Saliency (N,) from some of the views. It is a ratio of two sums over views, so their number matters little."""
+def _measured(ranking: Callable, scene, dataset) -> np.ndarray:
+    """Saliency or removal error (N,), from some of the views."""
     train = dataset.train_indices or list(range(len(dataset.cameras)))
     cameras = [dataset.cameras[index] for index in train[:: max(1, len(train) // RANKING_VIEWS)][:RANKING_VIEWS]]
-    return saliency(
+    return ranking(
         scene, [camera.reduced(max(1, max(camera.width, camera.height) // SIDE)) for camera in cameras], Rasterizer(), render_options(scene, dataset.background)
     )
 

@@ -40,11 +40,11 @@ class TuningOptions(DatasetOptions):
     engine: str = option(TEXT, "native", "what computes the steps: native (C++), or torch (PyTorch, for comparison)")
     lambda_f: float | None = option(
         WEIGHT, None,
-        "with svr methods, weight of the spatial mask; with pressure and saliency, the saliency above which a Gaussian stays; larger values keep fewer",
-        metavar="L", default_help="1e-4; saliency: 1e-3; svr-a: 1e-2", in_job=True,
+        "with svr methods, weight of the spatial mask; with removal and saliency, the saliency above which a Gaussian stays; larger values keep fewer",
+        metavar="L", default_help="1e-4; svr-a: 1e-2", in_job=True,
     )  # fmt: skip
     lambda_m: float | None = option(
-        WEIGHT, None, "with maskgs and compact3dgs, weight of their term over all masks; with gns and pressure, weight of the opacity pressure at the start",
+        WEIGHT, None, "with maskgs and compact3dgs, weight of their term over all masks; with gns, weight of the opacity pressure at the start",
         metavar="L", default_help="that of the method",
     )  # fmt: skip
     paper: bool = option(FLAG, False, "with --method svr: the printed settings of the paper to the letter, such as L1 + (1 - SSIM) and no first cut")
@@ -81,7 +81,7 @@ class TrainOptions(TuningOptions):
 class PruneOptions(TuningOptions):
     """Options of `svrgs prune` for one scene."""
 
-    method: str = option(TEXT, "pressure", "method that decides which Gaussians are removed, see the list below", metavar="NAME", in_job=True)
+    method: str = option(TEXT, "removal", "method that decides which Gaussians are removed, see the list below", metavar="NAME", in_job=True)
     iterations: int = option(COUNT, PRUNE_ITERATIONS, "steps spent deciding which Gaussians to remove", metavar="N", in_job=True)
     recovery: int = option(COUNT, RECOVERY, "steps after pruning, which recover the quality", metavar="N", in_job=True)
     min_contribution: float | None = option(

@@ -29,7 +29,7 @@ from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..scene import Scene
 
-HALVED = {"pressure": 14.0, "saliency": 34.0, "svr": 59.0, "maskgs": 5.6}  # by name of the method; others are not foreseen
+HALVED = {"removal": 10.0, "svr": 59.0, "maskgs": 5.6}  # by name of the method; others are not foreseen
 SECONDS, LEAST = 0.8, 2  # time limit of rendering views, without the last one; views that are rendered in any case
 SIDE = 1024  # longer side of a view in pixels; a view of less than twice this size is not reduced
 LEAST_STEPS = 800  # steps of a run below which nothing was measured
@@ -46,8 +46,8 @@ class Forecast(NamedTuple):
 
 
 def forecast(scene: Scene, dataset: Dataset, plan: Plan, ranking: np.ndarray, kept: int) -> Forecast:
-    """The forecast for a run that keeps `kept` Gaussians, about those that are highest in `ranking` (N,): saliency for the methods that
-    use it, else the largest alpha T. Views: test views, or training views if there are none. Raises FormatError, SceneError.
+    """The forecast for a run that keeps `kept` Gaussians, about those that are highest in `ranking` (N,): removal error for the methods that
+    rank by it, else the largest alpha T. Views: test views, or training views if there are none. Raises FormatError, SceneError.
 
     Not foreseen: methods without a fitted number; an allowed drop, which is the quality; a run without steps in which the method prunes, or
     with fewer than LEAST_STEPS steps.

@@ -25,8 +25,8 @@ def test_light_balanced_and_small_come_first_and_balanced_is_the_default(splat):
 @pytest.mark.parametrize(
     "method, expected",
     [
-        ("pressure", [{"lambda_f": 1e-5}, {}, {"lambda_f": 1e-3}]),
-        ("saliency", [{"lambda_f": 1e-4}, {}, {"lambda_f": 1e-2}]),
+        ("removal", [{"lambda_f": 1e-5}, {}, {"lambda_f": 1e-3}]),
+        ("saliency", [{"lambda_f": 1e-5}, {}, {"lambda_f": 1e-3}]),
         ("gns", [{"target_count": 125}, {}, {"target_count": 42}]),
         ("opacity", [{"target_count": 125}, {"target_count": 62}, {"target_count": 42}]),
     ],
@@ -42,7 +42,7 @@ def test_the_plain_goals_are_multiples_of_the_default_strength_or_shares(splat, 
 @pytest.mark.parametrize(
     "method, goal, sentence",
     [
-        ("pressure", "BALANCED", "almost no visible loss"), ("svr", "BALANCED", "The default λ_F of this method"),
+        ("removal", "BALANCED", "almost no visible loss"), ("svr", "BALANCED", "The default λ_F of this method"),
         ("svr", "LIGHT", "0.1 times the default λ_F of this method"), ("gns", "BALANCED", "Keeps 25% of the Gaussians"),
         ("maskgs", "BALANCED", "The method's own weight decides"), ("maskgs", "SMALL", "Keeps 17% of the Gaussians"),
     ],
@@ -53,11 +53,11 @@ def test_the_panel_promises_only_what_was_measured(splat, method, goal, sentence
 
 
 def test_balanced_is_what_the_default_strength_is(splat):
-    set_up({"method": "pressure", "goal": "LAMBDA"})
+    set_up({"method": "removal", "goal": "LAMBDA"})
     strength = options(splat)
     plan = part("svrgs_addon.jobs.run_job").plan_of_pruning
     make = part("svrgs_addon.jobs.options").PruneOptions
-    assert plan(make(method="pressure", **strength)) == plan(make(method="pressure")) and strength == {"lambda_f": 1e-4}
+    assert plan(make(method="removal", **strength)) == plan(make(method="removal")) and strength == {"lambda_f": 1e-4}
 
 
 @pytest.mark.parametrize("degree, further", [(0, False), (1, True), (3, True), (3, False)])

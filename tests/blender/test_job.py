@@ -250,7 +250,7 @@ def test_a_loss_in_db_is_held(splat, watch, results, bridge):
     follow(watch, lambda: results.pruned_of(splat))
     result = results.pruned_of(splat)
     before, after = result[results.PSNR]
-    assert bridge.count(result) < COUNT and before - after < 2  # measured on other photographs than the loss
+    assert bridge.count(result) < COUNT and before - after < 3  # measured on other photographs than the loss
 
 
 @pytest.mark.parametrize(
@@ -269,11 +269,11 @@ def test_a_goal_that_the_method_cannot_reach_is_said(splat, options, sentence):
 
 @pytest.mark.parametrize(
     "method, said",
-    [("pressure", "λ_F = 1e-4, the default"), ("lightgaussian", "Keeps 34%"), ("gns", "Keeps 25%"), ("maskgs", "The method's own weight decides")],
+    [("removal", "λ_F = 1e-4, the default"), ("lightgaussian", "Keeps 34%"), ("gns", "Keeps 25%"), ("maskgs", "The method's own weight decides")],
 )  # fmt: skip
 def test_without_a_target_the_panel_says_what_decides(splat, method, said):
     set_up({"goal": "LAMBDA", "method": method})
-    assert said in " ".join(drawn("prune").split()) and ("amount" in drawn("prune")) == (method == "pressure")
+    assert said in " ".join(drawn("prune").split()) and ("amount" in drawn("prune")) == (method == "removal")
     assert "svrgs.set_lambda" not in drawn("prune")
     assert bpy.ops.svrgs.job_start.poll()
 

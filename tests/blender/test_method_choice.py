@@ -11,7 +11,7 @@ from extension import DATA, part
 from job_helpers import LONG, SHORT, Layout, drawn, follow, set_up
 
 RENAMED = [  # number in the menu, name now, sentence
-    (0, "pressure", "Method 'svr' of this file is called 'Recommended' now ('pressure' on the command line)"),
+    (0, "removal", "Method 'svr' of this file is called 'Recommended' now ('removal' on the command line)"),
     (1, "svr", "Method 'svr-mask' of this file is called 'SVR-GS (paper)' now ('svr' on the command line)"),
     (6, "saliency", "Method 'svr-worth' of this file is called 'Saliency' now ('saliency' on the command line)"),
 ]
@@ -42,8 +42,8 @@ def note() -> str:
 
 def test_the_menu_begins_with_the_default_and_the_papers_method(settings):
     items = list(settings.bl_rna.properties["method"].enum_items)
-    assert [(item.identifier, item.name) for item in items[:2]] == [("pressure", "Recommended"), ("svr", "SVR-GS (paper)")]
-    assert settings.method == "pressure"
+    assert [(item.identifier, item.name) for item in items[:2]] == [("removal", "Recommended"), ("svr", "SVR-GS (paper)")]
+    assert settings.method == "removal"
     assert len({item.value for item in items}) == len(items) and all("λ_F" in item.description for item in items[:2])
 
 
@@ -56,7 +56,7 @@ def test_every_method_has_a_name_and_a_sentence_of_its_own(settings):
 def test_the_short_menu_shows_and_sets_the_method(splat):
     settings = bpy.context.scene.svrgs_prune
     assert [item.name for item in settings.bl_rna.properties["method_choice"].enum_items] == ["Recommended", "SVR-GS (paper)", "Other…"]
-    for choice, method in (("PAPER", "svr"), ("OTHER", "maskgs"), ("RECOMMENDED", "pressure")):
+    for choice, method in (("PAPER", "svr"), ("OTHER", "maskgs"), ("RECOMMENDED", "removal")):
         settings.method_choice = choice
         assert settings.method == method and settings.method_choice == choice and settings.method_schema == 2
     settings.method = "pup"
@@ -74,14 +74,14 @@ def test_all_methods_are_under_advanced_with_words_that_explain_themselves(splat
     assert settings["iterations"].description == "Steps spent deciding which Gaussians to remove"
 
 
-@pytest.mark.parametrize("name", ["pressure", "svr"])
+@pytest.mark.parametrize("name", ["removal", "svr"])
 def test_the_panel_says_what_the_method_does_and_what_lambda_means(splat, name):
     set_up({"method": name, "goal": "LAMBDA"})
     method = part("svrgs_addon.finetune.methods").METHODS[name]
     said = " ".join(drawn("prune").split())
     assert method.help[1:] in said and method.help[0].upper() + method.help[1:] in said
     assert f"λ_F = 1e-4, the default: {method.lambda_f_help}" in said
-    other = part("svrgs_addon.finetune.methods").METHODS[{"pressure": "svr", "svr": "pressure"}[name]]
+    other = part("svrgs_addon.finetune.methods").METHODS[{"removal": "svr", "svr": "removal"}[name]]
     assert other.help[1:] not in said and other.lambda_f_help not in said
     bpy.context.scene.svrgs_prune.goal = "SHARE"
     assert method.help[1:] in drawn("prune") and method.lambda_f_help not in drawn("prune")
@@ -160,7 +160,7 @@ def test_every_former_name_has_a_sentence():
     assert {methods[name].number: name for name in former.values()} == {number: name for number, name, _ in RENAMED}
 
 
-@pytest.mark.parametrize("former, name", [("svr", "pressure"), ("svr-mask", "svr"), ("svr-worth", "saliency"), (None, "pressure")])
+@pytest.mark.parametrize("former, name", [("svr", "removal"), ("svr-mask", "svr"), ("svr-worth", "saliency"), (None, "removal")])
 def test_a_job_of_the_first_schema_is_resumed_with_its_method(splat, watch, results, capfd, former, name):
     """former None: a job that does not name its method has the default of that time, which is svr."""
     set_up(LONG)
@@ -195,7 +195,7 @@ def test_a_job_of_this_version_says_nothing_when_resumed(splat, watch, capfd):
 
 def test_the_operator_for_scripts_takes_the_names_of_the_command_line():
     methods = bpy.ops.svrgs.prune.get_rna_type().properties["method"].enum_items
-    assert {"pressure", "svr", "saliency"} <= set(methods.keys()) and not {"svr-mask", "svr-worth"} & set(methods.keys())
+    assert {"removal", "svr", "saliency"} <= set(methods.keys()) and not {"svr-mask", "svr-worth"} & set(methods.keys())
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     with pytest.raises(TypeError, match="svr-worth"):
         bpy.ops.svrgs.prune(method="svr-worth")

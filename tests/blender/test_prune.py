@@ -209,7 +209,7 @@ def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch, tmp_pa
 
 def test_only_what_prunes_can_be_chosen():
     methods = bpy.ops.svrgs.prune.get_rna_type().properties["method"].enum_items
-    assert "pressure" in methods and "3dgs" not in methods and all(method.description for method in methods)
+    assert "removal" in methods and "3dgs" not in methods and all(method.description for method in methods)
 
 
 @pytest.mark.parametrize("name", ["prune", "contribution", "discard", "set_lambda"])

@@ -137,7 +137,7 @@ def check_panels(drawn, stage: str):
 
 
 @pytest.mark.parametrize("goal", ["BALANCED", "SMALL", "SHARE", "COUNT", "SIZE", "DROP", "LAMBDA"])
-@pytest.mark.parametrize("method", ["pressure", "svr", "maskgs", "gns", "opacity"])
+@pytest.mark.parametrize("method", ["removal", "svr", "maskgs", "gns", "opacity"])
 def test_settings_are_translated_for_every_method_and_goal(drawn, splat, method, goal):
     settings = bpy.context.scene.svrgs_prune
     settings.method, settings.goal = method, goal

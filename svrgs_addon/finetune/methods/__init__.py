@@ -9,8 +9,8 @@ from copy import copy
 from ...errors import SceneError
 from .base import Method
 
-DEFAULT, PAPER_METHOD = "pressure", "svr"
-FORMER_NAMES = {"svr": "pressure", "svr-mask": "svr", "svr-worth": "saliency"}  # names in job folders and .blend files of schema 1
+DEFAULT, PAPER_METHOD = "removal", "svr"
+FORMER_NAMES = {"svr": "removal", "svr-mask": "svr", "svr-worth": "saliency"}  # names in job folders and .blend files of schema 1
 
 
 def _discovered() -> dict[str, Method]:

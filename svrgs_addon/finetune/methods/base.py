@@ -39,7 +39,6 @@ class Method:
     learns_masks: bool = False
     ranks: bool = False  # decides by score() alone
     supports_max_drop: bool = False  # --max-drop is allowed
-    max_drop_method: str = ""  # name of the method that prunes instead with --max-drop; empty: this one
     first_cut: bool = False  # `svrgs prune` starts by removing Gaussians whose alpha T is small in every view
     image_weights: tuple[float, float] = (0.8, 0.2)  # weights of the mean absolute error and of 1 - SSIM
 

@@ -1,0 +1,94 @@
+"""Iterative removal: the default method `removal`, and `saliency` (docs/methods.md, "`removal`, the default").
+
+Budget: the target, or the number of Gaussians with a saliency above lambda_F. In LOOKS looks, spread evenly over the phase, the Gaussians
+that rank lowest are removed, and their number falls geometrically to the budget. The looks measure the ranking again, because only one of
+two Gaussians that can replace each other may go. Between the looks the others are trained, at the position rate that 3DGS begins with: the
+few that stay must move to where the others were. Nothing but the image loss acts on a Gaussian before it goes.
+
+With an allowed drop, each look keeps the fewest Gaussians that hold its share of the drop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from .. import masks
+from ..quality import fewest_within
+from ..saliency import removal_errors, saliency
+from ..scores import top
+from ..settings import Densify, Phase, Rates, Settings
+from .base import REMOVE, Keep, Method, RunView
+
+LOOKS = 16
+SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
+OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
+
+
+@dataclass
+class Removal(Method):
+    ranking: Callable = field(default=removal_errors, repr=False)  # (scene, cameras, rasterizer, options) -> (N,); the lowest are removed
+    lambda_f: float = 1e-4
+    lambda_f_help: str = field(default="the saliency above which a Gaussian stays", repr=False)
+    supports_max_drop: bool = True
+    count: int = 0  # state: number of Gaussians before the first look
+
+    def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
+        """Plain 3DGS, then removal in the last 8/23 of the iterations, then recovery."""
+        removal = round(iterations * SHARE_OF_TRAINING)
+        train, *recover = super().train_phases(iterations, recovery, densify, coarse_until)
+        train = replace(train, steps=iterations - removal, active=False)
+        first, last = (Rates().at(step, 1.0)["means"] for step in (train.steps, iterations))
+        return [train, *removal_phase(removal, first, last), *recover]
+
+    def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
+        first = Rates().position_first
+        recover = super().prune_phases(iterations, recovery, prune_every)
+        recover = [replace(phase, rates=replace(phase.rates, position_first=first)) for phase in recover]
+        return [*removal_phase(iterations, first, first), *recover]
+
+    def uses_lambda_f(self, settings: Settings) -> bool:
+        return not (settings.target or settings.share or settings.max_drop)
+
+    def budget(self, run: RunView) -> int:
+        if run.settings.max_drop:
+            return 0
+        stays = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options) > run.settings.lambda_f
+        masks.refuse_emptying(stays, run.initial_count)
+        return int(stays.sum())
+
+    def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
+        """A look after the first step of each of LOOKS equal parts of the phase; in a phase of fewer steps after each step."""
+        looks = min(LOOKS, phase.steps)
+        earlier, these = ((number - back) * looks // phase.steps for back in (2, 1))
+        if earlier == these:
+            return None
+        self.count = self.count or run.model.count
+        return self.stays(run, (these + 1) / looks)
+
+    def stays(self, run: RunView, done: float) -> np.ndarray:
+        """The Gaussians that stay at a look, (N,) bool. done: share of the looks that have been, this one included."""
+        rank = self.ranking(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        if run.settings.max_drop:
+            return fewest_within(run, rank, run.psnr_before - done * run.settings.max_drop)
+        return top(rank, round(self.count * (min(run.target, self.count) / self.count) ** done))
+
+    def state(self) -> dict:
+        return {"count": self.count}
+
+    def restore(self, state: dict):
+        self.count = state["count"]
+
+
+def removal_phase(steps: int, first: float, last: float) -> list[Phase]:
+    """The phase of the looks. The position rate goes from `first` to `last`. An empty list for 0 steps."""
+    rates = Rates(position_first=first, position_last=last, position_steps=steps, opacity=OPACITY_RATE)
+    return [Phase("prune", steps, rates, active=True, prune_every=0, label=REMOVE)] if steps else []
+
+
+METHODS = (
+    Removal("removal", "removes the Gaussians that the photographs need least, in 16 steps, and trains the others in between", 0, "Recommended"),
+    Removal("saliency", "as Recommended, ranked by removal error over mask penalty, the objective of SVR-GS", 6, "Saliency", ranking=saliency),
+)

@@ -1,0 +1,130 @@
+"""Saliency of a Gaussian; `--method removal` and `saliency`: looks that remove the lowest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import scenes
+from pictures import photographed
+from plans import prune_settings, train_settings
+from svrgs_addon.errors import SceneError
+from svrgs_addon.finetune.engine import NativeEngine
+from svrgs_addon.finetune.methods.removal import LOOKS
+from svrgs_addon.finetune.model import Model
+from svrgs_addon.finetune.run import Run
+from svrgs_addon.finetune.saliency import SHARE, removal_errors, saliency
+from svrgs_addon.native import Rasterizer, RenderOptions
+
+COUNT = 60
+
+
+def scene_and_data(count: int = COUNT):
+    scene = scenes.random_scene(count, 2, 1, scale=0.25)
+    return scene, photographed(scene)
+
+
+def run_of(settings, count: int = COUNT) -> Run:
+    scene, data = scene_and_data(count)
+    return Run(Model.of(scene), data, settings, NativeEngine())
+
+
+def counts_of(run: Run) -> list[int]:
+    """Gaussians after each step."""
+    counts = []
+    while not run.finished:
+        run.advance()
+        counts.append(run.model.count)
+    run.close()
+    return counts
+
+
+def test_saliency_is_the_removal_error_over_the_mask_penalty():
+    """One view, not made smaller, and renders that really leave each Gaussian out."""
+    scene = scenes.random_scene(30, 5, 1, scale=0.3)
+    scene.opacity_logits[:] = np.minimum(scene.opacity_logits, -1.0)  # no ray stops
+    camera = scenes.camera(41, 31)
+    r, options = Rasterizer("float64"), RenderOptions(mask_kind="svr")
+    double = Model.of(scene, np.float64)
+    found = saliency(double, [camera], r, options)
+    whole = {name: image.copy() for name, image in r.forward(double, camera, options, outputs=("rgb", "mask", "hits")).items()}
+    for i in range(scene.count):
+        masks = np.ones(scene.count, np.uint8)
+        masks[i] = 0
+        without = r.forward(double, camera, options, masks, ("rgb", "mask"))
+        change = whole["mask"] - without["mask"]  # F is linear: dF/dM times 1
+        pixels = change > 0
+        if not pixels.any():
+            assert found[i] == 0
+            continue
+        removal_error = ((whole["rgb"] - without["rgb"]) ** 2).mean()
+        mask_penalty = SHARE * (2 * whole["mask"] * change).sum() / pixels.sum()
+        assert found[i] == pytest.approx(removal_error / mask_penalty, rel=1e-9)
+
+
+def test_as_many_stay_as_have_a_saliency_above_lambda():
+    look = run_of(prune_settings("removal", 40, 0))
+    value = np.sort(saliency(look.model, look.training_cameras, look.engine.rasterizer, look.score_options))
+    limit = float(value[COUNT - 23 : COUNT - 21].mean())  # between the 22nd and the 23rd
+    assert counts_of(run_of(prune_settings("removal", 40, 5, lambda_f=limit)))[-1] == 22
+
+
+def test_a_lambda_above_every_saliency_is_refused_at_once():
+    run = run_of(prune_settings("removal", 40, 0, lambda_f=1e12))
+    with pytest.raises(SceneError, match="use a smaller lambda-f"):
+        run.advance()
+    run.close()
+    assert run.iteration == 0
+
+
+def test_those_of_lowest_removal_error_go_first():
+    run = run_of(replace(prune_settings("removal", 32, 0), target=15))
+    run.advance()  # one step, and the first look
+    left = set(run.model.origin)
+    run.close()
+    other = run_of(replace(prune_settings("3dgs", 0, 1)))
+    other.advance()  # the same step, at another rate of the opacities
+    errors = removal_errors(other.model, other.training_cameras, other.engine.rasterizer, other.score_options)
+    other.close()
+    lowest = other.model.origin[np.argsort(errors)[: COUNT - len(left)]]
+    assert 0 < len(lowest) < COUNT / 4 and len(left & set(lowest)) <= 1
+
+
+@pytest.mark.parametrize("method", ["removal", "saliency"])
+def test_the_target_is_approached_in_equal_ratios_and_met(method):
+    counts = counts_of(run_of(replace(prune_settings(method, 32, 4), target=15)))
+    np.testing.assert_allclose(counts[:32:2], [COUNT * (15 / COUNT) ** (k / LOOKS) for k in range(1, LOOKS + 1)], atol=1)
+    assert counts[0] == counts[1] and counts[30] == counts[-1] == 15, "a look after the first step of each part"
+
+
+@pytest.mark.parametrize("steps", [1, 5, 17])
+def test_a_short_phase_meets_the_target_too(steps):
+    assert counts_of(run_of(replace(prune_settings("removal", steps, 2), target=15)))[-1] == 15
+
+
+def test_a_target_above_the_count_prunes_nothing():
+    assert counts_of(run_of(replace(prune_settings("removal", 8, 0), target=1_000)))[-1] == COUNT
+
+
+def test_nothing_but_the_image_loss_acts_on_those_that_stay():
+    run = run_of(replace(prune_settings("removal", 32, 0), target=15))
+    phase, number = run.phase()
+    run._prepare(phase, number)
+    assert run.method.terms(run, phase, number) == {}
+    run.close()
+
+
+def test_no_more_is_lost_than_allowed():
+    scene, data = scene_and_data()
+    scene.sh[:] += np.random.default_rng(1).normal(0, 0.1, scene.sh.shape)  # something to lose against
+    run = Run(Model.of(scene), data, replace(prune_settings("removal", 32, 0), max_drop=1.0), NativeEngine())
+    before = run.psnr(None)
+    assert counts_of(run)[-1] < COUNT
+    assert 10 < before - 1.0 <= run.psnr(None)
+
+
+def test_in_training_removal_comes_after_densification():
+    phases = train_settings("removal", 23, 5, target=30).phases
+    assert [(phase.name, phase.steps, phase.active) for phase in phases] == [("train", 15, False), ("prune", 8, True), ("recover", 5, False)]
+    counts = counts_of(run_of(train_settings("removal", 23, 5, target=30)))
+    assert counts[14] == COUNT > counts[15] > counts[22] == counts[-1] == 30
