@@ -27,10 +27,10 @@ from forecast_report import page
 from method_scenes import prepared
 from methods import ROOT, TABLE, TARGETS, command, read_rows
 
-METHODS = ("pressure", "saliency", "svr", "maskgs")
+METHODS = ("removal", "svr", "maskgs")
 SCHEDULE = 0.3  # of the rows of study pareto, and of the runs here where it is not varied
 STRENGTHS = {"Light": 1e-5, "Balanced": 1e-4, "Small": 1e-3}  # lambda_F of the goals of the panel (operators/goals.py)
-STEPS = {"pressure": ("0.08", (0.1, 0.3, 1.0)), "svr": ("0.17", (0.1, 1.0))}
+STEPS = {"removal": ("0.08", (0.1, 0.3, 1.0)), "svr": ("0.17", (0.1, 1.0))}
 ESTIMATE = """
 import sys
 from svrgs_addon.exit_status import answer
@@ -48,7 +48,7 @@ def cases(options: argparse.Namespace) -> Iterator[tuple]:
                 yield "targets", f"{method} {target}", method, {"target": float(target)}, SCHEDULE
     if "strengths" in options.only:
         for label, value in STRENGTHS.items():
-            yield "strengths", label, "pressure", {"lambda_f": value}, options.schedule
+            yield "strengths", label, "removal", {"lambda_f": value}, options.schedule
     if "steps" in options.only:
         for method, (target, schedules) in STEPS.items():
             for schedule in schedules:

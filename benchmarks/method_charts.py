@@ -15,11 +15,11 @@ MARKERS = "osD^v<>PX*hd"
 
 def pareto_chart(curves: dict[str, list[tuple[int, float]]], before: tuple[int, float], title: str, path: Path):
     """PSNR over the number of Gaussians. curves: points (Gaussians, dB) of each method, by rising count; before: the point of the scene
-    that was pruned. `pressure` is black; this project's methods and the svr methods have thick lines."""
+    that was pruned. `removal` is black; this project's methods and the svr methods have thick lines."""
     figure, axes = plt.subplots(figsize=(8.5, 5))
     for k, (method, points) in enumerate(sorted(curves.items())):
-        ours = method.startswith(("svr", "pressure", "saliency"))
-        style = {"linewidth": 2 if ours else 1, "markersize": 4, "color": "black" if method == "pressure" else plt.cm.tab20(k % 20)}
+        ours = method.startswith(("svr", "removal", "saliency"))
+        style = {"linewidth": 2 if ours else 1, "markersize": 4, "color": "black" if method == "removal" else plt.cm.tab20(k % 20)}
         axes.plot(*zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", label=method, **style)
     axes.plot(*before, "k+", markersize=10, label="before")
     axes.set_xscale("log")

@@ -8,6 +8,7 @@ from pathlib import Path
 from statistics import fmean
 
 from method_charts import curve_chart, pareto_chart
+from method_scenes import GENERATED
 
 SCENARIOS = ("Scenario A", "Scenario B", "SVR-GS")  # Table 2 of the paper
 PAPER, BASE, RIVAL = "SVR-GS", "3DGS", "MaskGS alpha"
@@ -39,7 +40,7 @@ def write_report(rows: list[dict], folder: Path):
         scenario_part(rows),
         printed_part(rows),
     ]
-    parts += [schedule_part(rows), lambda_part(rows, charts), pareto_part(rows, charts), ablation_part(rows)]
+    parts += [few_part(rows), schedule_part(rows), lambda_part(rows, charts), pareto_part(rows, charts), ablation_part(rows)]
     (folder / "results.md").write_text("\n".join(part for part in parts if part))
 
 
@@ -50,8 +51,8 @@ def commands(rows: list[dict]) -> str:
         kinds[row["study"], row["schedule"], row["trained"], row["shrink"]].add(row["scene"])
     lines = []
     for (study, schedule, trained, shrink), scenes in sorted(kinds.items()):
-        named = " ".join(f"--scene {scene}" if scene == "demo" else f"--scene {scene}=DIR" for scene in sorted(scenes))
-        pruned = f" --trained {trained:g}" if study in ("pareto", "ablation") and trained != schedule else ""
+        named = " ".join(f"--scene {scene}" if scene in GENERATED else f"--scene {scene}=DIR" for scene in sorted(scenes))
+        pruned = f" --trained {trained:g}" if study in ("pareto", "ablation", "schedules") and trained != schedule else ""
         lines.append(f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g}{pruned} --shrink {shrink} {named}")
     return "\n".join(lines)
 
@@ -158,6 +159,24 @@ def scenario_part(rows: list[dict]) -> str:
     return "\n".join(lines) if len(lines) > 2 else ""
 
 
+def few_part(rows: list[dict]) -> str:
+    """PSNR of the default and its nearest rivals at few Gaussians, for several schedules."""
+    rows = [{**row, "share": float(row["run"].split()[1])} for row in named(rows) if row["study"] == "schedules"]
+    if not rows:
+        return ""
+    columns = sorted(groups(rows, "schedule", "method"), key=lambda column: (column[0], column[1] != "removal", column[1]))
+    lines = ["## Few Gaussians: the default and its nearest rivals, with short and long schedules", ""]
+    lines += [
+        "| scene (PSNR before) | kept | " + " | ".join(f"{method}, {schedule:g}" for schedule, method in columns) + " |",
+        "|---" * (2 + len(columns)) + "|",
+    ]
+    for (scene, share), those in sorted(groups(rows, "scene", "share").items(), key=lambda item: (item[0][0], -item[0][1])):
+        found = groups(those, "schedule", "method")
+        cells = " | ".join(psnr_of(found[column]) if column in found else "" for column in columns)
+        lines.append(f"| {scene} ({those[0]['before']['psnr']:.2f}) | {100 * share:g} % | {cells} |")
+    return "\n".join([*lines, ""])
+
+
 def schedule_part(rows: list[dict]) -> str:
     """Runs of one scene with several schedules, side by side: they show whether a short schedule ranks methods as a longer one does."""
     lines = ["## One scene, several schedules", ""]
@@ -210,8 +229,8 @@ def pareto_part(rows: list[dict], charts: Path) -> str:
 
 
 def ablation_part(rows: list[dict]) -> str:
-    """The effect of each part of `pressure`: PSNR at equal count."""
-    lines = ["## Parts of `pressure`: PSNR without them, at equal count", ""]
+    """The effect of each part of `removal`: PSNR at equal count."""
+    lines = ["## Parts of `removal`: PSNR without them, at equal count", ""]
     for (scene, schedule), those in groups((r for r in rows if r["study"] == "ablation"), "scene", "schedule").items():
         counts = sorted(groups(those, "count"), reverse=True)
         lines += [f"| {scene}, schedule {schedule:g} | " + " | ".join(f"{count:,} Gaussians" for (count,) in counts) + " |", "|---" * (1 + len(counts)) + "|"]

@@ -1,6 +1,6 @@
 """Every method in the same trainer: scenes x methods x seeds, one row of figures per run.
 
-    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study table|printed|lambda|pareto|ablation] [--schedule 0.1] [--shrink 2] [--seeds 1]
+    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study table|printed|lambda|pareto|ablation|schedules] [--schedule 0.1] [--shrink 2] [--seeds 1]
     .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # a folder that exists
     .venv/bin/python benchmarks/methods.py --scene demo --scene room --scene portrait --scene row   # the generated scenes, made if missing
     .venv/bin/python benchmarks/methods.py --show docs                              # writes docs/results.md and its charts from the rows
@@ -12,7 +12,8 @@ stopped experiment can be continued. --work (default build/methods) holds the sc
     printed   the weights of the image loss as the paper prints them, from sparse points
     lambda    the sweep of lambda_F of the paper, from sparse points
     pareto    `svrgs prune` of the 3DGS scene of `table` (trained with the schedule --trained), every method at several counts
-    ablation  the same with method `pressure`, with one part of it changed at a time
+    ablation  the same with method `removal`, with one part of it changed at a time
+    schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
 """
 
 from __future__ import annotations
@@ -45,12 +46,13 @@ TABLE = {
     "Scenario B": ["--method", "svr-b"],
     "SVR-GS, self term": ["--method", "svr-self"],
     "SVR-GS, even": ["--method", "svr-even"],
-    "pressure": ["--method", "pressure"],
+    "removal": ["--method", "removal"],
 }
 LAMBDAS = ("1e-4", "1.25e-4", "1.6e-4", "2e-4")
+DEEP = ("0.25", "0.1", "0.05", "0.02")
 TARGETS = ("0.5", "0.25", "0.17", "0.08")
 RIVALS = ("opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns")
-OURS = ("svr", "svr-self", "svr-even", "saliency", "pressure")
+OURS = ("svr", "svr-self", "svr-even", "saliency", "removal")
 
 
 def pareto() -> dict[str, list[str]]:
@@ -59,24 +61,20 @@ def pareto() -> dict[str, list[str]]:
     return runs | {f"{method} {target}": ["--method", method, "--target", target] for target in TARGETS for method in RIVALS + OURS}
 
 
-PRESSURE = "from svrgs_addon.finetune.methods import pressure; "
+REMOVAL = "from svrgs_addon.finetune.methods import removal; "
 ABLATION = {  # name of the run: Python code that changes the program before it runs
-    "pressure": "",
-    "pressure alike for all": PRESSURE + "pressure.POWER = 0",
-    "no dropout in recovery": PRESSURE + "pressure.DROPOUT = 0",
-    "neither": PRESSURE + "pressure.POWER = pressure.DROPOUT = 0",
-    "no opacity left after 7/8, as gns": "from svrgs_addon.finetune.methods import METHODS; METHODS['pressure'].goal_zero = 7 / 8",
-    "by the fourth root, within 3": PRESSURE + "pressure.POWER, pressure.LARGEST = 0.25, 3.0",
-    "by the removal error itself, within 1000": PRESSURE + "pressure.POWER, pressure.LARGEST = 1.0, 1000.0",
-    "three times the dropout": PRESSURE + "pressure.DROPOUT = 18",
-    "by the removal error from few photographs too": PRESSURE + "pressure.FEW = 0",
+    "removal": "",
+    "8 looks": REMOVAL + "removal.LOOKS = 8",
+    "position rate of the other methods": REMOVAL + "removal.POSITION_RATE = 5e-6",
+    "opacity rate of the other methods": REMOVAL + "removal.OPACITY_RATE = 0.05",
 }
 STUDIES = {
     "table": TABLE,
     "printed": {"SVR-GS --paper": ["--method", "svr", "--paper"]},
     "lambda": {f"lambda_F {value}": ["--method", "svr", "--lambda-f", value] for value in LAMBDAS},
     "pareto": pareto(),
-    "ablation": {f"{label} {target}": ["--method", "pressure", "--target", target] for target in ("0.17", "0.08") for label in ABLATION},
+    "ablation": {f"{label} {target}": ["--method", "removal", "--target", target] for target in ("0.17", "0.05") for label in ABLATION},
+    "schedules": {f"{method} {target}": ["--method", method, "--target", target] for target in DEEP for method in ("removal", "maskgs", "gns")},
 }
 
 
@@ -101,7 +99,7 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
     common = [*request["flags"], *data, "--seed", str(request["seed"]), "--schedule", str(request["schedule"]), "--json", "--quiet"]
     change = ABLATION[request["run"].rpartition(" ")[0]] if request["study"] == "ablation" else ""
     start = [sys.executable, "-c", f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli.main import main\nsys.exit(main())"]
-    if request["study"] in ("pareto", "ablation"):
+    if request["study"] in ("pareto", "ablation", "schedules"):
         return [*start, "prune", str(trained), "--out", str(out), *common]
     return [*start, "train", "--out", str(trained if request["run"] == "3DGS" else out), *common]
 
@@ -156,7 +154,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--study", action="append", choices=list(STUDIES), help="default: all")
     parser.add_argument("--only", action="append", metavar="WORD", help="only runs whose name contains this")
     parser.add_argument("--schedule", type=float, default=0.1, help="share of the published 30 000 + 5 000 iterations (default: 0.1)")
-    parser.add_argument("--trained", type=float, help="with pareto and ablation: the schedule of the scene that is pruned (default: --schedule)")
+    parser.add_argument("--trained", type=float, help="with pareto, ablation and schedules: the schedule of the scene that is pruned (default: --schedule)")
     parser.add_argument("--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--rows", type=Path, default=ROOT / "docs" / "results" / "rows.jsonl")

@@ -1,7 +1,7 @@
 """How close methods come to a target: the Gaussians that masks alone would leave against a share, or the dB lost against an allowed drop.
 
     .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr,maskgs] [--shares 0.5,0.25] [--json]
-    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply --methods pressure,svr --drops 0.2,0.5,1 [--recovery N]
+    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply --methods removal,svr --drops 0.2,0.5,1 [--recovery N]
 
 Further options (--images DIR, --schedule 0.3) are passed to `svrgs prune`.
 

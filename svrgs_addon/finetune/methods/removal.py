@@ -24,6 +24,7 @@ from .base import REMOVE, Keep, Method, RunView
 
 LOOKS = 16
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
+POSITION_RATE = Rates().position_first  # of the phase, and of the recovery's first step, in `svrgs prune`
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
 
 
@@ -44,10 +45,9 @@ class Removal(Method):
         return [train, *removal_phase(removal, first, last), *recover]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        first = Rates().position_first
         recover = super().prune_phases(iterations, recovery, prune_every)
-        recover = [replace(phase, rates=replace(phase.rates, position_first=first)) for phase in recover]
-        return [*removal_phase(iterations, first, first), *recover]
+        recover = [replace(phase, rates=replace(phase.rates, position_first=POSITION_RATE)) for phase in recover]
+        return [*removal_phase(iterations, POSITION_RATE, POSITION_RATE), *recover]
 
     def uses_lambda_f(self, settings: Settings) -> bool:
         return not (settings.target or settings.share or settings.max_drop)
