@@ -170,7 +170,9 @@ def few_part(rows: list[dict]) -> str:
         "| scene (PSNR before) | kept | " + " | ".join(f"{method}, {schedule:g}" for schedule, method in columns) + " |",
         "|---" * (2 + len(columns)) + "|",
     ]
-    for (scene, share), those in sorted(groups(rows, "scene", "share").items(), key=lambda item: (item[0][0], -item[0][1])):
+    cases = groups(rows, "scene", "share")
+    for scene, share in sorted(cases, key=lambda case: (case[0], -case[1])):
+        those = cases[scene, share]
         found = groups(those, "schedule", "method")
         cells = " | ".join(psnr_of(found[column]) if column in found else "" for column in columns)
         lines.append(f"| {scene} ({those[0]['before']['psnr']:.2f}) | {100 * share:g} % | {cells} |")

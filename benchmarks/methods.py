@@ -1,6 +1,6 @@
 """Every method in the same trainer: scenes x methods x seeds, one row of figures per run.
 
-    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study table|printed|lambda|pareto|ablation|schedules] [--schedule 0.1] [--shrink 2] [--seeds 1]
+    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study NAME ...] [--schedule 0.1] [--shrink 2] [--seeds 1]
     .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # a folder that exists
     .venv/bin/python benchmarks/methods.py --scene demo --scene room --scene portrait --scene row   # the generated scenes, made if missing
     .venv/bin/python benchmarks/methods.py --show docs                              # writes docs/results.md and its charts from the rows
