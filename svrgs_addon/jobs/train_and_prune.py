@@ -174,7 +174,7 @@ def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
     scene = scene if keep.all() else scene.select(keep)
     if not method.ranks:
         return scene
-    keep = scores.top(method.score(scene, views, Rasterizer(), render_options(scene, plan.background)), plan.target)
+    keep = method.cut(scene, views, Rasterizer(), render_options(scene, plan.background), plan.target)
     masks.refuse_emptying(keep, scene.count, plan.target)
     return scene.select(keep)
 

@@ -104,6 +104,10 @@ class Method:
         """The score of each Gaussian, (N,); the highest stay. Only methods that rank have it."""
         raise NotImplementedError
 
+    def cut(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> np.ndarray:
+        """(N,) bool: the `count` Gaussians that stay. Only methods that rank have it."""
+        raise NotImplementedError
+
     # --- checkpoints
 
     def state(self) -> dict:
