@@ -5,18 +5,25 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 import scenes
-from native_helpers import rasterizer, typed
+from native_helpers import BACKGROUND, rasterizer
+from pictures import photographed
+from plans import prune_settings, train_settings
 from reference import rasterize as reference
-from svrgs_addon.finetune.methods import METHODS
+from svrgs_addon.finetune import scores
+from svrgs_addon.finetune.engine import NativeEngine
+from svrgs_addon.finetune.methods import METHODS, speedy
 from svrgs_addon.finetune.methods.gaussianpop import LOOKS
-from svrgs_addon.finetune.model import PARAMETERS
+from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.run import Run
+from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.native import RenderOptions
+from weights_of_pixels import expected_slopes
 
 CAMERAS = [scenes.camera(29, 23), scenes.camera(31, 21, eye=(1.5, -1.0, -3.5), roll=20)]  # too small to be reduced
-BACKGROUND = (0.2, 0.5, 0.9)
 OPTIONS = RenderOptions(background=BACKGROUND)
 
 
@@ -54,9 +61,60 @@ def test_gaussianpop_removes_in_looks_what_really_changes_the_pictures_least():
         errors = removal_errors(scene, expected)
         expected = np.isin(np.arange(24), np.argsort(-errors, kind="stable")[: round(24 * 0.25 ** (look / LOOKS))])
     r = rasterizer("float64")
-    double = typed(scene, r.dtype)
-    double.count = 24
+    double = Model.of(scene, np.float64)
     kept = METHODS["gaussianpop"].cut(double, CAMERAS, r, OPTIONS, 6)
     assert kept.sum() == 6 and (kept == expected).all()
     assert not kept[once].all(), "one look would have kept the same: the test shows nothing"
     assert METHODS["gaussianpop"].cut(double, CAMERAS, r, OPTIONS, 100).all()
+
+
+# --- methods with events
+
+
+def counts_of(run: Run) -> list[int]:
+    """Gaussians after each step."""
+    counts = []
+    while not run.finished:
+        run.advance()
+        counts.append(run.model.count)
+    run.close()
+    return counts
+
+
+def run_of(method: str, steps: int, **changes) -> Run:
+    scene = scenes.random_scene(200, 2, 1, scale=0.2)
+    return Run(Model.of(scene), photographed(scene), replace(prune_settings(method, steps, 5), **changes), NativeEngine())
+
+
+@pytest.mark.parametrize("target", [20, 34])
+def test_speedy_falls_by_equal_ratios_at_the_published_fifths(target):
+    """Without a target 30 % go at each of five cuts: at 15 000, 18 000, ... 27 000 of 30 000, which is 0, 1/5, ... 4/5 of the rest."""
+    assert prune_settings("speedy", 10, 0).method.share == pytest.approx(0.7**5)
+    counts = counts_of(run_of("speedy", 50, target=target))
+    left = [round(200 * (target / 200) ** (k / 5)) for k in range(1, 6)]
+    assert counts == [left[0]] * 9 + [left[1]] * 10 + [left[2]] * 10 + [left[3]] * 10 + [target] * 16
+
+
+def test_speedy_keeps_the_largest_slopes():
+    """One cut, against autograd on the float64 reference (test_native_dominance.py)."""
+    scene = faint_scene(30, 4)
+    expected = sum(expected_slopes(scene, np.ones(30), camera) for camera in CAMERAS)
+    found = scores.slopes(Model.of(scene, np.float64), CAMERAS, rasterizer("float64"), OPTIONS)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * expected.max())
+    data = replace(photographed(scene), cameras=CAMERAS, train_indices=[0, 1])
+    run = Run(Model.of(scene, np.float64), data, prune_settings("speedy", 10, 0, target=9, background=BACKGROUND), NativeEngine("float64"))
+    run.target, run.method.count = 9, 30
+    assert (run.method.event(run, 5) == scores.top(expected, 9)).all()
+
+
+def test_speedy_prunes_softly_while_training_densifies():
+    """80 % at 2/5, 3/5 and 4/5 of the steps with densification: published 6 000, 9 000, 12 000 of 15 000."""
+    rule = Densify(start=5, until=100, every=10, reset_every=1_000, gradient=1e9)  # nothing grows
+    settings = train_settings("speedy", 200, 0, densify=rule, target=2)
+    scene = scenes.random_scene(500, 2, 1, scale=0.2)
+    run = Run(Model.of(scene), photographed(scene), settings, NativeEngine())
+    counts = counts_of(run)
+    soft = [k for k in range(1, 99) if counts[k] < counts[k - 1]]
+    assert [k + 1 for k in soft] == [40, 60, 80] and [counts[k] for k in soft] == [100, 20, 4]
+    published = METHODS["speedy"].train_phases(30_000, 0, Densify(), 0)[0].densify
+    assert [share * published.until for share in speedy.SOFT_CUTS] == [6_000, 9_000, 12_000]

@@ -236,6 +236,7 @@ class Run:
         keep &= densify.keep_mask(self.model, rule, self.extent, number > rule.reset_every)
         survivors = self.method.survivors(self) if phase.active else None
         self._keep(keep if survivors is None else keep & survivors)
+        self._keep(self.method.after_densification(self, phase, number) if phase.active else None)
         last = number + rule.every >= rule.until
         if self.unordered > (0 if last else REORDER_SHARE * self.model.count):
             self._into_order()

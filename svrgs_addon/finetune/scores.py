@@ -7,6 +7,7 @@ import numpy as np
 from ..camera import Camera
 from ..native import Rasterizer, RenderOptions
 from ..scene import Scene
+from .model import Model
 
 
 def contribution(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -19,6 +20,16 @@ def significance(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, op
     """Opacity times the sum of T over all views and the pixels in which the Gaussian is blended, (N,) float64 (LightGaussian)."""
     *_, transmittance = _statistics(scene, cameras, rasterizer, options)
     return transmittance / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
+
+
+def slopes(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+    """Sum over all views and pixels of the squared derivative of the colour, its channels summed, with respect to the value of the
+    Gaussian at the pixel, (N,) float64 (Speedy-Splat)."""
+    sums = np.zeros(scene.count)
+    for camera in cameras:
+        rasterizer.forward(scene, camera, options, outputs=())
+        rasterizer.add_slopes(sums)
+    return sums
 
 
 def _statistics(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -83,6 +83,10 @@ class Method:
         """The Gaussians that stay after a pruning event. Each densification is a pruning event too."""
         return None
 
+    def after_densification(self, run: RunView, phase: Phase, number: int) -> Keep:
+        """The Gaussians that stay after step `number`, once its densification is done and survivors() has decided."""
+        return None
+
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         """The Gaussians that stay after a step outside densification."""
         due = phase.prune_every and (number == phase.steps or number % phase.prune_every == 0)
