@@ -107,6 +107,16 @@ def test_every_method_trains_to_a_share(tiny, svrgs, tmp_path, method):
     assert result["count"] == result["target"] == tiny_dataset.SEEN // 2 and result["iterations"] == 65
 
 
+def test_training_by_mcmc_grows_to_its_cap(tiny, svrgs, tmp_path):
+    words = ("train", "--colmap", tiny.folder, "--densify", "mcmc", "--schedule", 0.01, "--sh-degree", 0, "--quiet", "--json", "--out", tmp_path / "o.ply")
+    once = int(1.05 * tiny_dataset.SEEN)
+    for cap, count in ((once + 1, once + 1), (10_000, int(1.05 * once))):
+        assert svrgs(*words, "--cap", cap).json["count"] == count
+    assert svrgs(*words, "--target-count", once).json["count"] == once
+    assert svrgs(*words, "--cap", 10_000, "--method", "lightgaussian", "--target-count", 50).json["count"] == 50
+    refused(svrgs(*words), "--densify mcmc needs --cap")
+
+
 def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
     words = ("--colmap", tiny.folder, "--paper", "--method", "svr", *SHORT, "--out", tmp_path / "o.ply", "--json")
     result = svrgs("prune", tiny.splat, *words).json

@@ -13,7 +13,7 @@ import numpy as np
 from ..camera import Camera
 from ..native import Rasterizer, RenderOptions
 from .model import MASK, PARAMETERS, Model
-from .penalties import MeanExistence, OpacityPressure
+from .penalties import Penalty
 
 BETAS, EPS = (0.9, 0.999), 1e-15
 
@@ -34,7 +34,7 @@ class Step:
     lambda_f: float = 0.0  # weight of mean F^2
     lambda_m: float = 0.0  # weight of (mean M)^2
     gates: bool = False  # masks multiply the scale too, and have a gradient only where they are 1 (Compact3DGS)
-    penalty: MeanExistence | OpacityPressure | None = None
+    penalty: Penalty | tuple[Penalty, ...] | None = None  # one term, or several
     update: bool = True  # False: gradients only (3DGS takes no optimiser step in a step that densifies)
     want_means2d: bool = False  # the gradient of the projected centres is returned, for densification
 
@@ -49,9 +49,14 @@ class Step:
         return float(self.masks.mean()) ** 2 if self.masks is not None else 0.0
 
     @property
+    def penalties(self) -> tuple[Penalty, ...]:
+        """The terms of `penalty`."""
+        return self.penalty if isinstance(self.penalty, tuple) else (self.penalty,) if self.penalty else ()
+
+    @property
     def dense_gradients(self) -> set[str]:
         """Parameters whose gradient is not sparse: it reaches every Gaussian, not only the visible ones."""
-        return ({MASK} if self.lambda_m else set()) | ({self.penalty.parameter} if self.penalty else set())
+        return ({MASK} if self.lambda_m else set()) | {penalty.parameter for penalty in self.penalties}
 
 
 @dataclass
@@ -100,8 +105,7 @@ class NativeEngine:
         if step.spatial:
             mask_loss, image_grads["mask"] = mask_loss_grad(images["mask"], step.lambda_f)
         result = StepResult(l1, ssim, mask_loss, r.visible(), global_loss=step.global_loss)
-        if step.penalty:
-            result.penalty = float(step.penalty.value(model.values[step.penalty.parameter], np))
+        result.penalty = float(sum(penalty.value(model.values[penalty.parameter], np) for penalty in step.penalties))
         wanted: tuple[str, ...] = ("means2d",) if step.want_means2d else ()
         if not step.update:
             result.means2d = r.backward(image_grads, wanted).get("means2d")
@@ -132,8 +136,9 @@ class NativeEngine:
             dense = np.zeros(model.values[name].shape, model.dtype)
             if name == MASK and step.lambda_m and step.masks is not None and step.slope is not None:
                 dense += global_mask_grad(step.masks, step.slope, step.lambda_m)
-            if step.penalty and step.penalty.parameter == name:
-                dense += step.penalty.grad(model.values[name])
+            for penalty in step.penalties:
+                if penalty.parameter == name:
+                    dense += penalty.grad(model.values[name])
             dense[ids] += rows
             return self._adam(model, step, name, dense, None)
         return self._adam(model, step, name, rows, ids)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -11,6 +11,18 @@ from .model import MASK
 
 LOGIT_SHIFT = 20.0  # GNS pulls opacity logits towards -20
 MIN_TRANSPARENCY = 0.05
+
+
+class Penalty(Protocol):
+    """A term of the loss that depends on one parameter of all Gaussians."""
+
+    parameter: ClassVar[str]  # a name in Model.values
+
+    def value(self, values, xp):
+        """A scalar; values: the parameter (N, ...), an array of the module xp, numpy or torch."""
+
+    def grad(self, values: np.ndarray) -> np.ndarray:
+        """The gradient of value(), in the shape and dtype of `values`."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +40,27 @@ class MeanExistence:
         """(N,) in the logits' dtype."""
         p = sigmoid(logits, np)
         return p * (1 - p) * logits.dtype.type(self.weight / len(logits))
+
+
+@dataclass(frozen=True)
+class MeanOpacity(MeanExistence):
+    """weight * mean opacity (3DGS-MCMC, arXiv 2404.09591)."""
+
+    parameter: ClassVar[str] = "opacity_logits"
+
+
+@dataclass(frozen=True)
+class MeanScale:
+    """weight * mean scale, over all three axes (3DGS-MCMC, arXiv 2404.09591)."""
+
+    weight: float
+    parameter: ClassVar[str] = "log_scales"
+
+    def value(self, log_scales, xp):
+        return self.weight * xp.exp(log_scales).mean()
+
+    def grad(self, log_scales: np.ndarray) -> np.ndarray:
+        return np.exp(log_scales) * log_scales.dtype.type(self.weight / log_scales.size)
 
 
 @dataclass(frozen=True)

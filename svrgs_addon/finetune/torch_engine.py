@@ -111,7 +111,7 @@ class TorchEngine:
         masks = _masks(step, leaves)
         images = self._render(step, leaves, masks, means2d)
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
-        penalty = step.penalty.value(leaves[step.penalty.parameter], torch) if step.penalty else torch.zeros(())
+        penalty = sum((penalty.value(leaves[penalty.parameter], torch) for penalty in step.penalties), torch.zeros(()))
         loss = loss + penalty
         loss.backward()
         ids = row_ids(self.rasterizer)
