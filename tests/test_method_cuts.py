@@ -13,11 +13,12 @@ from native_helpers import BACKGROUND, rasterizer
 from pictures import photographed
 from plans import prune_settings, train_settings
 from reference import rasterize as reference
-from svrgs_addon.finetune import scores
+from svrgs_addon.finetune import admm, scores
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.methods import METHODS, speedy
+from svrgs_addon.finetune.methods import METHODS, popspa, speedy
 from svrgs_addon.finetune.methods.gaussianpop import LOOKS
 from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.penalties import EffectiveRank
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.native import RenderOptions
@@ -118,3 +119,71 @@ def test_speedy_prunes_softly_while_training_densifies():
     assert [k + 1 for k in soft] == [40, 60, 80] and [counts[k] for k in soft] == [100, 20, 4]
     published = METHODS["speedy"].train_phases(30_000, 0, Densify(), 0)[0].densify
     assert [share * published.until for share in speedy.SOFT_CUTS] == [6_000, 9_000, 12_000]
+
+
+# --- popspa
+
+
+def test_popspa_cuts_twice_by_equal_ratios_and_has_its_terms_in_between():
+    counts = counts_of(run_of("popspa", 30, target=50))
+    assert counts == [round((200 * 50) ** 0.5)] * 29 + [50] * 6
+    run, kinds = run_of("popspa", 30, target=50), []
+    while not run.finished:
+        phase, number = run.phase()
+        run.advance()
+        step = run._step(*run.phase(), run.dataset.cameras[0], None) if not run.finished else None
+        kinds.append([type(penalty).__name__ for penalty in step.penalties] if step else [])
+    run.close()
+    expected = {1: [], **{number: ["EffectiveRank"] for number in range(2, 31)}, **dict.fromkeys((10, 20, 30), ["EffectiveRank", "OpacityGoal"])}
+    assert kinds == [expected.get(number, []) for number in range(2, 37)], "in the recovery there is none"
+
+
+@pytest.mark.parametrize(("steps", "every"), [(5_000, 50), (3_000, 30), (60, 10)])
+def test_popspa_pulls_at_the_published_spacing(steps, every):
+    (phase,) = prune_settings("popspa", steps, 0).phases
+    assert [n for n in range(1, steps + 1) if METHODS["popspa"]._pulls(phase, n)] == list(range(every, steps + 1, every))
+
+
+def test_admm_is_that_of_gaussianspa():
+    """Proxy and dual of five Gaussians over three projections, written out; the opacities move in between."""
+    model = Model.of(scenes.random_scene(5, 1, 0), np.float64)
+    z, u = None, np.zeros(5)
+    for stays in ([1, 1, 0, 0, 1], [0, 1, 0, 1, 1], [1, 1, 0, 1, 0]):
+        o = 1 / (1 + np.exp(-model.opacity_logits))
+        first = z is None
+        z = np.array([o[i] + u[i] if stays[i] else 0.0 for i in range(5)])
+        if not first:
+            u = u + o - z
+        admm.project(model, np.array(stays, bool))
+        term = admm.pull(model, 5e-4)
+        np.testing.assert_allclose(term.goal, z - u, atol=1e-15)
+        assert term.value(model.opacity_logits, np) == pytest.approx(0.5 * 5e-4 * ((o - z + u) ** 2).sum())
+        model.opacity_logits[:] += np.random.default_rng(len(stays)).normal(0, 0.5, 5)
+
+
+def test_popspa_fades_what_is_to_go():
+    """The Gaussians outside the target lose opacity against a run without the pull."""
+    means = []
+    for rho in (0.0, 0.5):
+        run = run_of("popspa", 60, target=50)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(popspa, "RHO", rho)
+            while run.iteration < 59:
+                run.advance()
+        run.close()
+        goes = run.model.values[admm.GOAL] + run.model.values[admm.DUAL] == 0
+        means.append((1 / (1 + np.exp(-run.model.opacity_logits[goes]))).mean())
+        assert goes.sum() == 50
+    assert means[1] < 0.8 * means[0]
+
+
+def test_the_effective_rank_is_that_of_its_definition():
+    scales = np.array([[1, 1, 1], [3, 3, 1e-6], [5, 1e-5, 1e-5], [2, 1, 0.5], [1e-30, 1e-31, 1e-31]])
+    p = scales**2 / (scales**2).sum(axis=1, keepdims=True)
+    erank = np.exp(-(p * np.log(np.maximum(p, 1e-300))).sum(axis=1))
+    np.testing.assert_allclose(erank[:2], [3, 2], rtol=1e-9)
+    wanted = 0.01 * np.maximum(-np.log(erank - 1 + 1e-7), 0) + scales.min(axis=1)
+    for row, value in zip(scales, wanted, strict=True):
+        assert EffectiveRank().value(np.log(row)[None], np) == pytest.approx(value, rel=1e-6)
+        single = np.log(row)[None].astype(np.float32)
+        assert EffectiveRank().value(single, np) == pytest.approx(value, rel=2e-2) and np.isfinite(EffectiveRank().grad(single)).all()

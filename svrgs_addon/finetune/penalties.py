@@ -11,6 +11,7 @@ from .model import MASK
 
 LOGIT_SHIFT = 20.0  # GNS pulls opacity logits towards -20
 MIN_TRANSPARENCY = 0.05
+RANK_EPS = 1e-7
 
 
 class Penalty(Protocol):
@@ -61,6 +62,56 @@ class MeanScale:
 
     def grad(self, log_scales: np.ndarray) -> np.ndarray:
         return np.exp(log_scales) * log_scales.dtype.type(self.weight / log_scales.size)
+
+
+@dataclass(frozen=True)
+class OpacityGoal:
+    """weight / 2 * sum of (opacity - goal)^2, with a goal (N,) for each Gaussian (ADMM of GaussianSpa, arXiv 2411.06019)."""
+
+    weight: float
+    goal: np.ndarray
+    parameter: ClassVar[str] = "opacity_logits"
+
+    def value(self, logits, xp):
+        return 0.5 * self.weight * ((sigmoid(logits, xp) - xp.asarray(self.goal)) ** 2).sum()
+
+    def grad(self, logits: np.ndarray) -> np.ndarray:
+        o = sigmoid(logits, np)
+        return (self.weight * (o - self.goal) * o * (1 - o)).astype(logits.dtype, copy=False)
+
+
+@dataclass(frozen=True)
+class EffectiveRank:
+    """needle * mean max(-log(erank - 1 + 1e-7), 0) + thin * mean of the smallest scale (effective rank, arXiv 2406.11672).
+
+    erank = exp(-sum_k p_k log p_k) with p_k = scale_k^2 / (sum of the three squares) is between 1, a needle, and 3, a ball.
+    """
+
+    needle: float = 0.01
+    thin: float = 1.0
+    parameter: ClassVar[str] = "log_scales"
+
+    def value(self, log_scales, xp):
+        _, entropy, smallest = self._shape(log_scales, xp)
+        return self.needle * xp.clip(-xp.log(xp.expm1(entropy) + RANK_EPS), 0.0, None).mean() + self.thin * xp.exp(smallest).mean()
+
+    def grad(self, log_scales: np.ndarray) -> np.ndarray:
+        shares, entropy, smallest = self._shape(log_scales, np)
+        above = np.expm1(entropy) + RANK_EPS
+        slope = np.where(above < 1, -2 * self.needle * np.exp(entropy) / above, 0)
+        grad = np.stack([slope * p * (-log_p - entropy) for p, log_p in shares], axis=1)
+        grad[np.arange(len(grad)), log_scales.argmin(axis=1)] += self.thin * np.exp(smallest)
+        return (grad / len(grad)).astype(log_scales.dtype, copy=False)
+
+    @staticmethod
+    def _shape(log_scales, xp):
+        """[(p_k, log p_k)] of the three axes, the entropy -sum p log p, and the smallest log-scale; (N,) each."""
+        a, b, c = log_scales.T
+        largest, smallest = xp.maximum(xp.maximum(a, b), c), xp.minimum(xp.minimum(a, b), c)
+        gaps = [2 * (x - largest) for x in (a, b, c)]  # log of the squares, relative to the largest: no square underflows or overflows
+        log_total = xp.log(sum(xp.exp(gap) for gap in gaps))
+        shares = [(xp.exp(gap - log_total), gap - log_total) for gap in gaps]
+        return shares, -sum(p * log_p for p, log_p in shares), smallest
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ class Method:
         raise NotImplementedError
 
     def score(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-        """The score of each Gaussian, (N,); the highest stay. Only methods that rank have it."""
+        """The score of each Gaussian, (N,); the highest stay. Only methods that rank, or cut in events, have it."""
         raise NotImplementedError
 
     def cut(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ..scores import slopes, top
+from ..scores import slopes
 from ..settings import Phase
 from .base import Keep, RunView
 from .stepwise import Stepwise
@@ -26,13 +26,10 @@ class Speedy(Stepwise):
     def after_densification(self, run: RunView, phase: Phase, number: int) -> Keep:
         rule = phase.densify
         due = rule and any(number - rule.every < share * rule.until <= number for share in SOFT_CUTS)
-        return self._highest(run, round(SOFT_KEPT * run.model.count)) if due else None
+        return self.highest(run, round(SOFT_KEPT * run.model.count)) if due else None
 
-    def event(self, run: RunView, done: int) -> Keep:
-        return self._highest(run, self.falling(run, done))
-
-    def _highest(self, run: RunView, count: int) -> Keep:
-        return top(slopes(run.model, run.training_cameras, run.rasterizer, run.score_options), count)
+    def score(self, scene, cameras, rasterizer, options):
+        return slopes(scene, cameras, rasterizer, options)
 
 
 METHODS = (Speedy("speedy", "removes, in 5 cuts, the Gaussians whose strength changes the photographs least", 20, "Speedy-Splat"),)
