@@ -13,7 +13,8 @@ from native_helpers import BACKGROUND, rasterizer
 from pictures import photographed
 from plans import prune_settings, train_settings
 from reference import rasterize as reference
-from svrgs_addon.finetune import admm, scores
+from reference.rasterize import rotations
+from svrgs_addon.finetune import admm, redundancy, scores
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS, popspa, speedy
 from svrgs_addon.finetune.methods.gaussianpop import LOOKS
@@ -22,7 +23,7 @@ from svrgs_addon.finetune.penalties import EffectiveRank
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.native import RenderOptions
-from weights_of_pixels import expected_slopes
+from weights_of_pixels import expected_dominance, expected_slopes, weights
 
 CAMERAS = [scenes.camera(29, 23), scenes.camera(31, 21, eye=(1.5, -1.0, -3.5), roll=20)]  # too small to be reduced
 OPTIONS = RenderOptions(background=BACKGROUND)
@@ -187,3 +188,144 @@ def test_the_effective_rank_is_that_of_its_definition():
         assert EffectiveRank().value(np.log(row)[None], np) == pytest.approx(value, rel=1e-6)
         single = np.log(row)[None].astype(np.float32)
         assert EffectiveRank().value(single, np) == pytest.approx(value, rel=2e-2) and np.isfinite(EffectiveRank().grad(single)).all()
+
+
+# --- minisplatting
+
+
+def run_with(method: str, scene, **changes) -> Run:
+    """A run in float64 with the two CAMERAS and BACKGROUND, for a single event."""
+    data = replace(photographed(scene), cameras=CAMERAS, train_indices=[0, 1])
+    run = Run(Model.of(scene, np.float64), data, prune_settings(method, 30, 0, background=BACKGROUND, **changes), NativeEngine("float64"))
+    run.target, run.method.count = changes.get("target", 0), scene.count
+    return run
+
+
+@pytest.mark.parametrize("by_area", [False, True])
+def test_importance_is_that_of_mini_splatting(by_area):
+    """Sums of alpha T of the float64 reference; by area their mean in each view in which the Gaussian dominates a pixel. Else 0."""
+    scene = scenes.random_scene(60, 3, 1, scale=0.3)
+    expected, dominated = np.zeros(60), np.zeros(60)
+    for camera in CAMERAS:
+        found, dominant = weights(scene, np.ones(60), camera), expected_dominance(scene, np.ones(60), camera)
+        sums, pixels = found.sum(axis=0), (found > 0).sum(axis=0)
+        expected += np.where(dominant > 0, sums / np.maximum(pixels, 1), 0) if by_area else sums
+        dominated += dominant
+    expected[dominated == 0] = 0
+    found = scores.importance(Model.of(scene, np.float64), CAMERAS, rasterizer("float64"), OPTIONS, by_area)
+    assert 5 < (expected == 0).sum() < 55
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["minisplatting", "minisplatting-outdoor"])
+def test_minisplatting_draws_half_then_keeps_99_percent_of_the_importance(method):
+    scene = scenes.random_scene(600, 3, 1, scale=0.1, opacity=-1.0)
+    run = run_with(method, scene)
+    value = scores.importance(run.model, CAMERAS, run.rasterizer, OPTIONS, method.endswith("outdoor"))
+    drawn = run.method.event(run, 1)
+    assert drawn.sum() == (value > 0).sum() // 2 and (value[drawn] > 0).all()
+    assert (drawn == run.method.event(run, 1)).all(), "the same seed draws the same"
+    run.model.keep(drawn)
+    value = scores.importance(run.model, CAMERAS, run.rasterizer, OPTIONS, method.endswith("outdoor"))
+    kept = run.method.event(run, 2)
+    assert 0 < kept.sum() < len(kept) and value[kept].min() > value[~kept].max()
+    lost = value[~kept].sum() / value.sum()
+    assert lost <= 0.01 < lost + value[kept].min() / value.sum()
+
+
+def test_minisplatting_draws_in_proportion_to_importance():
+    many = np.array([3.0] * 10_000 + [1.0] * 10_000 + [0.0] * 10_000)
+    drawn = scores.drawn(many, 1_000, [0, 5, 1])
+    assert drawn.sum() == 1_000 and not drawn[20_000:].any()
+    assert drawn[:10_000].sum() == pytest.approx(750, abs=5 * (1_000 * 0.75 * 0.25) ** 0.5)
+    assert scores.drawn(many, 25_000, [0, 5, 1])[:20_000].all()
+
+
+def test_minisplatting_draws_a_target_at_once():
+    assert counts_of(run_of("minisplatting", 30, target=50)) == [50] * 35
+    without = counts_of(run_of("minisplatting", 30))
+    assert without[0] < 150 and without[8] == without[0] > without[9] == without[-1], "at step 1 and after a third"
+
+
+# --- efficientgs
+
+
+def test_efficientgs_keeps_what_dominates_a_pixel():
+    scene = scenes.random_scene(80, 3, 1, scale=0.3)
+    dominated = sum(expected_dominance(scene, np.ones(80), camera) for camera in CAMERAS)
+    sums = sum(weights(scene, np.ones(80), camera).sum(axis=0) for camera in CAMERAS)
+    assert 10 < (dominated > 0).sum() < 70
+    for done in (1, 2, 3):
+        assert (run_with("efficientgs", scene).method.event(run_with("efficientgs", scene), done) == (dominated > 0)).all()
+    few, more = (dominated > 0).sum() - 5, (dominated > 0).sum() + 5
+    ranked = np.lexsort((-sums, -dominated))
+    for target, done, wanted in ((few, 1, dominated > 0), (few, 3, np.isin(np.arange(80), ranked[:few])), (more, 1, np.isin(np.arange(80), ranked[:more]))):
+        run = run_with("efficientgs", scene, target=int(target))
+        assert (run.method.event(run, done) == wanted).all()
+
+
+def test_efficientgs_cuts_at_the_published_fifths():
+    counts = counts_of(run_of("efficientgs", 50, target=20))
+    assert counts[0] < 200 and counts[18] > 20 and counts[19:] == [20] * 36
+
+
+# --- reduced3dgs
+
+
+def expected_redundancy(scene, cameras, neighbours: int = 30) -> np.ndarray:
+    """Sphere by sphere, as the paper words it."""
+    means, scales = scene.means.astype(np.float64), np.exp(scene.log_scales.astype(np.float64))
+    R = rotations(torch.tensor(scene.quats, dtype=torch.float64)).numpy()
+    n, counts, met = len(means), [], []
+    for i in range(n):
+        sides = []
+        for camera in cameras:
+            x, y, z = camera.viewmat[:3, :3] @ means[i] + camera.viewmat[:3, 3]
+            u, v = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
+            if z > 0.2 and 0 <= u <= camera.width and 0 <= v <= camera.height:
+                sides.append(z / (camera.K[0, 0] if camera.width > camera.height else camera.K[1, 1]))
+        radius = min(sides, default=10_000.0) * 3**0.5 / 2
+        nearest = np.argsort(np.linalg.norm(means - means[i], axis=1), kind="stable")[1 : neighbours + 1]
+        met.append([i] + [j for j in nearest if ((R[j].T @ (means[i] - means[j]) / (scales[j] + radius)) ** 2).sum() < 1])
+        counts.append(len(met[-1]))
+    return np.array([min(counts[i] for i in range(n) if j in met[i]) for j in range(n)])
+
+
+def test_redundancy_is_that_of_the_definition():
+    scene = scenes.random_scene(120, 7, 0, spread=0.6, scale=0.15)
+    found = redundancy.redundancy(Model.of(scene), CAMERAS)
+    np.testing.assert_array_equal(found, expected_redundancy(scene, CAMERAS))
+    assert len(np.unique(found)) > 5 and found.min() >= 1
+    assert (redundancy.redundancy(Model.of(scenes.random_scene(1)), CAMERAS) == 1).all()
+
+
+def test_the_faint_half_of_the_redundant_goes_and_the_faintest_go():
+    redundancies = np.array([1] * 90 + [9] * 10)
+    opacity = np.r_[np.linspace(0.01, 0.5, 90), np.linspace(0.2, 0.9, 10)]
+    stays = redundancy.stays(redundancies, opacity)
+    lowest = np.flatnonzero(opacity < np.quantile(opacity, 0.03))
+    assert sorted(np.flatnonzero(~stays)) == sorted({*lowest, *range(90, 94)}), "below the lower median of ten: four"
+    assert redundancy.stays(np.full(100, 3), np.full(100, 0.9)).all(), "a redundancy of 3 is none, and an opacity of 0.05 is enough"
+
+
+@pytest.mark.parametrize("target", [0, 40])
+def test_reduced3dgs_cuts_in_thirteen_events(target):
+    counts = counts_of(run_of("reduced3dgs", 150, target=target))
+    fell = [k + 1 for k in range(1, 155) if counts[k] < counts[k - 1]]
+    assert counts[0] < 200 and set(fell) <= {*range(10, 121, 10), 100}
+    if target:
+        assert fell == list(range(10, 121, 10)) and counts[-1] == target
+
+
+def test_reduced3dgs_penalises_the_opacity_of_what_the_view_sees():
+    """0.001 times its mean: the gradient reaches the visible Gaussians alone, in both engines (test_methods.py runs them side by side)."""
+    run = run_of("reduced3dgs", 150)
+    run._prepare(run.settings.phases[0], 1)
+    step = run._step(run.settings.phases[0], 1, run.dataset.cameras[0], np.ascontiguousarray(run.dataset.pictures[0] / 255, np.float32))
+    run.model.means[:50] += 100.0  # out of the view
+    before = run.model.opacity_logits.copy()
+    result = run.engine.step(run.model, step)
+    opacity = 1 / (1 + np.exp(-before[result.visible].astype(np.float64)))
+    assert result.penalty == pytest.approx(1e-3 * opacity.mean(), rel=1e-5) and len(result.visible) <= 150
+    changed = run.model.opacity_logits != before
+    assert changed[result.visible].all() and not np.delete(changed, result.visible).any()

@@ -1,4 +1,5 @@
-"""Penalties on one parameter of all Gaussians, visible or not. The value is written once for NumPy and torch; the gradient is analytic."""
+"""Penalties on one parameter of all Gaussians, or of those that a view sees. The value is written once for NumPy and torch; the gradient is
+analytic."""
 
 from __future__ import annotations
 
@@ -15,9 +16,10 @@ RANK_EPS = 1e-7
 
 
 class Penalty(Protocol):
-    """A term of the loss that depends on one parameter of all Gaussians."""
+    """A term of the loss that depends on one parameter of the Gaussians."""
 
     parameter: ClassVar[str]  # a name in Model.values
+    seen: ClassVar[bool]  # it is given the rows of the Gaussians that the view sees, at least one; False: all rows
 
     def value(self, values, xp):
         """A scalar; values: the parameter (N, ...), an array of the module xp, numpy or torch."""
@@ -32,6 +34,7 @@ class MeanExistence:
 
     weight: float
     parameter: ClassVar[str] = MASK
+    seen: ClassVar[bool] = False
 
     def value(self, logits, xp):
         """A scalar; logits (N,) an array of the module xp, numpy or torch."""
@@ -51,11 +54,19 @@ class MeanOpacity(MeanExistence):
 
 
 @dataclass(frozen=True)
+class MeanSeenOpacity(MeanOpacity):
+    """weight * mean opacity of the Gaussians that the view sees (Reduced-3DGS, arXiv 2406.17074)."""
+
+    seen: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
 class MeanScale:
     """weight * mean scale, over all three axes (3DGS-MCMC, arXiv 2404.09591)."""
 
     weight: float
     parameter: ClassVar[str] = "log_scales"
+    seen: ClassVar[bool] = False
 
     def value(self, log_scales, xp):
         return self.weight * xp.exp(log_scales).mean()
@@ -71,6 +82,7 @@ class OpacityGoal:
     weight: float
     goal: np.ndarray
     parameter: ClassVar[str] = "opacity_logits"
+    seen: ClassVar[bool] = False
 
     def value(self, logits, xp):
         return 0.5 * self.weight * ((sigmoid(logits, xp) - xp.asarray(self.goal)) ** 2).sum()
@@ -90,6 +102,7 @@ class EffectiveRank:
     needle: float = 0.01
     thin: float = 1.0
     parameter: ClassVar[str] = "log_scales"
+    seen: ClassVar[bool] = False
 
     def value(self, log_scales, xp):
         _, entropy, smallest = self._shape(log_scales, xp)
@@ -128,6 +141,7 @@ class OpacityPressure:
     by_transparency: bool
     gaussian_weights: np.ndarray | None = None
     parameter: ClassVar[str] = "opacity_logits"
+    seen: ClassVar[bool] = False
 
     def value(self, logits, xp):
         """A scalar; logits (N,) an array of the module xp, numpy or torch."""

@@ -32,6 +32,38 @@ def slopes(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, 
     return sums
 
 
+def dominance(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+    """The number of pixels of all views in which the Gaussian has the largest alpha T of all, (N,) float64."""
+    pixels = np.zeros(scene.count)
+    for camera in cameras:
+        rasterizer.forward(scene, camera, options, outputs=())
+        rasterizer.add_dominance(pixels)
+    return pixels
+
+
+def importance(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, by_area: bool) -> np.ndarray:
+    """Sum of alpha T over all pixels and views, (N,) float64; 0 for Gaussians that dominate no pixel (Mini-Splatting).
+
+    by_area: the sum of each view is divided by its number of pixels, and only views in which the Gaussian dominates a pixel count.
+    """
+    total, dominated, n = np.zeros(scene.count), np.zeros(scene.count, bool), scene.count
+    for camera in cameras:
+        sums, pixels, dominant = np.zeros(n), np.zeros(n, np.int64), np.zeros(n)
+        rasterizer.forward(scene, camera, options, outputs=())
+        rasterizer.add_scores(sums, np.zeros(n, np.float32), pixels)
+        rasterizer.add_dominance(dominant)
+        total += np.where(dominant > 0, sums / np.maximum(pixels, 1), 0) if by_area else sums
+        dominated |= dominant > 0
+    return np.where(dominated, total, 0)
+
+
+def drawn(score: np.ndarray, count: int, key: list[int]) -> np.ndarray:
+    """(N,) bool: `count` Gaussians drawn without replacement, with probabilities proportional to score (N,), by Gumbel noise on log score.
+    Those with a score of 0 are taken only if there are too few others. key: of the random numbers."""
+    with np.errstate(divide="ignore"):
+        return top(np.log(score) + np.random.default_rng(key).gumbel(size=len(score)), count)
+
+
 def _statistics(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     n = scene.count
     arrays = np.zeros(n), np.zeros(n, np.float32), np.zeros(n, np.int64), np.zeros(n)

@@ -42,7 +42,11 @@ class Stepwise(Method):
 
         done: number of events up to and including this one.
         """
-        return self.highest(run, round(self.count * (min(run.target, self.count) / self.count) ** (done / len(self.EVENTS))))
+        return self.highest(run, self.falling(run, done))
+
+    def falling(self, run: RunView, done: int) -> int:
+        """The number of Gaussians after `done` events that falls by the same ratio at each, to the target."""
+        return round(self.count * (min(run.target, self.count) / self.count) ** (done / len(self.EVENTS)))
 
     def highest(self, run: RunView, count: int) -> np.ndarray:
         """(N,) bool: the `count` Gaussians of highest score."""
