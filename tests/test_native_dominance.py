@@ -8,6 +8,7 @@ import pytest
 import scenes
 from native_helpers import LEVELS, frontal, isotropic, rasterizer, render
 from reference import rasterize as reference
+from svrgs_addon import native
 from weights_of_pixels import expected_dominance, expected_slopes, parts
 
 COUNT = 40
@@ -41,6 +42,21 @@ def test_each_pixel_is_dominated_by_its_largest_weight(level, masked):
     np.testing.assert_array_equal(found, expected)
     rasterizer(level).add_dominance(found)
     np.testing.assert_array_equal(found, 2 * expected)
+
+
+@pytest.mark.usefixtures("default_threads")
+@pytest.mark.parametrize("level", LEVELS)
+def test_sums_do_not_depend_on_the_number_of_threads(level):
+    scene, found = scenes.random_scene(300, 6, 1, scale=0.3), set()
+    camera = scenes.camera(150, 130)
+    for threads in (1, 2, 3):
+        native.set_threads(threads)
+        render(level, scene, camera, None, ("rgb",))
+        sums = np.zeros(300), np.zeros(300)
+        rasterizer(level).add_slopes(sums[0])
+        rasterizer(level).add_dominance(sums[1])
+        found.add(b"".join(array.tobytes() for array in sums))
+    assert len(found) == 1
 
 
 @pytest.mark.parametrize("level", LEVELS)
