@@ -18,7 +18,7 @@ from svrgs_addon.finetune import admm, redundancy, scores
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS, popspa, speedy
 from svrgs_addon.finetune.methods.gaussianpop import LOOKS
-from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
 from svrgs_addon.finetune.penalties import EffectiveRank
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
@@ -329,3 +329,18 @@ def test_reduced3dgs_penalises_the_opacity_of_what_the_view_sees():
     assert result.penalty == pytest.approx(1e-3 * opacity.mean(), rel=1e-5) and len(result.visible) <= 150
     changed = run.model.opacity_logits != before
     assert changed[result.visible].all() and not np.delete(changed, result.visible).any()
+
+
+# --- rdo
+
+
+def test_rdo_removes_once_at_the_end():
+    """The gate is that of compact3dgs, which removes at its events too."""
+    phases = tuple(replace(phase, prune_every=phase.active and 10) for phase in prune_settings("rdo", 40, 5).phases)
+    found = []
+    for method in ("rdo", "compact3dgs"):
+        run = run_of(method, 40, phases=phases)
+        run.advance()
+        run.model.values[MASK][:100] = -6.0  # closed
+        found.append(counts_of(run))
+    assert found == [[200] * 38 + [100] * 6, [200] * 8 + [100] * 36]
