@@ -234,6 +234,20 @@ class Rasterizer:
             c.c_void_p(check_out(error, "error", (len(self._view[0]),), np.float64)),
         )
 
+    def add_slopes(self, sums: np.ndarray):
+        """Adds the last view to `sums` (N,) float64: the sum over pixels of (sum over channels of dC/dG)^2, G the value of the Gaussian,
+        alpha = opacity G (the score of Speedy-Splat)."""
+        self._add("svrgs_slopes", sums)
+
+    def add_dominance(self, pixels: np.ndarray):
+        """Adds the last view to `pixels` (N,) float64: the number of pixels in which the Gaussian has the largest alpha T of all."""
+        self._add("svrgs_dominance", pixels)
+
+    def _add(self, function: str, totals: np.ndarray):
+        if self._view is None:
+            raise NativeError("there is no rendered view to score: call forward() first")
+        _call(function, self._context, c.c_void_p(check_out(totals, "totals", (len(self._view[0]),), np.float64)))
+
     def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
         """Image loss L = l1_weight mean|image - target| + ssim_weight (1 - SSIM) of two (H, W, 3) images in self.dtype.
 

@@ -83,6 +83,9 @@ def everything(level, scene, masks=None, camera=CAMERA, **options):
     n = len(scene.means)
     scores = dict(sum=np.zeros(n), max=np.zeros(n, np.float32), pixels=np.zeros(n, np.int64))
     rasterizer(level).add_scores(*scores.values())
+    scores |= dict(slopes=np.zeros(n), dominance=np.zeros(n))
+    rasterizer(level).add_slopes(scores["slopes"])
+    rasterizer(level).add_dominance(scores["dominance"])
     grads = {f"d{k}": g for k, g in backward(level, image_weights(camera), n).items()}
     return images | grads | scores | {"visible": rasterizer(level).visible().copy()}
 

@@ -15,14 +15,26 @@ from plans import plan_of, train_settings
 from svrgs_addon.finetune.engine import NativeEngine, mask_logit_rows
 from svrgs_addon.finetune.methods import compact3dgs
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
-from svrgs_addon.finetune.penalties import MeanExistence, OpacityPressure
+from svrgs_addon.finetune.penalties import EffectiveRank, MeanExistence, MeanOpacity, MeanScale, OpacityGoal, OpacityPressure
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates
 
 
-@pytest.mark.parametrize("penalty", [MeanExistence(0.3), OpacityPressure(2e-4, True), OpacityPressure(6e-4, False)])
+@pytest.mark.parametrize(
+    "penalty",
+    [
+        MeanExistence(0.3),
+        MeanOpacity(0.3),
+        MeanScale(0.2),
+        EffectiveRank(),
+        EffectiveRank(0.1, 0.5),
+        OpacityGoal(0.3, np.linspace(-1, 1, 50)),
+        OpacityPressure(2e-4, True),
+        OpacityPressure(6e-4, False),
+    ],
+)
 def test_penalties_have_the_gradient_of_their_value(penalty):
-    logits = np.random.default_rng(0).normal(0, 3, 50)
+    logits = np.random.default_rng(0).normal(0, 3, (50, 3) if penalty.parameter == "log_scales" else 50)
     leaf = torch.tensor(logits, requires_grad=True)
     penalty.value(leaf, torch).backward()
     assert float(penalty.value(logits, np)) == pytest.approx(penalty.value(leaf, torch).item(), rel=1e-13)

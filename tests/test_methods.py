@@ -90,8 +90,8 @@ def test_a_share_counts_from_the_end_of_densification(method):
             grown = run.model.count
         run.advance()
     run.close()
-    assert grown > 150 and run.target > 10
-    if method in RANKED or method == "gns":
+    assert grown > 150 and run.target > 10 if method != "speedy" else run.target > 1  # its soft cuts come while training densifies
+    if method in RANKED or method in ("gns", "speedy"):
         assert run.target == round(0.35 * grown) and run.model.count == run.target
     else:
         assert run.model.count <= run.target

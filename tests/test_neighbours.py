@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svrgs_addon.geometry.neighbours import nearest_distances
+from svrgs_addon.geometry.neighbours import nearest_distances, nearest_rows
 
 RNG = np.random.default_rng(0)
 CLOUDS = {
@@ -29,6 +29,15 @@ def test_the_nearest_of_all_pairs(name):
     squares = dx * dx + dy * dy + dz * dz
     np.fill_diagonal(squares, np.inf)
     assert np.array_equal(nearest_distances(points, 3), np.sqrt(np.sort(squares, axis=1)[:, :3]))
+
+
+@pytest.mark.parametrize("name", [name for name in CLOUDS if len(CLOUDS[name]) > 30])
+def test_the_nearest_rows_have_the_smallest_distances(name):
+    points = CLOUDS[name].astype(np.float32).astype(np.float64)
+    rows = nearest_rows(points, 30)
+    assert (np.diff(np.sort(rows, axis=1), axis=1) > 0).all() and (rows != np.arange(len(points))[:, None]).all()
+    dx, dy, dz = (points[:, None, axis] - points[rows, axis] for axis in range(3))
+    assert np.array_equal(np.sqrt(np.sort(dx * dx + dy * dy + dz * dz, axis=1)), nearest_distances(points, 30))
 
 
 @pytest.mark.parametrize("name", ["cube", "far outliers", "every point five times"])

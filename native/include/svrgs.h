@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 11
+#define SVRGS_INTERFACE_VERSION 12
 
 typedef void real; /* float or double, by the context's level */
 
@@ -193,6 +193,13 @@ SVRGS_API int32_t svrgs_moments(svrgs_context*, double* moments);
    each Gaussian alone: sum over pixels and channels of d^2 - 2 r d with d = alpha_i T_i (c_i - b_i), b_i the colour behind it.
    Exact: a colour is linear in the mask of one Gaussian. With residuals of 0: the sum of d^2. */
 SVRGS_API int32_t svrgs_removal(svrgs_context*, const real* residuals, double* cost);
+
+/* Adds to sums (N,) the sum over the last view's pixels of (sum over the channels of dC/dG_i)^2, with G_i the value of the Gaussian at the
+   pixel, alpha_i = opacity_i G_i. It is the score of Speedy-Splat, which does not differentiate the clamp of alpha either. */
+SVRGS_API int32_t svrgs_slopes(svrgs_context*, double* sums);
+
+/* Adds to pixels (N,) the number of the last view's pixels in which alpha_i T_i is the largest of all; of equal ones the nearest counts. */
+SVRGS_API int32_t svrgs_dominance(svrgs_context*, double* pixels);
 
 /* L = l1_weight * mean|a - b| + ssim_weight * (1 - SSIM(a, b)); SSIM: 11x11 Gaussian window, sigma 1.5, zero padding,
    C1 = 1e-4, C2 = 9e-4, mean over pixels and channels. image, target, grad: (H, W, 3). grad (dL/dimage) is optional.

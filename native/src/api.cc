@@ -272,6 +272,24 @@ int32_t svrgs_removal(svrgs_context* c, const real* residuals, double* cost) {
   });
 }
 
+int32_t svrgs_slopes(svrgs_context* c, double* sums) {
+  return guarded([&] {
+    require(c && sums, "an argument is missing");
+    require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
+    check_whole(c->context);
+    c->context.slopes(sums);
+  });
+}
+
+int32_t svrgs_dominance(svrgs_context* c, double* pixels) {
+  return guarded([&] {
+    require(c && pixels, "an argument is missing");
+    require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
+    check_whole(c->context);
+    c->context.dominance(pixels);
+  });
+}
+
 int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int32_t height, int32_t width, double l1_weight, double ssim_weight, real* grad,
                    double values[2]) {
   return guarded([&] {

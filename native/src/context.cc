@@ -167,10 +167,24 @@ void Context::moments(double* rows) {
   parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.moments_range(frame_, slots, begin, end, rows); });
 }
 
-void Context::removal(const void* residuals, double* cost) {
+// Adds one number per pair, which run(tile, slots) writes, to out (N,).
+template <class F>
+void Context::add_sums(double* out, F&& run) {
   char* slots = slots_.reserve<char>(pairs_ * kernels_.real_size);
-  for_each_tile([&](int64_t tile) { kernels_.removal_tile(frame_, tile, residuals, slots); });
-  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.removal_range(frame_, slots, begin, end, cost); });
+  for_each_tile([&](int64_t tile) { run(tile, slots); });
+  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.sums_range(frame_, slots, begin, end, out); });
+}
+
+void Context::removal(const void* residuals, double* cost) {
+  add_sums(cost, [&](int64_t tile, void* slots) { kernels_.removal_tile(frame_, tile, residuals, slots); });
+}
+
+void Context::slopes(double* sums) {
+  add_sums(sums, [&](int64_t tile, void* slots) { kernels_.slopes_tile(frame_, tile, slots); });
+}
+
+void Context::dominance(double* pixels) {
+  add_sums(pixels, [&](int64_t tile, void* slots) { kernels_.dominance_tile(frame_, tile, slots); });
 }
 
 svrgs_work Context::work(bool count_pixels) const {

@@ -49,6 +49,8 @@ class Context {
   void scores(const Scores&);
   void moments(double* rows);
   void removal(const void* residuals, double* cost);
+  void slopes(double* sums);
+  void dominance(double* pixels);
   int64_t adam(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t rows, int width);
   void loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
 
@@ -69,6 +71,8 @@ class Context {
   void loss_tiles(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
   template <class F>
   void timed(svrgs_stage stage, F&& run);
+  template <class F>
+  void add_sums(double* out, F&& run);
   template <class F>
   void for_each_tile(F&& run) const;  // in any order, until the cancel flag is set
 

@@ -29,7 +29,9 @@ struct Kernels {
   void (*moments_tile)(const Frame&, int64_t tile, void* slots);
   void (*moments_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* rows);
   void (*removal_tile)(const Frame&, int64_t tile, const void* residuals, void* slots);
-  void (*removal_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* cost);
+  void (*slopes_tile)(const Frame&, int64_t tile, void* slots);
+  void (*dominance_tile)(const Frame&, int64_t tile, void* slots);
+  void (*sums_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* out);
   void (*count_tile)(const Frame&, int64_t tile, svrgs_work&);
   int64_t loss_scratch;  // reals a thread needs
   void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);

@@ -19,7 +19,7 @@ from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions
 from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_of
 from ..outputs import PICTURES
 
-NAME_WIDTH = 22  # characters of the first column of the list of methods
+NAME_WIDTH = 24  # characters of the first column of the list of methods
 CHOICES = {"engine": ENGINES}
 
 

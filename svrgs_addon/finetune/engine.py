@@ -13,7 +13,7 @@ import numpy as np
 from ..camera import Camera
 from ..native import Rasterizer, RenderOptions
 from .model import MASK, PARAMETERS, Model
-from .penalties import MeanExistence, OpacityPressure
+from .penalties import Penalty
 
 BETAS, EPS = (0.9, 0.999), 1e-15
 
@@ -34,7 +34,7 @@ class Step:
     lambda_f: float = 0.0  # weight of mean F^2
     lambda_m: float = 0.0  # weight of (mean M)^2
     gates: bool = False  # masks multiply the scale too, and have a gradient only where they are 1 (Compact3DGS)
-    penalty: MeanExistence | OpacityPressure | None = None
+    penalty: Penalty | tuple[Penalty, ...] | None = None  # one term, or several
     update: bool = True  # False: gradients only (3DGS takes no optimiser step in a step that densifies)
     want_means2d: bool = False  # the gradient of the projected centres is returned, for densification
 
@@ -49,9 +49,14 @@ class Step:
         return float(self.masks.mean()) ** 2 if self.masks is not None else 0.0
 
     @property
+    def penalties(self) -> tuple[Penalty, ...]:
+        """The terms of `penalty`."""
+        return self.penalty if isinstance(self.penalty, tuple) else (self.penalty,) if self.penalty else ()
+
+    @property
     def dense_gradients(self) -> set[str]:
         """Parameters whose gradient is not sparse: it reaches every Gaussian, not only the visible ones."""
-        return ({MASK} if self.lambda_m else set()) | ({self.penalty.parameter} if self.penalty else set())
+        return ({MASK} if self.lambda_m else set()) | {penalty.parameter for penalty in self.penalties if not penalty.seen}
 
 
 @dataclass
@@ -100,8 +105,7 @@ class NativeEngine:
         if step.spatial:
             mask_loss, image_grads["mask"] = mask_loss_grad(images["mask"], step.lambda_f)
         result = StepResult(l1, ssim, mask_loss, r.visible(), global_loss=step.global_loss)
-        if step.penalty:
-            result.penalty = float(step.penalty.value(model.values[step.penalty.parameter], np))
+        result.penalty = float(sum(penalty.value(rows, np) for penalty, rows in _penalised(model, step, result.visible)))
         wanted: tuple[str, ...] = ("means2d",) if step.want_means2d else ()
         if not step.update:
             result.means2d = r.backward(image_grads, wanted).get("means2d")
@@ -118,7 +122,8 @@ class NativeEngine:
         """Backward and Adam in one call of the library. A parameter is updated separately if its gradient is needed here: because a
         penalty is added to it, or because the gradient of the gates follows from it. Returns the gradients `wanted` and the number of
         rows that were not finite."""
-        separate = [name for name in PARAMETERS if name in step.dense_gradients or name == "log_scales" and step.gates]
+        penalised = {penalty.parameter for penalty in step.penalties}
+        separate = [name for name in PARAMETERS if name in penalised or name == "log_scales" and step.gates]
         fused = [name for name in PARAMETERS if name not in separate]
         tensors = {name: (model.values[name], model.moments[name]) for name in fused}
         rates = {name: _row_rates(name, step.rates, model) for name in fused}
@@ -128,12 +133,15 @@ class NativeEngine:
 
     def _step_rows(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray) -> int:
         """An Adam step on rows `ids` of one parameter, or on all rows if its gradient is dense. Returns the number of rows that were not finite."""
+        added = [(penalty.seen, penalty.grad(values)) for penalty, values in _penalised(model, step, ids) if penalty.parameter == name]
+        for grad in (grad for seen, grad in added if seen):
+            rows = rows + grad
         if name in step.dense_gradients:
             dense = np.zeros(model.values[name].shape, model.dtype)
             if name == MASK and step.lambda_m and step.masks is not None and step.slope is not None:
                 dense += global_mask_grad(step.masks, step.slope, step.lambda_m)
-            if step.penalty and step.penalty.parameter == name:
-                dense += step.penalty.grad(model.values[name])
+            for grad in (grad for seen, grad in added if not seen):
+                dense += grad
             dense[ids] += rows
             return self._adam(model, step, name, dense, None)
         return self._adam(model, step, name, rows, ids)
@@ -141,6 +149,11 @@ class NativeEngine:
     def _adam(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray | None) -> int:
         rates = _row_rates(name, step.rates, model)
         return self.rasterizer.adam(model.values[name], model.moments[name], rows, ids, lr=rates, step=step.number, betas=BETAS, eps=EPS)
+
+
+def _penalised(model: Model, step: Step, ids: np.ndarray) -> list[tuple[Penalty, np.ndarray]]:
+    """The penalties of the step that have a value, each with the rows of its parameter that it is given."""
+    return [(p, model.values[p.parameter][ids] if p.seen else model.values[p.parameter]) for p in step.penalties if len(ids) or not p.seen]
 
 
 def mask_logit_rows(step: Step, grads: dict[str, np.ndarray], ids: np.ndarray) -> np.ndarray:

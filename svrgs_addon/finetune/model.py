@@ -17,7 +17,6 @@ MASK = "mask_logits"
 MIN_SQUARED_DISTANCE = 1e-7
 NEIGHBOURS = 3
 BLOCK_ROWS = 65_536  # rows copied at a time
-INITIAL_OPACITY = 0.1
 
 
 class Model:
@@ -125,10 +124,10 @@ def compacted(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return array[: len(rows)]
 
 
-def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3) -> Scene:
+def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3, opacity: float = 0.1, size: float = 1.0) -> Scene:
     """Initialisation of 3DGS: one isotropic Gaussian per point, with opacity 0.1 and the size of the distance to its neighbours.
 
-    points (P, 3): world coordinates; colors (P, 3) uint8. log-scale = log sqrt(mean squared distance to the 3 nearest points).
+    points (P, 3): world coordinates; colors (P, 3) uint8. scale = size sqrt(mean squared distance to the 3 nearest points).
     Raises SceneError for fewer than 4 points.
     """
     n = len(points)
@@ -141,8 +140,8 @@ def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3
     sh[:, 0] = (colors / 255.0 - 0.5) / SH_C0
     return Scene(
         means=np.array(points, np.float32, order="C"),
-        log_scales=np.repeat(0.5 * np.log(squared)[:, None], 3, axis=1).astype(np.float32),
+        log_scales=np.repeat((0.5 * np.log(squared) + np.log(size))[:, None], 3, axis=1).astype(np.float32),
         quats=quats,
-        opacity_logits=np.full(n, np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)), np.float32),
+        opacity_logits=np.full(n, np.log(opacity / (1 - opacity)), np.float32),
         sh=sh,
     )

@@ -22,13 +22,13 @@ from ..geometry.morton_order import morton_order
 from ..metrics.evaluate import mean_psnr
 from ..native import Rasterizer, RenderOptions
 from ..photographs.dataset import Dataset
-from . import densify, masks
+from . import densify, masks, mcmc
 from .engine import Step, StepResult
 from .model import Model
 from .plan import Plan
 from .quality import quality_views
 from .recovery_pruning import RecoveryPruning
-from .settings import Densify, Phase
+from .settings import MCMC, Densify, Phase
 from .strength_controller import controller_for
 from .views import Views, as_real, fitting_reduction
 
@@ -161,9 +161,10 @@ class Run:
             l1_weight=s.l1_weight,
             ssim_weight=s.ssim_weight,
             update=not self._densifies(phase, number),
-            want_means2d=phase.densify is not None and number < phase.densify.until,
+            want_means2d=phase.densify is not None and number < phase.densify.until and not isinstance(phase.densify, MCMC),
         )
-        return replace(step, **self.method.terms(self, phase, number)) if phase.active else step
+        step = replace(step, **self.method.terms(self, phase, number)) if phase.active else step
+        return replace(step, penalty=(*mcmc.penalties(phase.densify), *step.penalties)) if isinstance(phase.densify, MCMC) else step
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:
         s = self.settings
@@ -218,22 +219,29 @@ class Run:
 
     def _density_control(self, phase: Phase, number: int, step: Step, result: StepResult):
         rule = phase.densify
-        if rule is None or number >= rule.until or result.means2d is None:
-            return
-        self.statistics.add(result.visible, result.means2d, step.camera.width, step.camera.height)
-        if self._densifies(phase, number):
+        if result.means2d is not None:
+            self.statistics.add(result.visible, result.means2d, step.camera.width, step.camera.height)
+        if rule is not None and self._densifies(phase, number):
             self._densify(phase, number, rule)
-        if number % rule.reset_every == 0 and number + rule.reset_every // RESETS_NEED <= phase.steps:
+        if isinstance(rule, MCMC):
+            if number < phase.steps:
+                mcmc.add_noise(self.model, rule, step.rates["means"], np.random.default_rng([self.settings.seed, 4, self.iteration]))
+        elif rule is not None and number < rule.until and number % rule.reset_every == 0 and number + rule.reset_every // RESETS_NEED <= phase.steps:
             densify.reset_opacity(self.model)
 
     def _densify(self, phase: Phase, number: int, rule: Densify):
         before = self.model.count
         rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
-        keep = densify.densify(self.model, self.statistics, rule, self.extent, rng, self._memory_allows)
-        self.unordered += self.model.count - before
-        keep &= densify.keep_mask(self.model, rule, self.extent, number > rule.reset_every)
+        if isinstance(rule, MCMC):
+            self.unordered += mcmc.densify(self.model, rule, rng, self._memory_allows)
+            keep = np.ones(self.model.count, bool)
+        else:
+            keep = densify.densify(self.model, self.statistics, rule, self.extent, rng, self._memory_allows)
+            self.unordered += self.model.count - before
+            keep &= densify.keep_mask(self.model, rule, self.extent, number > rule.reset_every)
         survivors = self.method.survivors(self) if phase.active else None
         self._keep(keep if survivors is None else keep & survivors)
+        self._keep(self.method.after_densification(self, phase, number) if phase.active else None)
         last = number + rule.every >= rule.until
         if self.unordered > (0 if last else REORDER_SHARE * self.model.count):
             self._into_order()

@@ -30,11 +30,14 @@ SHARE = 4e-7  # share of an image that each Gaussian is charged for
 REDUCTION = 2  # views are rendered at half their size: nearly the same ranking in a fraction of the time
 
 
-def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """Removal error of each Gaussian, (N,) float64: squared error of colours in 0..1, summed over views. 0 for Gaussians that no view sees."""
-    total = np.zeros(scene.count)
+def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, kept: np.ndarray | None = None) -> np.ndarray:
+    """Removal error of each Gaussian, (N,) float64: squared error of colours in 0..1, summed over views. 0 for Gaussians that no view sees.
+
+    kept: (N,) bool, the Gaussians that the scene is rendered with; the others have 0. None: all.
+    """
+    total, masks = np.zeros(scene.count), None if kept is None else kept.astype(np.uint8)
     for view in _reduced(cameras):
-        rasterizer.forward(scene, view, options, outputs=())
+        rasterizer.forward(scene, view, options, masks, outputs=())
         total += _removal_error(rasterizer, view, scene.count)
     return total
 

@@ -7,6 +7,7 @@ import numpy as np
 from ..camera import Camera
 from ..native import Rasterizer, RenderOptions
 from ..scene import Scene
+from .model import Model
 
 
 def contribution(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -19,6 +20,48 @@ def significance(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, op
     """Opacity times the sum of T over all views and the pixels in which the Gaussian is blended, (N,) float64 (LightGaussian)."""
     *_, transmittance = _statistics(scene, cameras, rasterizer, options)
     return transmittance / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
+
+
+def slopes(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+    """Sum over all views and pixels of the squared derivative of the colour, its channels summed, with respect to the value of the
+    Gaussian at the pixel, (N,) float64 (Speedy-Splat)."""
+    sums = np.zeros(scene.count)
+    for camera in cameras:
+        rasterizer.forward(scene, camera, options, outputs=())
+        rasterizer.add_slopes(sums)
+    return sums
+
+
+def dominance(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+    """The number of pixels of all views in which the Gaussian has the largest alpha T of all, (N,) float64."""
+    pixels = np.zeros(scene.count)
+    for camera in cameras:
+        rasterizer.forward(scene, camera, options, outputs=())
+        rasterizer.add_dominance(pixels)
+    return pixels
+
+
+def importance(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, by_area: bool) -> np.ndarray:
+    """Sum of alpha T over all pixels and views, (N,) float64; 0 for Gaussians that dominate no pixel (Mini-Splatting).
+
+    by_area: the sum of each view is divided by its number of pixels, and only views in which the Gaussian dominates a pixel count.
+    """
+    total, dominated, n = np.zeros(scene.count), np.zeros(scene.count, bool), scene.count
+    for camera in cameras:
+        sums, pixels, dominant = np.zeros(n), np.zeros(n, np.int64), np.zeros(n)
+        rasterizer.forward(scene, camera, options, outputs=())
+        rasterizer.add_scores(sums, np.zeros(n, np.float32), pixels)
+        rasterizer.add_dominance(dominant)
+        total += np.where(dominant > 0, sums / np.maximum(pixels, 1), 0) if by_area else sums
+        dominated |= dominant > 0
+    return np.where(dominated, total, 0)
+
+
+def drawn(score: np.ndarray, count: int, key: list[int]) -> np.ndarray:
+    """(N,) bool: `count` Gaussians drawn without replacement, with probabilities proportional to score (N,), by Gumbel noise on log score.
+    Those with a score of 0 are taken only if there are too few others. key: of the random numbers."""
+    with np.errstate(divide="ignore"):
+        return top(np.log(score) + np.random.default_rng(key).gumbel(size=len(score)), count)
 
 
 def _statistics(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,32 @@ class Densify:
     split_shrink: float = 1.6
     min_opacity: float = 0.005
     max_scale: float = 0.1  # share of the extent; applied after the first opacity reset
+    INITIAL: ClassVar = (0.1, 1.0)  # of a sparse point: opacity; size, times the distance to its neighbours
 
     @classmethod
     def within(cls, iterations: int, until: int | None = None) -> Densify:
         """Densification of a run of so many iterations. It ends after half of them, at most at step 15 000, so that new Gaussians are
         trained too. Published for 30 000 iterations: 15 000. until: the last step instead."""
         return cls(until=min(cls.until, iterations // 2) if until is None else until)
+
+
+@dataclass(frozen=True)
+class MCMC(Densify):
+    """Densification of 3DGS-MCMC (arXiv 2404.09591): relocation, growth up to a cap, noise and two penalties. Of the rules of 3DGS only the
+    steps `start`, `until`, `every` and `min_opacity` count."""
+
+    until: int = 25_000
+    cap: int = 0  # Gaussians up to which the scene grows
+    growth: float = 1.05  # most by which a densification multiplies the number of Gaussians
+    noise: float = 5e5  # noise of the positions, over their learning rate
+    opacity_weight: float = 0.01  # of the mean opacity in the loss
+    scale_weight: float = 0.01  # of the mean scale in the loss
+    INITIAL: ClassVar = (0.5, 0.1)
+
+    @classmethod
+    def capped(cls, cap: int, iterations: int, until: int | None = None) -> MCMC:
+        """Densification of a run of so many iterations. It ends after 5/6 of them, at most at step 25 000. until: the last step instead."""
+        return cls(until=min(cls.until, iterations * 5 // 6) if until is None else until, cap=cap)
 
 
 @dataclass(frozen=True)

@@ -111,10 +111,11 @@ class TorchEngine:
         masks = _masks(step, leaves)
         images = self._render(step, leaves, masks, means2d)
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
-        penalty = step.penalty.value(leaves[step.penalty.parameter], torch) if step.penalty else torch.zeros(())
+        ids = row_ids(self.rasterizer)
+        given = [(p, leaves[p.parameter][ids] if p.seen else leaves[p.parameter]) for p in step.penalties if len(ids) or not p.seen]
+        penalty = sum((p.value(values, torch) for p, values in given), torch.zeros(()))
         loss = loss + penalty
         loss.backward()
-        ids = row_ids(self.rasterizer)
         result = StepResult(l1.item(), similarity.item(), mask_loss.item(), self.rasterizer.visible(), global_loss=step.global_loss)
         result.penalty = penalty.item()
         if step.want_means2d:

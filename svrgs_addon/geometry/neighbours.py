@@ -1,4 +1,4 @@
-"""Distances to the nearest points of a point cloud, exact, with NumPy alone.
+"""The nearest points of a point cloud and their distances, exact, with NumPy alone.
 
 The points are split at medians into leaves of up to LEAF points. The points of a leaf are compared with those of all leaves that are
 near enough. A tree of groups of leaves keeps the search for these short.
@@ -6,22 +6,41 @@ near enough. A tree of groups of leaves keeps the search for these short.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-LEAF = 32  # points
+LEAF = 32  # points, or more where many neighbours are wanted
 GROUP = 64  # leaves that are tested together
 FIRST = 16  # leaves that are looked at first where there are many
 
 
 def nearest_distances(points: np.ndarray, count: int) -> np.ndarray:
     """The distances (P, count) float64, ascending, of each point to its nearest other ones. points: (P, 3) finite, P > count."""
+    result = np.empty((len(points), count))
+    for own, squares, places, _ in _searches(points, count):
+        result[own] = np.sqrt(_smallest(squares, count, places))
+    return result
+
+
+def nearest_rows(points: np.ndarray, count: int) -> np.ndarray:
+    """The rows (P, count) int64 of the nearest other points of each point, in no order. points: (P, 3) finite, P > count."""
+    result = np.empty((len(points), count), np.int64)
+    for own, squares, places, others in _searches(points, count):
+        squares[np.arange(len(own)), places] = np.inf
+        result[own] = others[np.argpartition(squares, count - 1, axis=1)[:, :count]]
+    return result
+
+
+def _searches(points: np.ndarray, count: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """For each leaf: rows (A,) of its points; squared distances (A, B) to points among which the `count` nearest others are; the columns (A,)
+    of the leaf's own points; rows (B,) of the columns."""
     points = np.asarray(points, np.float64)
-    order, starts = _leaves(points)
+    order, starts = _leaves(points, max(LEAF, 2 * (count + 1)))
     sorted_points = points[order]
     low, high = (ufunc.reduceat(sorted_points, starts[:-1], axis=0) for ufunc in (np.minimum, np.maximum))
     groups = np.arange(0, len(low), GROUP)
     low_of_groups, high_of_groups = np.minimum.reduceat(low, groups, axis=0), np.maximum.reduceat(high, groups, axis=0)
-    found = np.empty((len(points), count))
     for leaf in range(len(low)):
         rows = slice(starts[leaf], starts[leaf + 1])
         own = sorted_points[rows]
@@ -37,18 +56,15 @@ def nearest_distances(points: np.ndarray, count: int) -> np.ndarray:
             leaves = leaves[gaps <= reach.max()]
             leaves = leaves[_any_within(own, low[leaves], high[leaves], reach)]
         others = _rows(starts, leaves)
-        found[rows] = _smallest(_squares(own, sorted_points[others]), count, np.searchsorted(others, np.arange(rows.start, rows.stop)))
-    result = np.empty_like(found)
-    result[order] = np.sqrt(found)
-    return result
+        yield order[rows], _squares(own, sorted_points[others]), np.searchsorted(others, np.arange(rows.start, rows.stop)), order[others]
 
 
-def _leaves(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The rows of the points, leaf after leaf, and where the leaves begin (one more: the number of points)."""
+def _leaves(points: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of the points, leaf after leaf of up to `size` points, and where the leaves begin (one more: the number of points)."""
     stack, parts = [np.arange(len(points))], []
     while stack:
         rows = stack.pop()
-        if len(rows) <= LEAF:
+        if len(rows) <= size:
             parts.append(rows)
             continue
         axis = int(np.argmax(np.ptp(points[rows], axis=0)))

@@ -16,6 +16,15 @@ def rotation_matrices(quats: np.ndarray) -> np.ndarray:
     return np.stack(rows, 1).reshape(-1, 3, 3)
 
 
+def rotated(quats: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """The vectors (N, 3), each turned by its quaternion (N, 4), w x y z, of any length > 0. In the dtype of the inputs."""
+    (w, x, y, z), (a, b, c) = quats.T, vectors.T
+    length = np.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w / length, x / length, y / length, z / length
+    p, q, r = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)  # t = 2 (x, y, z) cross v;  v + w t + (x, y, z) cross t
+    return np.stack([a + w * p + y * r - z * q, b + w * q + z * p - x * r, c + w * r + x * q - y * p], axis=1)
+
+
 def quats_from_matrices(R: np.ndarray) -> np.ndarray:
     """Unit quaternions (N, 4) float64, w x y z, of rotation matrices (N, 3, 3)."""
     m = np.moveaxis(R, 0, -1)

@@ -9,7 +9,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..option_kinds import COLOUR, COUNT, DECIBELS, FACTOR, FILE, FLAG, GIGABYTES, PATH, POSITIVE, SH_DEGREE, SHARE, SMALL_SHARE, TEXT, WEIGHT, option
+from ..option_kinds import (
+    COLOUR,
+    COUNT,
+    DECIBELS,
+    DENSIFY,
+    FACTOR,
+    FILE,
+    FLAG,
+    GIGABYTES,
+    PATH,
+    POSITIVE,
+    SH_DEGREE,
+    SHARE,
+    SMALL_SHARE,
+    TEXT,
+    WEIGHT,
+    option,
+)
 
 ITERATIONS, PRUNE_ITERATIONS, RECOVERY = 30_000, 3_000, 5_000
 MIN_CONTRIBUTION = 0.02
@@ -72,7 +89,16 @@ class TrainOptions(TuningOptions):
         COUNT, None, "number of recovery steps after the training steps", metavar="N", default_help=f"{RECOVERY} for methods that prune, else 0"
     )
     coarse_until: int = option(COUNT, 0, "train on photographs of half the size up to this step", metavar="N")
-    densify_until: int | None = option(COUNT, None, "end densification before this step", metavar="N", default_help="half of the steps, at most 15000")
+    densify: str = option(
+        DENSIFY, "3dgs", "how training adds Gaussians: 3dgs clones and splits them, mcmc relocates them and grows up to --cap (3DGS-MCMC)", in_job=True
+    )
+    densify_until: int | None = option(
+        COUNT, None, "end densification before this step", metavar="N", default_help="half of the steps, at most 15000; mcmc: 5/6, at most 25000"
+    )
+    cap: int | None = option(
+        POSITIVE, None, "with --densify mcmc, number of Gaussians up to which the scene grows", metavar="N",
+        default_help="with --method 3dgs, that of --target-count", in_job=True,
+    )  # fmt: skip
     sh_degree: int = option(SH_DEGREE, 3, "degree of the spherical harmonics")
     out: Path | None = option(PATH, None, "splat file to write", metavar="FILE", required=True)
 

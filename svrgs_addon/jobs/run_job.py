@@ -13,7 +13,7 @@ from ..files import registry
 from ..finetune.methods import method_named, paper_method
 from ..finetune.methods.base import Method
 from ..finetune.plan import Plan, prune_plan, train_plan
-from ..finetune.settings import Densify
+from ..finetune.settings import MCMC, Densify
 from ..metrics import load_lpips
 from ..photographs.dataset import Dataset, load_dataset
 from . import train_and_prune
@@ -53,9 +53,26 @@ def plan_of_training(options: TrainOptions) -> Plan:
     """The plan of `svrgs train`. Raises SceneError if the options contradict each other."""
     method = method_of(options)
     recovery = options.recovery if options.recovery is not None else RECOVERY * method.prunes
-    densify = Densify.within(options.iterations, options.densify_until)
-    more: dict[str, Any] = {"densify": densify, "coarse_until": options.coarse_until, "target": options.target_count or 0, "share": options.target or 0.0}
+    target = 0 if _target_is_cap(options) else options.target_count or 0
+    more: dict[str, Any] = {"densify": densify_of(options), "coarse_until": options.coarse_until, "target": target, "share": options.target or 0.0}
     return train_plan(method, options.iterations, recovery, **_settings(options), **more)
+
+
+def densify_of(options: TrainOptions) -> Densify:
+    """The rules by which training adds Gaussians. Raises SceneError if the cap is missing, or has no effect."""
+    if options.densify != "mcmc":
+        if options.cap is not None:
+            raise SceneError("--cap limits the growth of --densify mcmc: add it, or leave --cap out")
+        return Densify.within(options.iterations, options.densify_until)
+    cap = options.cap or (options.target_count if _target_is_cap(options) else None)
+    if cap is None:
+        raise SceneError("--densify mcmc needs --cap N, the number of Gaussians up to which the scene grows")
+    return MCMC.capped(cap, options.iterations, options.densify_until)
+
+
+def _target_is_cap(options: TrainOptions) -> bool:
+    """Whether --target-count says how far the scene grows, because the method prunes nothing."""
+    return options.densify == "mcmc" and options.cap is None and not method_of(options).prunes
 
 
 def plan_of_pruning(options: PruneOptions) -> Plan:

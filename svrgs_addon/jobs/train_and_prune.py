@@ -20,6 +20,7 @@ from ..finetune.engine import NativeEngine
 from ..finetune.model import Model, scene_from_points
 from ..finetune.plan import Plan
 from ..finetune.run import Run
+from ..finetune.settings import Densify
 from ..metrics.evaluate import any_in_view, evaluate, mean_psnr, refuse_unseen, render_options
 from ..metrics.explained import mismatch_of
 from ..native import Rasterizer, RenderOptions, thresholds
@@ -49,7 +50,8 @@ def _train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int, room: 
     clock = Clock()
     refuse_excess("training", len(dataset.points), (sh_degree + 1) ** 2, dataset)
     with clock.phase("initialise"):
-        start = scene_from_points(dataset.points, dataset.point_colors, sh_degree)
+        growth = plan.phases[0].densify or Densify()
+        start = scene_from_points(dataset.points, dataset.point_colors, sh_degree, *growth.INITIAL)
         room.hold_for(start, max(start.count, plan.target))
         model = Model.of(start, copy=False)
     del start  # frees memory as soon as the model has other arrays
@@ -174,7 +176,7 @@ def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
     scene = scene if keep.all() else scene.select(keep)
     if not method.ranks:
         return scene
-    keep = scores.top(method.score(scene, views, Rasterizer(), render_options(scene, plan.background)), plan.target)
+    keep = method.cut(scene, views, Rasterizer(), render_options(scene, plan.background), plan.target)
     masks.refuse_emptying(keep, scene.count, plan.target)
     return scene.select(keep)
 

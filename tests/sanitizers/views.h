@@ -133,6 +133,7 @@ class View {
     require(svrgs_scores(context, sum.data(), most.data(), blended.data(), transmittance.data()) == SVRGS_OK, "scores");
     require(svrgs_moments(context, moments.data()) == SVRGS_OK, "moments");
     require(svrgs_removal(context, d_rgb.data(), cost.data()) == SVRGS_OK, "costs of removal");
+    require(svrgs_slopes(context, cost.data()) == SVRGS_OK && svrgs_dominance(context, cost.data()) == SVRGS_OK, "slopes and dominance");
     svrgs_work work;
     require(svrgs_count_work(context, 1, &work) == SVRGS_OK && work.contributing <= work.hits, "work");
     for (const auto& part : {rgb, depth, alpha, mask, left, d_rgb, means, scales, quats, logits, sh, d_masks, means2d}) append(results, part);

@@ -125,13 +125,61 @@ void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slo
   }
 }
 
-void removal_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* cost) {
+// Writes to the slot of each pair the sum over pixels of (sum over the channels of dC/dG)^2, G the value of the Gaussian, alpha = opacity G:
+// dC/dG = opacity d / alpha. As published, the clamp of alpha is not differentiated.
+void slopes_tile(const Frame& f, int64_t tile, void* slots) {
+  const TileOrigin o = tile_origin(f, tile);
+  RemainingColour t(f, tile);
+  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
+    const TileEntry entry = f.entries[e];
+    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
+    if (l.mask == 0) continue;
+    V total = broadcast(0);
+    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+      for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
+        const Lanes& lanes = all_lanes().block[b];
+        const Hit hit = evaluate(l, lanes.x[h], lanes.y[h]);
+        const ColourShare s = share(l, hit, t.T[b][h], t.rgb[b][h]);
+        const V slope = keep(s.live, (s.rgb[0] + s.rgb[1] + s.rgb[2]) / clamped(hit.alpha));
+        total = fma(slope, slope, total);
+      }
+    static_cast<R*>(slots)[entry.slot] = sum(total) * std::exp2(2 * l.log2_opacity);
+  }
+}
+
+// Writes to the slot of each pair the number of pixels in which the Gaussian has the largest alpha T of all; of equal ones the nearest.
+void dominance_tile(const Frame& f, int64_t tile, void* slots) {
+  const int64_t begin = f.tile_begin[tile], end = f.tile_begin[tile + 1];
+  const TileOrigin o = tile_origin(f, tile);
+  Transmittance t(f, o);
+  V best[kBlocks][kVectorsPerBlock] = {};
+  int64_t who[kBlocks][kBlockPixels];
+  for (int b = 0; b < kBlocks; ++b) std::fill_n(who[b], kBlockPixels, end);
+  for (int64_t e = begin; e < end; ++e) {
+    const TileEntry entry = f.entries[e];
+    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
+    static_cast<R*>(slots)[entry.slot] = 0;
+    if (l.mask == 0) continue;
+    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+      for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
+        const V weight = blend_again(l, b, h, t.T[b][h]).weight;
+        for (uint32_t more = bits(less(best[b][h], weight)); more; more &= more - 1) who[b][h * W + __builtin_ctz(more)] = e;
+        best[b][h] = max(best[b][h], weight);
+      }
+  }
+  for (int b = 0; b < kBlocks; ++b)
+    for (const int64_t e : who[b])
+      if (e < end) static_cast<R*>(slots)[f.entries[e].slot] += 1;
+}
+
+// Adds the slots of each Gaussian among rows [begin, end) of the visible ones to out (N,).
+void sums_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* out) {
   for (int64_t i = begin; i < end; ++i) {
     const uint32_t id = f.visible[i];
     const GaussianTiles& t = f.tiles[f.places[i]];
     if (f.masks && !f.masks[id]) continue;
     for (uint32_t k = 0; k < t.tiles; ++k)
-      if (f.hits[t.slot + k]) cost[id] += static_cast<double>(static_cast<const R*>(slots)[t.slot + k]);
+      if (f.hits[t.slot + k]) out[id] += static_cast<double>(static_cast<const R*>(slots)[t.slot + k]);
   }
 }
 

@@ -82,6 +82,10 @@ class Method:
         """The Gaussians that stay after a pruning event. Each densification is a pruning event too."""
         return None
 
+    def after_densification(self, run: RunView, phase: Phase, number: int) -> Keep:
+        """The Gaussians that stay after step `number`, once its densification is done and survivors() has decided."""
+        return None
+
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         """The Gaussians that stay after a step outside densification."""
         due = phase.prune_every and (number == phase.steps or number % phase.prune_every == 0)
@@ -100,7 +104,11 @@ class Method:
         raise NotImplementedError
 
     def score(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-        """The score of each Gaussian, (N,); the highest stay. Only methods that rank have it."""
+        """The score of each Gaussian, (N,); the highest stay. Only methods that rank, or cut in events, have it."""
+        raise NotImplementedError
+
+    def cut(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> np.ndarray:
+        """(N,) bool: the `count` Gaussians that stay. Only methods that rank have it."""
         raise NotImplementedError
 
     # --- checkpoints

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from ...camera import Camera
+from ...native import Rasterizer, RenderOptions
+from ...scene import Scene
+from ..model import Model
 from ..scores import top
 from .base import Keep, Method, RunView
 
@@ -14,5 +20,8 @@ class Ranked(Method):
 
     ranks: bool = True
 
+    def cut(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> np.ndarray:
+        return top(self.score(scene, cameras, rasterizer, options), count)
+
     def final_mask(self, run: RunView) -> Keep:
-        return top(self.score(run.model, run.training_cameras, run.rasterizer, run.score_options), run.target)
+        return self.cut(run.model, run.training_cameras, run.rasterizer, run.score_options, run.target)

@@ -1,0 +1,31 @@
+"""GaussianPOP (arXiv 2602.06830): ranks by Delta SE, the squared error that the removal of a Gaussian causes (../saliency.py), in 8 looks.
+
+After each look the Gaussians of lowest error are removed and the errors of the others are measured again, without training in between:
+only one of two Gaussians that can replace each other has a small error once the other one is gone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..saliency import removal_errors
+from ..scores import top
+from .ranked import Ranked
+
+LOOKS = 8  # published as C, the number of times that errors are quantified
+
+
+class GaussianPOP(Ranked):
+    def score(self, scene, cameras, rasterizer, options):
+        return removal_errors(scene, cameras, rasterizer, options)
+
+    def cut(self, scene, cameras, rasterizer, options, count):
+        """The number of Gaussians falls by the same ratio at each look."""
+        kept, start = np.ones(scene.count, bool), scene.count
+        for look in range(1, LOOKS + 1):
+            errors = removal_errors(scene, cameras, rasterizer, options, kept)
+            kept = top(np.where(kept, errors, -1.0), round(start * (min(count, start) / start) ** (look / LOOKS)))
+        return kept
+
+
+METHODS = (GaussianPOP("gaussianpop", "removes, in 8 looks, the Gaussians whose removal changes the photographs least", 19, "GaussianPOP"),)

@@ -1,0 +1,37 @@
+"""POPSpa (KISS-GS, arXiv 2608.26948): a cut by Delta SE (../saliency.py), ADMM on the opacities (../admm.py) together with a term for round
+shapes, a second cut, recovery. ADMM pulls the opacities of all but the Gaussians of highest Delta SE, as many as the target, to 0."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from .. import admm
+from ..penalties import EffectiveRank
+from ..saliency import removal_errors
+from ..settings import Phase
+from .base import RunView
+from .stepwise import Stepwise
+
+RHO, EVERY, LEAST = 5e-4, 50 / 5_000, 10  # EVERY: of the steps, one in which ADMM pulls, then projects; LEAST: steps from one to the next
+
+
+@dataclass
+class POPSpa(Stepwise):
+    EVENTS: ClassVar = (0.0, 1.0)
+    share: float = 0.2
+
+    def prepare(self, run: RunView, phase: Phase, number: int):
+        if self.count and (self._pulls(phase, number - 1) or not admm.begun(run.model)):
+            admm.project(run.model, self.highest(run, run.target))
+
+    def terms(self, run: RunView, phase: Phase, number: int) -> dict:
+        pull = (admm.pull(run.model, RHO),) if self.count and self._pulls(phase, number) else ()
+        return {"penalty": (EffectiveRank(), *pull)} if self.count else {}
+
+    def _pulls(self, phase: Phase, number: int) -> bool:
+        return number % max(LEAST, round(EVERY * (phase.steps - self.begun(phase)))) == 0
+
+    def score(self, scene, cameras, rasterizer, options):
+        return removal_errors(scene, cameras, rasterizer, options)
+
+
+METHODS = (POPSpa("popspa", "cuts twice by the change of the photographs and fades, in between, the Gaussians that are to go", 21, "POPSpa"),)
