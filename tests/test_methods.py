@@ -64,6 +64,11 @@ def test_paper_chooses_the_printed_settings_to_the_letter():
     assert (svr.l1_weight, svr.ssim_weight, svr.method.first_cut) == (0.8, 0.2, True) and svr.phases == plan.phases
 
 
+def test_a_method_that_is_gone_says_what_replaces_it():
+    with pytest.raises(SceneError, match="method 'pressure' is no more: 'removal' prunes better"):
+        method_named("pressure")
+
+
 def test_names_and_menu_numbers_are_each_one_method_s():
     """Numbers are stored in .blend files; those of the first schema keep their methods."""
     assert len({method.number for method in METHODS.values()}) == len(METHODS)
