@@ -51,7 +51,10 @@ TABLE = {
 LAMBDAS = ("1e-4", "1.25e-4", "1.6e-4", "2e-4")
 DEEP = ("0.25", "0.1", "0.05", "0.02")
 TARGETS = ("0.5", "0.25", "0.17", "0.08")
-RIVALS = ("opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns")
+RIVALS = (
+    "opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns",
+    "gaussianpop", "popspa", "speedy", "minisplatting", "reduced3dgs", "efficientgs", "rdo",
+)  # fmt: skip
 OURS = ("svr", "svr-self", "svr-even", "saliency", "removal")
 
 

@@ -101,7 +101,11 @@ def problem(settings) -> str:
 
 def _own_amount(method: Method) -> str:
     """What a method without λ_F keeps if it is asked for nothing."""
-    return _share_sentence(method.share) if method.share else "" if method.ranks else tr("The method's own weight decides")
+    if method.share:
+        return _share_sentence(method.share)
+    if method.ranks:
+        return ""
+    return tr("The method's own weight decides") if method.lambda_m else tr("The method's own rule decides")
 
 
 def _share_sentence(share: float) -> str:
