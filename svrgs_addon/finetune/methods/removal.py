@@ -89,6 +89,6 @@ def removal_phase(steps: int, first: float, last: float) -> list[Phase]:
 
 
 METHODS = (
-    Removal("removal", "removes the Gaussians that the photographs need least, in 16 steps, and trains the others in between", 0, "Recommended"),
+    Removal("removal", "removes the Gaussians that the photographs need least, step by step", 0, "Recommended"),
     Removal("saliency", "as Recommended, ranked by removal error over mask penalty, the objective of SVR-GS", 6, "Saliency", ranking=saliency),
 )
