@@ -64,8 +64,8 @@ def test_paper_chooses_the_printed_settings_to_the_letter():
     assert (svr.l1_weight, svr.ssim_weight, svr.method.first_cut) == (0.8, 0.2, True) and svr.phases == plan.phases
 
 
-def test_a_method_that_is_gone_says_what_replaces_it():
-    with pytest.raises(SceneError, match="method 'pressure' is no more: 'removal' prunes better"):
+def test_a_method_that_was_removed_says_what_replaces_it():
+    with pytest.raises(SceneError, match="method 'pressure' was removed: 'removal' replaces it"):
         method_named("pressure")
 
 

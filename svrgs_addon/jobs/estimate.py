@@ -63,7 +63,7 @@ def estimate(options: PruneOptions) -> dict:
     refuse_unseen(scene, dataset.cameras, "the splat")
     plan = plan_of_pruning(options)
     sums, peaks, hits, views = _contributions(scene, dataset, RANKING_VIEWS if plan.method.learns_masks else VIEWS)
-    ranking = _measured(plan.method.ranking, scene, dataset) if isinstance(plan.method, Removal) else peaks
+    ranking = _measured(plan.method.ranking, scene, dataset) if isinstance(plan.method, Removal) and not plan.max_drop else peaks
     kept = max(1, _expected(options, plan, scene, dataset, (sums, peaks, hits)))
     quality = forecast(scene, dataset, plan, ranking, kept)
     share = kept / scene.count

@@ -19,7 +19,7 @@ from ..model import Model
 from ..penalties import OpacityPressure, sigmoid
 from ..quality import fewest_within
 from ..saliency import saliency
-from ..scores import top
+from ..scores import drawn, top
 from ..settings import Densify, Phase, Rates
 from .base import REMOVE, Keep, Method, RunView
 
@@ -118,9 +118,8 @@ def opacity_at(logits: np.ndarray, rank: int) -> float:
 
 
 def drawn_by_opacity(model: Model, count: int, key: list[int]) -> np.ndarray:
-    """(N,) bool: `count` Gaussians drawn without replacement, with probabilities proportional to opacity (by Gumbel noise on log opacity)."""
-    log_opacity = -np.logaddexp(0, -model.opacity_logits.astype(np.float64))
-    return top(log_opacity + np.random.default_rng(key).gumbel(size=model.count), count)
+    """(N,) bool: `count` Gaussians drawn without replacement, with probabilities proportional to opacity."""
+    return drawn(sigmoid(model.opacity_logits.astype(np.float64), np), count, key)
 
 
 def logit(p: float) -> float:

@@ -30,6 +30,8 @@ OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of th
 
 @dataclass
 class Removal(Method):
+    """The method. ranking: what the looks measure."""
+
     ranking: Callable = field(default=removal_errors, repr=False)  # (scene, cameras, rasterizer, options) -> (N,); the lowest are removed
     lambda_f: float = 1e-4
     lambda_f_help: str = field(default="the saliency above which a Gaussian stays", repr=False)
@@ -53,6 +55,7 @@ class Removal(Method):
         return not (settings.target or settings.share or settings.max_drop)
 
     def budget(self, run: RunView) -> int:
+        """The number of Gaussians with a saliency above lambda_F; 0 with an allowed drop. Raises SceneError if almost none has."""
         if run.settings.max_drop:
             return 0
         stays = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options) > run.settings.lambda_f
