@@ -9,8 +9,8 @@ Rows are added to --rows (default docs/results/rows.jsonl), one JSON object per 
 stopped experiment can be continued. --work (default build/methods) holds the scenes that later runs need.
 
     table     `svrgs train` with each method from sparse points, all with the published schedule times --schedule
-    printed   the weights of the image loss as the paper prints them, from sparse points
     lambda    the sweep of lambda_F of the paper, from sparse points
+    printed   the runs of the paper's tables and its sweep, with the weights of the image loss that it prints: L1 + (1 - SSIM)
     pareto    `svrgs prune` of the 3DGS scene of `table` (trained with the schedule --trained), every method at several counts
     ablation  the same with method `removal`, with one part of it changed at a time
     schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
@@ -48,7 +48,9 @@ TABLE = {
     "SVR-GS, even": ["--method", "svr-even"],
     "removal": ["--method", "removal"],
 }
-LAMBDAS = ("1e-4", "1.25e-4", "1.6e-4", "2e-4")
+PAPER = ("3DGS", "MaskGS alpha", "SVR-GS", "Scenario A", "Scenario B")  # the runs of its tables
+SWEEP = {f"lambda_F {value}": ["--method", "svr", "--lambda-f", value] for value in ("1e-4", "1.25e-4", "1.6e-4", "2e-4")}
+PRINTED = "from svrgs_addon.finetune.methods import METHODS; [setattr(m, 'image_weights', (1.0, 1.0)) for m in METHODS.values()]"
 DEEP = ("0.25", "0.1", "0.05", "0.02")
 TARGETS = ("0.5", "0.25", "0.17", "0.08")
 RIVALS = (
@@ -73,8 +75,8 @@ ABLATION = {  # name of the run: Python code that changes the program before it 
 }
 STUDIES = {
     "table": TABLE,
-    "printed": {"SVR-GS --paper": ["--method", "svr", "--paper"]},
-    "lambda": {f"lambda_F {value}": ["--method", "svr", "--lambda-f", value] for value in LAMBDAS},
+    "printed": {run: TABLE[run] for run in PAPER} | SWEEP,
+    "lambda": SWEEP,
     "pareto": pareto(),
     "ablation": {f"{label} {target}": ["--method", "removal", "--target", target] for target in ("0.17", "0.05") for label in ABLATION},
     "schedules": {f"{method} {target}": ["--method", method, "--target", target] for target in DEEP for method in ("removal", "maskgs", "gns")},
@@ -87,7 +89,7 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
         for seed in range(options.seeds):
             for study in options.study:
                 for label, flags in STUDIES[study].items():
-                    if options.only and not any(word in label for word in options.only):
+                    if options.only and not any(word == label or word in label.split() for word in options.only):
                         continue
                     yield {
                         "study": study, "scene": scene.partition("=")[0], "run": label, "flags": flags, "seed": seed,
@@ -100,11 +102,11 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
     out = work / f"{request['study']}.ply"
     trained = work / f"trained-{request['seed']}-{request['trained']}.ply"
     common = [*request["flags"], *data, "--seed", str(request["seed"]), "--schedule", str(request["schedule"]), "--json", "--quiet"]
-    change = ABLATION[request["run"].rpartition(" ")[0]] if request["study"] == "ablation" else ""
+    change = {"ablation": ABLATION.get(request["run"].rpartition(" ")[0]), "printed": PRINTED}.get(request["study"])
     start = [sys.executable, "-c", f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli.main import main\nsys.exit(main())"]
     if request["study"] in ("pareto", "ablation", "schedules"):
         return [*start, "prune", str(trained), "--out", str(out), *common]
-    return [*start, "train", "--out", str(trained if request["run"] == "3DGS" else out), *common]
+    return [*start, "train", "--out", str(trained if (request["study"], request["run"]) == ("table", "3DGS") else out), *common]
 
 
 def measured(request: dict, data: list[str], work: Path) -> dict:
@@ -155,7 +157,7 @@ def parsed() -> argparse.Namespace:
         help=f"name and folder of a COLMAP dataset; without a folder: a generated scene ({', '.join(GENERATED)})",
     )
     parser.add_argument("--study", action="append", choices=list(STUDIES), help="default: all")
-    parser.add_argument("--only", action="append", metavar="WORD", help="only runs whose name contains this")
+    parser.add_argument("--only", action="append", metavar="WORD", help="only runs of this name, or with this word in it")
     parser.add_argument("--schedule", type=float, default=0.1, help="share of the published 30 000 + 5 000 iterations (default: 0.1)")
     parser.add_argument("--trained", type=float, help="with pareto, ablation and schedules: the schedule of the scene that is pruned (default: --schedule)")
     parser.add_argument("--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)")
