@@ -1,50 +1,35 @@
-"""Writes results.md from the rows of benchmarks/methods.py: the two tables of the paper, its sweep of lambda_F, and PSNR over count."""
+"""Writes results.md from the rows of benchmarks/methods.py.
+
+The page is docs/results/page.md, written by hand, in which a line {name} stands for a part that is made here from the rows.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from statistics import fmean
 
 from method_charts import curve_chart, pareto_chart
 from method_scenes import GENERATED
 
-SCENARIOS = ("Scenario A", "Scenario B", "SVR-GS")  # Table 2 of the paper
-PAPER, BASE, RIVAL = "SVR-GS", "3DGS", "MaskGS alpha"
+BASE, RIVAL, PAPER = "3DGS", "MaskGS alpha", "SVR-GS"
+PAPER_RUNS = (BASE, RIVAL, PAPER, "Scenario A", "Scenario B")  # the columns of the paper's tables
 FIGURES = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame")
-HEAD = "| {} | PSNR | SSIM | LPIPS | FLIP | Gaussians | 3DGS over it | MB | seconds | ms a frame |"
-INTRO = """# Every method in the same trainer
-
-`benchmarks/methods.py --show docs` makes this page from the rows in [results/rows.jsonl](results/rows.jsonl). The same program makes the rows:
-
-{commands}
-
-Each row is one run of `svrgs train` or `svrgs prune` from the command line, on the processor alone. Test views are every 8th photograph.
-`--schedule` scales every milestone and step count, but not the spacing of densifications (100 steps) and of opacity resets (3 000 steps): they depend
-on the number of views that were seen. With fewer steps, masks learn faster by the same factor. Weights of the loss stay the same. `--shrink` makes
-the photographs smaller. What each method is, and how it differs from its source: [methods.md](methods.md).
-"""
+PRUNES = ("pareto", "ablation", "schedules")  # studies that prune a trained scene
+LOSSES = {"table": "usual", "lambda": "usual", "printed": "printed"}  # weights of the image loss, by study
 
 
 def write_report(rows: list[dict], folder: Path):
     """Writes `folder`/results.md and its charts in `folder`/results, from the rows that have figures."""
     rows = averaged(row for row in rows if "error" not in row)
     charts = folder / "results"
-    charts.mkdir(parents=True, exist_ok=True)
-    findings = charts / "findings.md"  # written by hand
-    parts = [
-        INTRO.format(commands=commands(rows)),
-        findings.read_text() if findings.exists() else "",
-        table_part(rows),
-        scenario_part(rows),
-        printed_part(rows),
-    ]
-    parts += [few_part(rows), schedule_part(rows), lambda_part(rows, charts), pareto_part(rows, charts), ablation_part(rows)]
-    (folder / "results.md").write_text("\n".join(part for part in parts if part))
+    page = (charts / "page.md").read_text().splitlines()
+    made = {f"{{{name}}}": part for name, part in PARTS.items()}
+    (folder / "results.md").write_text("".join((made[line](rows, charts) if line in made else line) + "\n" for line in page))
 
 
-def commands(rows: list[dict]) -> str:
+def commands(rows: list[dict], charts: Path) -> str:
     """The commands that make the rows."""
     kinds: dict[tuple, set] = defaultdict(set)
     for row in rows:
@@ -52,7 +37,7 @@ def commands(rows: list[dict]) -> str:
     lines = []
     for (study, schedule, trained, shrink), scenes in sorted(kinds.items()):
         named = " ".join(f"--scene {scene}" if scene in GENERATED else f"--scene {scene}=DIR" for scene in sorted(scenes))
-        pruned = f" --trained {trained:g}" if study in ("pareto", "ablation", "schedules") and trained != schedule else ""
+        pruned = f" --trained {trained:g}" if study in PRUNES and trained != schedule else ""
         lines.append(f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g}{pruned} --shrink {shrink} {named}")
     return "\n".join(lines)
 
@@ -80,169 +65,148 @@ def mean(rows: list[dict], name: str) -> float | None:
     return fmean(values) if values else None
 
 
-def line(label: str, rows: list[dict], base: list[dict]) -> str:
-    """One line of a table: means over scenes. The ratio of counts is a ratio of sums, as in the paper."""
-    lpips, count = mean(rows, "lpips"), mean(rows, "count")
-    ratio = f"{mean(base, 'count') / count:.2f}" if base else ""
-    return (
-        f"| {label} | {psnr_of(rows)} | {mean(rows, 'ssim'):.4f} | {'no weights' if lpips is None else f'{lpips:.4f}'} | {mean(rows, 'flip'):.4f} "
-        f"| {count:,.0f} | {ratio} | {mean(rows, 'bytes') / 1e6:.1f} | {mean(rows, 'seconds'):.0f} | {mean(rows, 'ms_per_frame'):.1f} |"
-    )
+def psnr_of(row: dict) -> str:
+    """PSNR in dB; of several seeds their mean and half their range."""
+    return f"{row['psnr']:.2f}" + (f" ± {row['spread']:.2f}" if row["seeds"] > 1 else "")
 
 
-def psnr_of(rows: list[dict]) -> str:
-    """The mean PSNR in dB; for one run with several seeds also half its range."""
-    several = len(rows) == 1 and rows[0]["seeds"] > 1
-    return f"{mean(rows, 'psnr'):.2f}" + (f" ± {rows[0]['spread']:.2f}" if several else "")
+def table(head: list[str], lines: Iterable[list[str]]) -> str:
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in [head, ["---"] * len(head), *lines]) + "\n"
 
 
-def table(rows: list[dict], title: str, labels: Iterable[str] | None = None) -> list[str]:
-    by_run = groups(rows, "run")
-    base = by_run.get((BASE,), [])
-    labels = [label for label in (labels or [run for (run,) in by_run]) if (label,) in by_run]
-    return [HEAD.format(title), "|---" * 10 + "|", *(line(label, by_run[label,], base) for label in labels)]
+def case(row: dict) -> str:
+    """What a figure rests on: scene, size of the photographs, schedule."""
+    shrink = "" if row["shrink"] == 1 else f", photographs 1/{row['shrink']}"
+    trained = f", trained {row['trained']:g}" if row["study"] in PRUNES and row["trained"] != row["schedule"] else ""
+    return f"{row['scene']}{shrink}, schedule {row['schedule']:g}{trained}"
 
 
-def table_part(rows: list[dict]) -> str:
-    """Table 1 of the paper, for every schedule: each scene, and the mean of the scenes that have all runs."""
-    lines = ["## From the sparse points", ""]
-    for (schedule,), those in groups((r for r in rows if r["study"] == "table"), "schedule").items():
-        lines += [f"Schedule {schedule:g}.", ""]
-        by_scene = groups(those, "scene", "shrink")
-        runs = max((list(groups(scene_rows, "run")) for scene_rows in by_scene.values()), key=len)
-        for (scene, shrink), scene_rows in by_scene.items():
-            lines += [*table(scene_rows, f"{scene}, photographs 1/{shrink}", [run for (run,) in runs]), ""]
-        whole = complete(those)
-        if len(groups(whole, "scene")) > 1:
-            lines += [*table(whole, f"mean of {len(groups(whole, 'scene'))} scenes", [run for (run,) in runs]), "", ratios(whole), ""]
-    return "\n".join(lines)
+def pruned(rows: list[dict], study: str) -> list[dict]:
+    """The rows of a study that prunes, with the keys `method` and `share`: the share of the target, 1 without one."""
+    found = ((row, row["run"].split()) for row in rows if row["study"] == study)
+    return [{**row, "method": words[0], "share": float(words[1]) if len(words) > 1 else 1.0} for row, words in found]
 
 
-def complete(rows: list[dict]) -> list[dict]:
-    """The rows of the scenes that have all runs."""
-    by_scene = groups(rows, "scene", "shrink")
-    runs = len(groups(rows, "run"))
-    return [row for those in by_scene.values() if len(groups(those, "run")) == runs for row in those]
+def pruning(rows: list[dict], charts: Path) -> str:
+    """PSNR of every method at equal counts: a chart and a table for each scene and schedule."""
+    parts = []
+    for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained").values():
+        first, before = those[0], those[0]["before"]
+        name = f"pareto-{first['scene']}-{first['schedule']:g}"
+        curves = {method: sorted((row["count"], row["psnr"]) for row in group) for (method,), group in groups(those, "method").items()}
+        pareto_chart(curves, (before["count"], before["psnr"]), case(first), charts / f"{name}.svg")
+        parts += [f"![{case(first)}](results/{name}.svg)", "", shares_table(those)]
+    return "\n".join(parts)
 
 
-def ratios(rows: list[dict]) -> str:
-    """A sentence that compares SVR-GS with its rivals in the terms of the paper."""
-    by_run = groups(rows, "run")
-    if not all((name,) in by_run for name in (PAPER, BASE, RIVAL)):
-        return ""
-    sentences = []
-    for other in (RIVAL, BASE):
-        fewer = mean(by_run[other,], "count") / mean(by_run[PAPER,], "count")
-        drop = mean(by_run[PAPER,], "psnr") - mean(by_run[other,], "psnr")
-        sentences.append(f"{fewer:.2f} times fewer Gaussians than {other} at {drop:+.2f} dB")
-    return f"SVR-GS here: {'; '.join(sentences)}. The paper: 1.79 times fewer than MaskGS at -0.50 dB, 5.63 times fewer than 3DGS at -0.40 dB."
+def shares_table(rows: list[dict]) -> str:
+    """One scene: a line per method, the best first, a column per share that is kept. The best of each column is bold."""
+    shares = sorted({row["share"] for row in rows if row["share"] < 1}, reverse=True)
+    best = {share: max(row["psnr"] for row in rows if row["share"] == share) for share in shares}
+    lines = []
+    for (method,), group in groups((row for row in rows if row["share"] < 1), "method").items():
+        found = {row["share"]: row for row in group}
+        cells = [bold(psnr_of(found[share]), found[share]["psnr"] == best[share]) if share in found else "" for share in shares]
+        lines.append((mean(group, "psnr"), [f"`{method}`", *cells, f"{mean(group, 'seconds'):.0f}"]))
+    ordered = [cells for _, cells in sorted(lines, key=lambda line: -line[0])]
+    before = rows[0]["before"]
+    for row in (row for row in rows if row["share"] == 1):
+        ordered.insert(0, [f"no pruning, as many further steps: {psnr_of(row)} dB", *[""] * len(shares), f"{row['seconds']:.0f}"])
+    head = [f"{case(rows[0])}: {before['count']:,} Gaussians, {before['psnr']:.2f} dB", *(f"{100 * share:g} %" for share in shares), "seconds"]
+    return table(head, ordered)
 
 
-def printed_part(rows: list[dict]) -> str:
-    """The paper's printed weights of the image loss next to the usual ones, on the scenes that have both."""
-    printed = groups((row for row in rows if row["study"] == "printed"), "scene", "schedule", "shrink")
-    lines = ["## The printed weights: L1 + (1 - SSIM)", ""] if printed else []
-    for key, those in printed.items():
-        usual = [row for row in rows if row["study"] == "table" and (row["scene"], row["schedule"], row["shrink"]) == key]
-        shown = [row for row in usual if row["run"] in (BASE, RIVAL, *SCENARIOS)]
-        lines += [*table([*shown, *those], f"{key[0]}, schedule {key[1]:g}, photographs 1/{key[2]}"), ""]
-    return "\n".join(lines)
+def bold(text: str, is_best: bool) -> str:
+    return f"**{text}**" if is_best else text
 
 
-def scenario_part(rows: list[dict]) -> str:
-    """Table 2 of the paper: its scenarios."""
-    lines = ["## Scenarios A and B", ""]
-    for (schedule,), those in groups((r for r in rows if r["study"] == "table"), "schedule").items():
-        whole = [row for row in complete(those) if row["run"] in SCENARIOS]
-        if set(SCENARIOS) == {row["run"] for row in whole}:
-            lines += [*table(whole, f"mean over {len(groups(whole, 'scene'))} scenes, schedule {schedule:g}", SCENARIOS), ""]
-    return "\n".join(lines) if len(lines) > 2 else ""
-
-
-def few_part(rows: list[dict]) -> str:
+def few(rows: list[dict], charts: Path) -> str:
     """PSNR of the default and its nearest rivals at few Gaussians, for several schedules."""
-    rows = [{**row, "share": float(row["run"].split()[1])} for row in named(rows) if row["study"] == "schedules"]
-    if not rows:
-        return ""
+    rows = pruned(rows, "schedules")
     columns = sorted(groups(rows, "schedule", "method"), key=lambda column: (column[0], column[1] != "removal", column[1]))
-    lines = ["## Few Gaussians: the default and its nearest rivals, with short and long schedules", ""]
-    lines += [
-        "| scene (PSNR before) | kept | " + " | ".join(f"{method}, {schedule:g}" for schedule, method in columns) + " |",
-        "|---" * (2 + len(columns)) + "|",
-    ]
-    cases = groups(rows, "scene", "share")
-    for scene, share in sorted(cases, key=lambda case: (case[0], -case[1])):
-        those = cases[scene, share]
-        found = groups(those, "schedule", "method")
-        cells = " | ".join(psnr_of(found[column]) if column in found else "" for column in columns)
-        lines.append(f"| {scene} ({those[0]['before']['psnr']:.2f}) | {100 * share:g} % | {cells} |")
-    return "\n".join([*lines, ""])
+    lines = []
+    for scene, share in sorted(groups(rows, "scene", "share"), key=lambda place: (place[0], -place[1])):
+        found = {(row["schedule"], row["method"]): row for row in rows if (row["scene"], row["share"]) == (scene, share)}
+        before = next(iter(found.values()))["before"]["psnr"]
+        lines.append([f"{scene} ({before:.2f})", f"{100 * share:g} %", *(psnr_of(found[column]) if column in found else "" for column in columns)])
+    return table(["scene (PSNR before)", "kept", *(f"{method}, {schedule:g}" for schedule, method in columns)], lines)
 
 
-def schedule_part(rows: list[dict]) -> str:
-    """Runs of one scene with several schedules, side by side: they show whether a short schedule ranks methods as a longer one does."""
-    lines = ["## One scene, several schedules", ""]
-    for (scene, shrink), those in groups((r for r in rows if r["study"] == "table"), "scene", "shrink").items():
-        schedules = sorted(groups(those, "schedule"))
-        if len(schedules) < 2:
+def other_figures(rows: list[dict], charts: Path) -> str:
+    """SSIM and FLIP of the default, beside its PSNR and beside as many further steps without pruning."""
+    lines = []
+    for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained").values():
+        base = [row for row in those if row["share"] == 1]
+        ours = sorted((row for row in those if row["method"] == "removal"), key=lambda row: -row["share"])
+        for row in [*base, *ours]:
+            kept = "no pruning" if row["share"] == 1 else f"{100 * row['share']:g} %"
+            lines.append([case(row), kept, psnr_of(row), f"{row['ssim']:.4f}", f"{row['flip']:.4f}"])
+    return table(["scene", "kept", "PSNR", "SSIM", "FLIP"], lines)
+
+
+def points(rows: list[dict], charts: Path) -> str:
+    """From the sparse points: PSNR and number of Gaussians of every method, a column per scene and schedule."""
+    rows = [row for row in rows if row["study"] == "table"]
+    columns = groups(rows, "scene", "shrink", "schedule")
+    lines = []
+    for (run,), group in groups(rows, "run").items():
+        found = {(row["scene"], row["shrink"], row["schedule"]): row for row in group}
+        lines.append([run, *(counted(found[column]) if column in found else "" for column in columns)])
+    return table(["method", *(case(those[0]) for those in columns.values())], lines)
+
+
+def counted(row: dict) -> str:
+    return f"{row['count']:,} at {psnr_of(row)}"
+
+
+def paper(rows: list[dict], charts: Path) -> str:
+    """The paper's Tables 1 and 2 under both losses: Gaussians and PSNR of its methods and scenarios, and what SVR-GS saves."""
+    lines = []
+    for (scene, schedule, shrink, loss), those in by_loss(rows, ("table", "printed")).items():
+        found = {row["run"]: row for row in those}
+        if len(found) < 2 or PAPER not in found:
             continue
-        by_run = {run: {row["schedule"]: row for row in group} for (run,), group in groups(those, "run").items()}
-        shared = {run: found for run, found in by_run.items() if len(found) == len(schedules)}
-        heads = "".join(f" schedule {s:g}: Gaussians | PSNR | place by PSNR, by count |" for (s,) in schedules)
-        lines += [f"| {scene}, photographs 1/{shrink} |{heads}", "|---" * (1 + 3 * len(schedules)) + "|"]
-        for run, found in shared.items():
-            cells = [
-                f"{found[s]['count']:,} | {psnr_of([found[s]])} | {place(run, shared, s, 'psnr', -1)}, {place(run, shared, s, 'count', 1)}"
-                for (s,) in schedules
-            ]
-            lines.append(f"| {run} | {' | '.join(cells)} |")
-        lines.append("")
-    return "\n".join(lines) if len(lines) > 2 else ""
+        saved = [saving(found[PAPER], found[other]) if other in found else "" for other in (RIVAL, BASE)]
+        lines.append([f"{case(those[0])}", loss, *(counted(found[run]) if run in found else "" for run in PAPER_RUNS), *saved])
+    return table(["scene", "loss", *PAPER_RUNS, f"fewer than {RIVAL}", f"fewer than {BASE}"], lines)
 
 
-def place(run: str, runs: dict[str, dict], schedule: float, figure: str, sign: int) -> int:
-    """The rank of a run by a figure within a schedule: 1 for the largest (sign -1) or for the smallest (sign 1)."""
-    return 1 + sum(sign * found[schedule][figure] < sign * runs[run][schedule][figure] for found in runs.values())
+def by_loss(rows: list[dict], studies: Iterable[str]) -> dict[tuple, list[dict]]:
+    """The rows of these studies by scene, schedule, shrink and loss."""
+    found = groups(({**row, "image_loss": LOSSES[row["study"]]} for row in rows if row["study"] in studies), "scene", "schedule", "shrink", "image_loss")
+    return {key: found[key] for key in sorted(found, key=lambda key: (-key[1], key[0], key[3] == "printed"))}
 
 
-def lambda_part(rows: list[dict], charts: Path) -> str:
-    """The sweep of lambda_F: counts and PSNR over iterations."""
-    lines = ["## Sweep of λ_F with SVR-GS", ""]
-    for (scene, schedule), those in groups((r for r in rows if r["study"] == "lambda"), "scene", "schedule").items():
-        name = f"lambda-{scene}-{schedule:g}"
-        curve_chart([(row["run"].replace("lambda_F", "λ_F"), row["curves"]) for row in those], f"{scene}, schedule {schedule:g}", charts / f"{name}.svg")
-        lines += [*table(those, f"{scene}, schedule {schedule:g}"), "", f"![count and PSNR over iterations](results/{name}.svg)", ""]
-    return "\n".join(lines) if len(lines) > 2 else ""
+def saving(ours: dict, other: dict) -> str:
+    """How many times fewer Gaussians `ours` has, and its PSNR against the other's."""
+    return f"{other['count'] / ours['count']:.2f}×, {ours['psnr'] - other['psnr']:+.2f} dB"
 
 
-def pareto_part(rows: list[dict], charts: Path) -> str:
-    """PSNR over the number of Gaussians, one line per method."""
-    lines = ["## Pruning a trained scene: PSNR of every method at equal counts", ""]
-    for (scene, schedule, shrink), those in groups((r for r in rows if r["study"] == "pareto"), "scene", "schedule", "shrink").items():
-        name = f"pareto-{scene}-{schedule:g}"
-        before = those[0]["before"]
-        curves = {method: sorted((row["count"], row["psnr"]) for row in group) for (method,), group in groups(named(those), "method").items()}
-        pareto_chart(curves, (before["count"], before["psnr"]), f"{scene}, schedule {schedule:g}, photographs 1/{shrink}", charts / f"{name}.svg")
-        lines += [f"![{scene}](results/{name}.svg)", "", "| method and strength | Gaussians | PSNR | seconds |", "|---|---|---|---|"]
-        ordered = sorted(those, key=lambda row: (row["run"].split()[0], -row["count"]))
-        lines += [f"| {row['run']} | {row['count']:,} | {psnr_of([row])} | {row['seconds']:.0f} |" for row in ordered]
-        lines += [f"| before | {before['count']:,} | {before['psnr']:.2f} | |", ""]
-    return "\n".join(lines) if len(lines) > 2 else ""
+def sweep(rows: list[dict], charts: Path) -> str:
+    """The sweep of lambda_F under both losses, with a chart of count and PSNR over iterations for each."""
+    lines, pictures = [], []
+    sweeps = [row for row in rows if row["run"].startswith("lambda_F")]
+    names = sorted({row["run"] for row in sweeps}, key=lambda run: float(run.split()[1]))
+    for (scene, schedule, _, loss), those in by_loss(sweeps, LOSSES).items():
+        found = {row["run"]: row for row in those}
+        lines.append([case(those[0]), loss, *(counted(found[run]) if run in found else "" for run in names)])
+        name = f"lambda-{scene}-{schedule:g}-{loss}"
+        curve_chart([(run.replace("lambda_F", "λ_F"), found[run]["curves"]) for run in names if run in found], case(those[0]), charts / f"{name}.svg")
+        pictures.append(f"![{case(those[0])}, {loss} loss](results/{name}.svg)\n")
+    return table(["scene", "loss", *(run.replace("lambda_F", "λ_F") for run in names)], lines) + "\n" + "\n".join(pictures)
 
 
-def ablation_part(rows: list[dict]) -> str:
+def ablation(rows: list[dict], charts: Path) -> str:
     """The effect of each part of `removal`: PSNR at equal count."""
-    lines = ["## Parts of `removal`: PSNR without them, at equal count", ""]
-    for (scene, schedule), those in groups((r for r in rows if r["study"] == "ablation"), "scene", "schedule").items():
-        counts = sorted(groups(those, "count"), reverse=True)
-        lines += [f"| {scene}, schedule {schedule:g} | " + " | ".join(f"{count:,} Gaussians" for (count,) in counts) + " |", "|---" * (1 + len(counts)) + "|"]
-        for (part,), group in groups(({**row, "part": row["run"].rpartition(" ")[0]} for row in those), "part").items():
-            found = groups(group, "count")
-            lines.append(f"| {part} | " + " | ".join(f"{mean(found[count], 'psnr'):.2f}" if count in found else "" for count in counts) + " |")
-        lines.append("")
-    return "\n".join(lines) if len(lines) > 2 else ""
+    rows = [{**row, "part": row["run"].rpartition(" ")[0], "share": row["run"].rpartition(" ")[2]} for row in rows if row["study"] == "ablation"]
+    columns = groups(rows, "scene", "schedule", "shrink", "share")
+    lines = []
+    for (part,), group in groups(rows, "part").items():
+        found = {(row["scene"], row["schedule"], row["shrink"], row["share"]): row for row in group}
+        lines.append([part, *(psnr_of(found[column]) if column in found else "" for column in columns)])
+    return table(["part", *(f"{case(those[0])}, {float(those[0]['share']):.0%}" for those in columns.values())], lines)
 
 
-def named(rows: list[dict]) -> list[dict]:
-    """The rows with the key `method`, taken from the name of the run."""
-    return [{**row, "method": row["run"].split()[0]} for row in rows]
+PARTS: dict[str, Callable[[list[dict], Path], str]] = {
+    part.__name__: part for part in (commands, pruning, few, other_figures, points, paper, sweep, ablation)
+}
