@@ -162,7 +162,7 @@ def counted(row: dict) -> str:
 def paper(rows: list[dict], charts: Path) -> str:
     """The paper's Tables 1 and 2 under both losses: Gaussians and PSNR of its methods and scenarios, and what SVR-GS saves."""
     lines = []
-    for (scene, schedule, shrink, loss), those in by_loss(rows, ("table", "printed")).items():
+    for (*_, loss), those in by_loss(rows, ("table", "printed")).items():
         found = {row["run"]: row for row in those}
         if len(found) < 2 or PAPER not in found:
             continue
@@ -207,6 +207,4 @@ def ablation(rows: list[dict], charts: Path) -> str:
     return table(["part", *(f"{case(those[0])}, {float(those[0]['share']):.0%}" for those in columns.values())], lines)
 
 
-PARTS: dict[str, Callable[[list[dict], Path], str]] = {
-    part.__name__: part for part in (commands, pruning, few, other_figures, points, paper, sweep, ablation)
-}
+PARTS: dict[str, Callable[[list[dict], Path], str]] = {part.__name__: part for part in (commands, pruning, few, other_figures, points, paper, sweep, ablation)}
