@@ -29,6 +29,8 @@ from pathlib import Path
 from method_report import write_report
 from method_scenes import GENERATED, prepared
 
+from svrgs_addon.finetune.methods import METHODS
+
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame", "iterations", "before", "curves", "peak_memory_bytes")
 ITERATIONS, RECOVERY = 30_000, 5_000
@@ -52,18 +54,22 @@ PAPER = ("3DGS", "MaskGS alpha", "SVR-GS", "Scenario A", "Scenario B")  # the ru
 SWEEP = {f"lambda_F {value}": ["--method", "svr", "--lambda-f", value] for value in ("1e-4", "1.25e-4", "1.6e-4", "2e-4")}
 PRINTED = "from svrgs_addon.finetune.methods import METHODS; [setattr(m, 'image_weights', (1.0, 1.0)) for m in METHODS.values()]"
 DEEP = ("0.25", "0.1", "0.05", "0.02")
-TARGETS = ("0.5", "0.25", "0.17", "0.08")
+TARGETS = ("0.5", "0.25", "0.1", "0.05")
 RIVALS = (
     "opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns",
     "gaussianpop", "popspa", "speedy", "minisplatting", "reduced3dgs", "efficientgs", "rdo",
 )  # fmt: skip
 OURS = ("svr", "svr-self", "svr-even", "saliency", "removal")
+AS_MANY_STEPS = ["--recovery", "8000"]  # for methods that only recover: 3 000 + 5 000, as many steps as the others
 
 
 def pareto() -> dict[str, list[str]]:
     """The runs of the study pareto: every method at every target."""
-    runs = {"3dgs": ["--method", "3dgs"]}
-    return runs | {f"{method} {target}": ["--method", method, "--target", target] for target in TARGETS for method in RIVALS + OURS}
+    runs = {"3dgs": ["--method", "3dgs", *AS_MANY_STEPS]}
+    for method in RIVALS + OURS:
+        steps = AS_MANY_STEPS if METHODS[method].ranks else []
+        runs |= {f"{method} {target}": ["--method", method, "--target", target, *steps] for target in TARGETS}
+    return runs
 
 
 REMOVAL = "from svrgs_addon.finetune.methods import removal; "
