@@ -3,8 +3,8 @@
 Budget: the target, or the number of Gaussians with a saliency above lambda_F. In LOOKS looks, spread evenly over the phase, the Gaussians
 that rank lowest are removed. The first looks remove most, because they remove what is not needed; the last ones tread softly. The looks
 measure the ranking again, because only one of two Gaussians that can replace each other may go. Between the looks and in the recovery the
-others are trained, at the position rate that 3DGS begins with and with FASTER times its rates of scales, rotations and colours: the few that
-stay must move to where the others were, and grow. Nothing but the image loss acts on a Gaussian before it goes.
+others are trained, at twice the position rate that 3DGS begins with and with FASTER times its rates of scales, rotations and colours: the few
+that stay must move to where the others were, and grow. Nothing but the image loss acts on a Gaussian before it goes.
 
 With an allowed drop, each look keeps the fewest Gaussians that hold its share of the drop.
 """
@@ -26,7 +26,7 @@ from .base import REMOVE, Keep, Method, RunView
 
 LOOKS = 16
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
-POSITION_RATE = Rates().position_first  # of the phase, and of the recovery's first step, in `svrgs prune`
+POSITION_RATE = 2 * Rates().position_first  # of the phase, and of the recovery's first step, in `svrgs prune`
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
 FASTER = 4  # times the other learning rates of 3DGS, in the phase and in the recovery
 
