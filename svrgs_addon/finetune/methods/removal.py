@@ -26,7 +26,7 @@ from .base import REMOVE, Keep, Method, RunView
 
 LOOKS = 16
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
-POSITION_RATE = 2 * Rates().position_first  # of the phase, and of the recovery's first step, in `svrgs prune`
+POSITION_RATE = 2 * Rates().position_first  # of the phase, and of the recovery's first step
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
 FASTER = 4  # times the other learning rates of 3DGS, in the phase and in the recovery
 
@@ -42,17 +42,16 @@ class Removal(Method):
     count: int = 0  # state: number of Gaussians before the first look
 
     def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
-        """Plain 3DGS, then removal in the last 8/23 of the iterations, then recovery."""
+        """Plain 3DGS, then in the last 8/23 of the iterations removal, then recovery, as in `svrgs prune`."""
         removal = round(iterations * SHARE_OF_TRAINING)
-        train, *recover = super().train_phases(iterations, recovery, densify, coarse_until)
-        train = replace(train, steps=iterations - removal, active=False)
-        first, last = (Rates().at(step, 1.0)["means"] for step in (train.steps, iterations))
-        return [train, *removal_phase(removal, first, last), *(replace(phase, rates=faster(phase.rates)) for phase in recover)]
+        train, *_ = super().train_phases(iterations, 0, densify, coarse_until)
+        return [replace(train, steps=iterations - removal, active=False), *self.prune_phases(removal, recovery, 0)]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
+        rates = faster(Rates(position_first=POSITION_RATE, position_last=POSITION_RATE, opacity=OPACITY_RATE))
+        looks = [Phase("prune", iterations, rates, active=True, prune_every=0, label=REMOVE)] if iterations else []
         recover = super().prune_phases(iterations, recovery, prune_every)
-        recover = [replace(phase, rates=faster(replace(phase.rates, position_first=POSITION_RATE))) for phase in recover]
-        return [*removal_phase(iterations, POSITION_RATE, POSITION_RATE), *recover]
+        return [*looks, *(replace(phase, rates=faster(replace(phase.rates, position_first=POSITION_RATE))) for phase in recover)]
 
     def uses_lambda_f(self, settings: Settings) -> bool:
         return not (settings.target or settings.share or settings.max_drop)
@@ -86,12 +85,6 @@ class Removal(Method):
 
     def restore(self, state: dict):
         self.count = state["count"]
-
-
-def removal_phase(steps: int, first: float, last: float) -> list[Phase]:
-    """The phase of the looks. The position rate goes from `first` to `last`. An empty list for 0 steps."""
-    rates = faster(Rates(position_first=first, position_last=last, position_steps=steps, opacity=OPACITY_RATE))
-    return [Phase("prune", steps, rates, active=True, prune_every=0, label=REMOVE)] if steps else []
 
 
 def faster(rates: Rates) -> Rates:
