@@ -110,7 +110,7 @@ def add_rows(options: argparse.Namespace):
         name, _, folder = given.partition("=")
         work = options.work / name
         data = prepared(name, Path(folder).resolve() if folder else None, work.resolve(), options.shrink)
-        trained = (options.trained or work / "trained-0-0.1.ply").resolve()
+        trained = (options.trained or work / "3DGS-0-0.1.ply").resolve()
         if not trained.exists():
             if options.trained:
                 sys.exit(f"{options.trained}: does not exist")

@@ -33,11 +33,11 @@ def commands(rows: list[dict], charts: Path) -> str:
     """The commands that make the rows."""
     kinds: dict[tuple, set] = defaultdict(set)
     for row in rows:
-        kinds[row["study"], row["schedule"], row["trained"], row["shrink"]].add(row["scene"])
+        kinds[row["study"], row["schedule"], row["trained"], row["start"], row["shrink"]].add(row["scene"])
     lines = []
-    for (study, schedule, trained, shrink), scenes in sorted(kinds.items()):
+    for (study, schedule, trained, start, shrink), scenes in sorted(kinds.items()):
         named = " ".join(f"--scene {scene}" if scene in GENERATED else f"--scene {scene}=DIR" for scene in sorted(scenes))
-        pruned = f" --trained {trained:g}" if study in PRUNES and trained != schedule else ""
+        pruned = f" --trained {trained:g} --start {start}" if study in PRUNES else ""
         lines.append(f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g}{pruned} --shrink {shrink} {named}")
     return "\n".join(lines)
 
@@ -53,7 +53,7 @@ def groups(rows: Iterable[dict], *names: str) -> dict[tuple, list[dict]]:
 def averaged(rows: Iterable[dict]) -> list[dict]:
     """One row per run: the mean figures of its seeds, curves and `before` of the first seed, and `spread`, half the range of PSNR."""
     means = []
-    for group in groups(rows, "study", "scene", "run", "schedule", "trained", "shrink").values():
+    for group in groups(rows, "study", "scene", "run", "schedule", "trained", "start", "shrink").values():
         psnr = [row["psnr"] for row in group]
         figures = {name: mean(group, name) for name in FIGURES} | {"count": round(mean(group, "count"))}
         means.append({**group[0], **figures, "spread": (max(psnr) - min(psnr)) / 2, "seeds": len(group)})
@@ -77,7 +77,7 @@ def table(head: list[str], lines: Iterable[list[str]]) -> str:
 def case(row: dict) -> str:
     """What a figure rests on: scene, size of the photographs, schedule."""
     shrink = "" if row["shrink"] == 1 else f", photographs 1/{row['shrink']}"
-    trained = f", trained {row['trained']:g}" if row["study"] in PRUNES and row["trained"] != row["schedule"] else ""
+    trained = f", {row['start']} scene of schedule {row['trained']:g}" if row["study"] in PRUNES else ""
     return f"{row['scene']}{shrink}, schedule {row['schedule']:g}{trained}"
 
 
@@ -90,9 +90,9 @@ def pruned(rows: list[dict], study: str) -> list[dict]:
 def pruning(rows: list[dict], charts: Path) -> str:
     """PSNR of every method at equal counts: a chart and a table for each scene and schedule."""
     parts = []
-    for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained").values():
+    for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         first, before = those[0], those[0]["before"]
-        name = f"pareto-{first['scene']}-{first['schedule']:g}"
+        name = f"pareto-{first['scene']}-{first['schedule']:g}-{first['start']}"
         curves = {method: sorted((row["count"], row["psnr"]) for row in group) for (method,), group in groups(those, "method").items()}
         pareto_chart(curves, (before["count"], before["psnr"]), case(first), charts / f"{name}.svg")
         parts += [f"![{case(first)}](results/{name}.svg)", "", shares_table(those)]
@@ -135,7 +135,7 @@ def few(rows: list[dict], charts: Path) -> str:
 def other_figures(rows: list[dict], charts: Path) -> str:
     """SSIM and FLIP of the default, beside its PSNR and beside as many further steps without pruning."""
     lines = []
-    for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained").values():
+    for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         base = [row for row in those if row["share"] == 1]
         ours = sorted((row for row in those if row["method"] == "removal"), key=lambda row: -row["share"])
         for row in [*base, *ours]:

@@ -11,7 +11,7 @@ stopped experiment can be continued. --work (default build/methods) holds the sc
     table     `svrgs train` with each method from sparse points, all with the published schedule times --schedule
     lambda    the sweep of lambda_F of the paper, from sparse points
     printed   the runs of the paper's tables and its sweep, with the weights of the image loss that it prints: L1 + (1 - SSIM)
-    pareto    `svrgs prune` of the 3DGS scene of `table` (trained with the schedule --trained), every method at several counts
+    pareto    `svrgs prune` of the scene of `table` that --start names (trained with the schedule --trained), every method at several counts
     ablation  the same with method `removal`, with one part of it changed at a time
     schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
 """
@@ -37,6 +37,7 @@ ITERATIONS, RECOVERY = 30_000, 5_000
 
 TABLE = {
     "3DGS": ["--method", "3dgs", "--recovery", str(RECOVERY)],
+    "MCMC": ["--method", "3dgs", "--recovery", str(RECOVERY), "--densify", "mcmc", "--cap", "100000"],
     "LightGaussian": ["--method", "lightgaussian"],
     "Compact3DGS": ["--method", "compact3dgs"],
     "MaskGS alpha": ["--method", "maskgs-alpha"],
@@ -50,6 +51,7 @@ TABLE = {
     "SVR-GS, even": ["--method", "svr-even"],
     "removal": ["--method", "removal"],
 }
+STARTS = ("3DGS", "MCMC")  # runs of `table` whose scenes are pruned
 PAPER = ("3DGS", "MaskGS alpha", "SVR-GS", "Scenario A", "Scenario B")  # the runs of its tables
 SWEEP = {f"lambda_F {value}": ["--method", "svr", "--lambda-f", value] for value in ("1e-4", "1.25e-4", "1.6e-4", "2e-4")}
 PRINTED = "from svrgs_addon.finetune.methods import METHODS; [setattr(m, 'image_weights', (1.0, 1.0)) for m in METHODS.values()]"
@@ -99,20 +101,21 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
                         continue
                     yield {
                         "study": study, "scene": scene.partition("=")[0], "run": label, "flags": flags, "seed": seed,
-                        "schedule": options.schedule, "trained": options.trained or options.schedule, "shrink": options.shrink,
+                        "schedule": options.schedule, "trained": options.trained or options.schedule, "start": options.start, "shrink": options.shrink,
                     }  # fmt: skip
 
 
 def command(request: dict, data: list[str], work: Path) -> list[str]:
     """The svrgs command of a run. data: its flags --colmap and --images."""
     out = work / f"{request['study']}.ply"
-    trained = work / f"trained-{request['seed']}-{request['trained']}.ply"
+    kept = request["study"] == "table" and request["run"] in STARTS
+    trained = work / f"{request['run'] if kept else request['start']}-{request['seed']}-{request['trained']}.ply"
     common = [*request["flags"], *data, "--seed", str(request["seed"]), "--schedule", str(request["schedule"]), "--json", "--quiet"]
     change = {"ablation": ABLATION.get(request["run"].rpartition(" ")[0]), "printed": PRINTED}.get(request["study"])
-    start = [sys.executable, "-c", f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli.main import main\nsys.exit(main())"]
+    program = [sys.executable, "-c", f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli.main import main\nsys.exit(main())"]
     if request["study"] in ("pareto", "ablation", "schedules"):
-        return [*start, "prune", str(trained), "--out", str(out), *common]
-    return [*start, "train", "--out", str(trained if (request["study"], request["run"]) == ("table", "3DGS") else out), *common]
+        return [*program, "prune", str(trained), "--out", str(out), *common]
+    return [*program, "train", "--out", str(trained if kept else out), *common]
 
 
 def measured(request: dict, data: list[str], work: Path) -> dict:
@@ -126,7 +129,7 @@ def measured(request: dict, data: list[str], work: Path) -> dict:
 
 
 def key(row: dict) -> str:
-    return json.dumps([row[name] for name in ("study", "scene", "run", "flags", "seed", "schedule", "trained", "shrink")])
+    return json.dumps([row[name] for name in ("study", "scene", "run", "flags", "seed", "schedule", "trained", "start", "shrink")])
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -166,6 +169,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--only", action="append", metavar="WORD", help="only runs of this name, or with this word in it")
     parser.add_argument("--schedule", type=float, default=0.1, help="share of the published 30 000 + 5 000 iterations (default: 0.1)")
     parser.add_argument("--trained", type=float, help="with pareto, ablation and schedules: the schedule of the scene that is pruned (default: --schedule)")
+    parser.add_argument("--start", choices=STARTS, default="3DGS", help="with these studies: the run of `table` whose scene is pruned (default: 3DGS)")
     parser.add_argument("--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--rows", type=Path, default=ROOT / "docs" / "results" / "rows.jsonl")
