@@ -1,5 +1,6 @@
 """Saliency of a Gaussian; `--method removal` and `saliency`: looks that remove the lowest."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,12 @@ from pictures import photographed
 from plans import prune_settings, train_settings
 from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune.engine import NativeEngine
+from svrgs_addon.finetune.methods import removal
 from svrgs_addon.finetune.methods.removal import LOOKS
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import SHARE, removal_errors, saliency
+from svrgs_addon.finetune.settings import Rates
 from svrgs_addon.native import Rasterizer, RenderOptions
 
 COUNT = 60
@@ -77,7 +80,8 @@ def test_a_lambda_above_every_saliency_is_refused_at_once():
     assert run.iteration == 0
 
 
-def test_those_of_lowest_removal_error_go_first():
+def test_those_of_lowest_removal_error_go_first(monkeypatch):
+    monkeypatch.setattr(removal, "STEPS_AT_USUAL_RATES", 1)
     run = run_of(replace(prune_settings("removal", 32, 0), target=15))
     run.advance()  # one step, and the first look
     left = set(run.model.origin)
@@ -87,14 +91,30 @@ def test_those_of_lowest_removal_error_go_first():
     errors = removal_errors(other.model, other.training_cameras, other.engine.rasterizer, other.score_options)
     other.close()
     lowest = other.model.origin[np.argsort(errors)[: COUNT - len(left)]]
-    assert 0 < len(lowest) < COUNT / 4 and len(left & set(lowest)) <= 1
+    assert 0 < len(lowest) < COUNT / 2 and len(left & set(lowest)) <= 1
 
 
 @pytest.mark.parametrize("method", ["removal", "saliency"])
-def test_the_target_is_approached_in_equal_ratios_and_met(method):
+def test_the_target_is_approached_quickly_at_first_and_met(method):
     counts = counts_of(run_of(replace(prune_settings(method, 32, 4), target=15)))
-    np.testing.assert_allclose(counts[:32:2], [COUNT * (15 / COUNT) ** (k / LOOKS) for k in range(1, LOOKS + 1)], atol=1)
+    np.testing.assert_allclose(counts[:32:2], [COUNT * (15 / COUNT) ** math.sqrt(k / LOOKS) for k in range(1, LOOKS + 1)], atol=1)
     assert counts[0] == counts[1] and counts[30] == counts[-1] == 15, "a look after the first step of each part"
+
+
+def test_a_short_run_takes_larger_steps_and_a_long_one_those_of_3dgs():
+    for steps, larger in ((12_800, 1), (3_200, 2), (800, 4), (100, 4)):
+        first, recover = (phase.rates.at(1, 1.0) for phase in prune_settings("removal", steps * 3 // 8, steps * 5 // 8).phases)
+        usual = Rates().at(0, 1.0)
+        for name in ("log_scales", "quats", "sh", "sh_rest"):
+            assert first[name] == recover[name] == pytest.approx(larger * usual[name], rel=1e-3)
+        assert first["means"] == pytest.approx(min(larger, 2) * usual["means"])
+        assert recover["means"] == pytest.approx(first["means"], rel=0.1)
+        assert (first["opacity_logits"], recover["opacity_logits"]) == (0.025, 0.05)
+
+
+def test_training_keeps_its_rates_until_gaussians_are_removed():
+    train, *_ = train_settings("removal", 3_000, 500).phases
+    assert train.rates == train_settings("3dgs", 3_000, 500).phases[0].rates
 
 
 @pytest.mark.parametrize("steps", [1, 5, 17])

@@ -32,7 +32,7 @@ def train_plan(
 ) -> Plan:
     """The plan of `svrgs train`, which starts from sparse points. lambda_f, lambda_m: None takes the method's own weight. share: share
     of the Gaussians that exist when densification ends; it replaces a target. Raises SceneError for a weight that the method lacks."""
-    phases = scaled(method.train_phases(iterations, recovery, densify or Densify(), coarse_until), schedule)
+    phases = method.paced(scaled(method.train_phases(iterations, recovery, densify or Densify(), coarse_until), schedule))
     share = share or (0.0 if target else method.share)
     return _plan(method, phases, False, lambda_f, lambda_m, target=target, share=share, **rest)
 
@@ -51,7 +51,7 @@ def prune_plan(
 ) -> Plan:
     """The plan of `svrgs prune`, which starts from a trained scene. Methods that rank have no phase before the recovery. Raises SceneError
     for a weight that the method lacks."""
-    phases = scaled(method.prune_phases(iterations, recovery, prune_every), schedule)
+    phases = method.paced(scaled(method.prune_phases(iterations, recovery, prune_every), schedule))
     return _plan(method, phases, True, lambda_f, lambda_m, max_drop=max_drop, **rest)
 
 

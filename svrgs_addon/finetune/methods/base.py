@@ -55,6 +55,10 @@ class Method:
         """The phases of `svrgs prune`. Here only recovery, for methods that decide before it."""
         return _recovery(recovery)
 
+    def paced(self, phases: list[Phase]) -> list[Phase]:
+        """The phases of a run, with the learning rates that their final numbers of steps call for."""
+        return phases
+
     def weights(self, trained: bool) -> tuple[float, float]:
         """Defaults of lambda_F and lambda_m. trained: whether the run starts from a trained scene."""
         return self.lambda_f, self.lambda_m

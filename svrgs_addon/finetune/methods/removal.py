@@ -3,8 +3,9 @@
 Budget: the target, or the number of Gaussians with a saliency above lambda_F. In LOOKS looks, spread evenly over the phase, the Gaussians
 that rank lowest are removed. The first looks remove most, because they remove what is not needed; the last ones tread softly. The looks
 measure the ranking again, because only one of two Gaussians that can replace each other may go. Between the looks and in the recovery the
-others are trained, at twice the position rate that 3DGS begins with and with FASTER times its rates of scales, rotations and colours: the few
-that stay must move to where the others were, and grow. Nothing but the image loss acts on a Gaussian before it goes.
+others are trained, with the position rate that 3DGS begins with: the few that stay must move to where the others were, and grow. A short run
+takes larger steps, else they would not get there; in a long one large steps stretch Gaussians that few views see. Nothing but the image
+loss acts on a Gaussian before it goes.
 
 With an allowed drop, each look keeps the fewest Gaussians that hold its share of the drop.
 """
@@ -26,9 +27,9 @@ from .base import REMOVE, Keep, Method, RunView
 
 LOOKS = 16
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
-POSITION_RATE = 2 * Rates().position_first  # of the phase, and of the recovery's first step
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
-FASTER = 4  # times the other learning rates of 3DGS, in the phase and in the recovery
+STEPS_AT_USUAL_RATES = 12_800  # of phase and recovery; with S steps the other rates are sqrt(12 800 / S) times those of 3DGS, but at most
+LARGEST = 4.0
 
 
 @dataclass
@@ -48,10 +49,14 @@ class Removal(Method):
         return [replace(train, steps=iterations - removal, active=False), *self.prune_phases(removal, recovery, 0)]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        rates = faster(Rates(position_first=POSITION_RATE, position_last=POSITION_RATE, opacity=OPACITY_RATE))
-        looks = [Phase("prune", iterations, rates, active=True, prune_every=0, label=REMOVE)] if iterations else []
-        recover = super().prune_phases(iterations, recovery, prune_every)
-        return [*looks, *(replace(phase, rates=faster(replace(phase.rates, position_first=POSITION_RATE))) for phase in recover)]
+        looks = [Phase("prune", iterations, Rates(opacity=OPACITY_RATE), active=True, prune_every=0, label=REMOVE)] if iterations else []
+        return [*looks, *super().prune_phases(iterations, recovery, prune_every)]
+
+    def paced(self, phases: list[Phase]) -> list[Phase]:
+        """The learning rates of the phase and of the recovery: those of 3DGS's first step, and the larger, the fewer steps there are."""
+        own = [phase for phase in phases if phase.densify is None]
+        larger = min(max(sqrt(STEPS_AT_USUAL_RATES / max(sum(phase.steps for phase in own), 1)), 1.0), LARGEST)
+        return [replace(phase, rates=_rates(phase, larger)) if phase in own else phase for phase in phases]
 
     def uses_lambda_f(self, settings: Settings) -> bool:
         return not (settings.target or settings.share or settings.max_drop)
@@ -87,9 +92,12 @@ class Removal(Method):
         self.count = state["count"]
 
 
-def faster(rates: Rates) -> Rates:
-    """The rates with FASTER times those of scales, rotations and SH."""
-    return replace(rates, scale=FASTER * rates.scale, rotation=FASTER * rates.rotation, sh=FASTER * rates.sh, sh_rest=FASTER * rates.sh_rest)
+def _rates(phase: Phase, larger: float) -> Rates:
+    """The rates of the phase or of the recovery, all but that of opacity times `larger`, that of position at most doubled."""
+    rates, position = phase.rates, Rates().position_first * min(larger, 2.0)
+    last = position if phase.active else rates.position_last
+    others = {name: larger * getattr(rates, name) for name in ("scale", "rotation", "sh", "sh_rest")}
+    return replace(rates, position_first=position, position_last=last, **others)
 
 
 METHODS = (
