@@ -63,6 +63,12 @@ class Method:
         """Whether settings.lambda_f has an effect in a run with these settings."""
         return self.lambda_f > 0
 
+    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        """The looks of an active phase that keeps the share `share` of the Gaussians: those times at which score() ranks all of them over all
+        training views. (share of the steps before it, roughly the share of the Gaussians after it) each. For methods that rank, those of
+        their cut. Empty: Gaussians go gradually. jobs/duration.py foresees the time of a run with it."""
+        return []
+
     # --- a step of an active phase
 
     def budget(self, run: RunView) -> int:

@@ -16,6 +16,9 @@ LOOKS = 8  # published as C, the number of times that errors are quantified
 
 
 class GaussianPOP(Ranked):
+    def looks(self, settings, steps, share):
+        return [(0.0, share ** (look / LOOKS)) for look in range(1, LOOKS + 1)]
+
     def score(self, scene, cameras, rasterizer, options):
         return removal_errors(scene, cameras, rasterizer, options)
 
