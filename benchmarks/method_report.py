@@ -9,6 +9,7 @@ from statistics import fmean
 
 from method_charts import curve_chart, pareto_chart
 from method_scenes import GENERATED
+from time_report import time_part
 
 SCENARIOS = ("Scenario A", "Scenario B", "SVR-GS")  # Table 2 of the paper
 PAPER, BASE, RIVAL = "SVR-GS", "3DGS", "MaskGS alpha"
@@ -40,7 +41,7 @@ def write_report(rows: list[dict], folder: Path):
         scenario_part(rows),
         printed_part(rows),
     ]
-    parts += [few_part(rows), schedule_part(rows), lambda_part(rows, charts), pareto_part(rows, charts), ablation_part(rows)]
+    parts += [few_part(rows), schedule_part(rows), lambda_part(rows, charts), pareto_part(rows, charts), time_part(rows, charts), ablation_part(rows)]
     (folder / "results.md").write_text("\n".join(part for part in parts if part))
 
 
@@ -52,7 +53,7 @@ def commands(rows: list[dict]) -> str:
     lines = []
     for (study, schedule, trained, shrink), scenes in sorted(kinds.items()):
         named = " ".join(f"--scene {scene}" if scene in GENERATED else f"--scene {scene}=DIR" for scene in sorted(scenes))
-        pruned = f" --trained {trained:g}" if study in ("pareto", "ablation", "schedules") and trained != schedule else ""
+        pruned = f" --trained {trained:g}" if study in ("pareto", "ablation", "schedules", "time") and trained != schedule else ""
         lines.append(f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g}{pruned} --shrink {shrink} {named}")
     return "\n".join(lines)
 

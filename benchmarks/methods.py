@@ -14,6 +14,7 @@ stopped experiment can be continued. --work (default build/methods) holds the sc
     pareto    `svrgs prune` of the 3DGS scene of `table` (trained with the schedule --trained), every method at several counts
     ablation  the same with method `removal`, with one part of it changed at a time
     schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
+    time      the same to 10 %, where each method has the same seconds (`--time`); to be run on a quiet machine. --only ' 10 s' runs one limit
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from method_report import write_report
 from method_scenes import GENERATED, prepared
 
 ROOT = Path(__file__).resolve().parents[1]
-KEPT = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame", "iterations", "before", "curves", "peak_memory_bytes")
+KEPT = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame", "iterations", "before", "curves", "peak_memory_bytes", "time")
 ITERATIONS, RECOVERY = 30_000, 5_000
 
 TABLE = {
@@ -55,6 +56,8 @@ RIVALS = (
     "opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns",
     "gaussianpop", "popspa", "speedy", "minisplatting", "reduced3dgs", "efficientgs", "rdo",
 )  # fmt: skip
+LIMITS = (10, 30, 60, 120, 300)  # seconds
+IN_TIME = ("removal", "saliency", "gaussianpop", "lightgaussian", "maskgs", "gns")
 OURS = ("svr", "svr-self", "svr-even", "saliency", "removal")
 
 
@@ -78,7 +81,9 @@ STUDIES = {
     "pareto": pareto(),
     "ablation": {f"{label} {target}": ["--method", "removal", "--target", target] for target in ("0.17", "0.05") for label in ABLATION},
     "schedules": {f"{method} {target}": ["--method", method, "--target", target] for target in DEEP for method in ("removal", "maskgs", "gns")},
+    "time": {f"{method} {limit} s": ["--method", method, "--target", "0.1", "--time", str(limit)] for limit in LIMITS for method in IN_TIME},
 }
+PRUNED = ("pareto", "ablation", "schedules", "time")  # studies that prune the 3DGS scene of `table`
 
 
 def requests(options: argparse.Namespace) -> Iterator[dict]:
@@ -91,7 +96,8 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
                         continue
                     yield {
                         "study": study, "scene": scene.partition("=")[0], "run": label, "flags": flags, "seed": seed,
-                        "schedule": options.schedule, "trained": options.trained or options.schedule, "shrink": options.shrink,
+                        "schedule": 1.0 if study == "time" else options.schedule, "trained": options.trained or options.schedule,
+                        "shrink": options.shrink,
                     }  # fmt: skip
 
 
@@ -99,10 +105,11 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
     """The svrgs command of a run. data: its flags --colmap and --images."""
     out = work / f"{request['study']}.ply"
     trained = work / f"trained-{request['seed']}-{request['trained']}.ply"
-    common = [*request["flags"], *data, "--seed", str(request["seed"]), "--schedule", str(request["schedule"]), "--json", "--quiet"]
+    schedule = [] if request["study"] == "time" else ["--schedule", str(request["schedule"])]
+    common = [*request["flags"], *data, "--seed", str(request["seed"]), *schedule, "--json", "--quiet"]
     change = ABLATION[request["run"].rpartition(" ")[0]] if request["study"] == "ablation" else ""
     start = [sys.executable, "-c", f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli.main import main\nsys.exit(main())"]
-    if request["study"] in ("pareto", "ablation", "schedules"):
+    if request["study"] in PRUNED:
         return [*start, "prune", str(trained), "--out", str(out), *common]
     return [*start, "train", "--out", str(trained if request["run"] == "3DGS" else out), *common]
 
@@ -157,7 +164,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--study", action="append", choices=list(STUDIES), help="default: all")
     parser.add_argument("--only", action="append", metavar="WORD", help="only runs whose name contains this")
     parser.add_argument("--schedule", type=float, default=0.1, help="share of the published 30 000 + 5 000 iterations (default: 0.1)")
-    parser.add_argument("--trained", type=float, help="with pareto, ablation and schedules: the schedule of the scene that is pruned (default: --schedule)")
+    parser.add_argument("--trained", type=float, help=f"with {', '.join(PRUNED)}: the schedule of the scene that is pruned (default: --schedule)")
     parser.add_argument("--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--rows", type=Path, default=ROOT / "docs" / "results" / "rows.jsonl")

@@ -62,6 +62,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
     target: option_property("target", subtype="FACTOR", description="Share of the Gaussians to keep. 0: the method decides")
     target_count: option_property("target_count", min=0, description="Number of Gaussians to keep. 0: the method decides")
     max_drop: option_property("max_drop", precision=2, description="PSNR in dB that may be lost, instead of a target. 0: no such limit")
+    time: option_property("time", description="Seconds that the job may take, in place of numbers of steps. 0: no limit")
     iterations: option_property("iterations")
     recovery: option_property("recovery")
     seed: option_property("seed")
@@ -146,7 +147,8 @@ class SVRGS_OT_prune(bpy.types.Operator):
             "--max-drop": self.max_drop,
         }  # fmt: skip
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
-        return [*options, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in ("iterations", "recovery", "seed")), "--quiet", "--json"]
+        steps = ("time",) if self.time else ("iterations", "recovery")
+        return [*options, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in (*steps, "seed")), "--quiet", "--json"]
 
 
 def absolute(path: str) -> str:

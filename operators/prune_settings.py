@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import bpy
-from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
 from . import bridge, former_methods, goals, job_result
@@ -66,6 +66,10 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     drop: FloatProperty(
         name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2, description="PSNR in dB that may be lost, measured on a few of the photographs"
     )
+    use_time: BoolProperty(
+        name="Limit Time", description="Choose the number of steps so that the job takes at most so many seconds. It is chosen for the speed of this machine"
+    )
+    time: IntProperty(name="Seconds", min=1, soft_max=3600, default=60, description="Seconds that the job may take, reading and measuring included")
     method: method_property(update=former_methods.method_chosen)
     method_choice: method_choice_property()
     iterations: option_property("iterations", soft_max=30_000)
