@@ -144,10 +144,10 @@ class SVRGS_OT_prune(bpy.types.Operator):
         given = {
             "--colmap": absolute(colmap), "--images": images, "--report": absolute(self.report_folder),
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
-            "--max-drop": self.max_drop,
+            "--max-drop": self.max_drop, "--time": self.time,
         }  # fmt: skip
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
-        steps = ("time",) if self.time else ("iterations", "recovery")
+        steps = [name for name in ("iterations", "recovery") if not self.time or self.properties.is_property_set(name)]
         return [*options, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in (*steps, "seed")), "--quiet", "--json"]
 
 

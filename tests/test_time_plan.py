@@ -11,7 +11,7 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from command_checks import refused
-from plans import prune_settings
+from plans import prune_settings, train_settings
 from svrgs_addon.errors import Cancelled, FormatError, SceneError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune.engine import NativeEngine
@@ -19,16 +19,17 @@ from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.plan import at_schedule
 from svrgs_addon.finetune.run import Run
+from svrgs_addon.finetune.settings import MCMC
 from svrgs_addon.jobs import planning, time_plan
 from svrgs_addon.jobs.context import JobContext
 from svrgs_addon.jobs.duration import Pace, pace_of
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.jobs.job_folder import JobFolder
-from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.jobs.run_job import prune_scene
+from svrgs_addon.jobs.options import PruneOptions, TrainOptions
+from svrgs_addon.jobs.run_job import prune_scene, train_scene
 from svrgs_addon.jobs.time_plan import GRID, LEAST, MOST, fitted
 
-SLOW = Pace(step=0.1, look=0.5, drawn=0.02, point=0.04, measured=0.1, photograph=0.01, train_views=10, test_views=2, uncached=0.0)
+SLOW = Pace(count=250, step=0.1, look=0.5, drawn=0.02, point=0.04, measured=0.1, photograph=0.01, train_views=10, test_views=2, uncached=0.0)
 PRUNING = [name for name, method in METHODS.items() if method.prunes]
 SCHEDULES = (0.01, 0.02, 0.05, 0.1, 0.3, 1.0)
 
@@ -53,6 +54,25 @@ def test_more_steps_and_more_gaussians_take_longer(method):
     assert by_schedule == sorted(by_schedule) and by_schedule[-1] > 5 * by_schedule[0]
     by_share = [SLOW.pruning(plan, share) for share in (0.02, 0.1, 0.5, 1.0)]
     assert by_share == sorted(by_share) and by_share[0] < by_share[-1]
+
+
+TRAINED = (
+    ("3dgs", {}),
+    ("removal", {"target": 60}),
+    ("svr", {}),
+    ("opacity", {"share": 0.5}),
+    ("speedy", {}),
+    ("3dgs", {"densify": MCMC.capped(2_000, 30_000)}),
+)
+
+
+@pytest.mark.parametrize("method, more", TRAINED)
+def test_a_longer_training_takes_longer(method, more):
+    plan = train_settings(method, 30_000, 5_000, **more)
+    seconds = [SLOW.training(at_schedule(plan, schedule)) for schedule in SCHEDULES]
+    assert seconds == sorted(seconds) and seconds[-1] > 90 * seconds[0], "later steps have more Gaussians"
+    assert SLOW.training(replace(plan, phases=(replace(plan.phases[0], coarse_until=9_000), *plan.phases[1:]))) < seconds[-1]
+    assert repr(at_schedule(plan, 0.0375)) == repr(train_settings(method, 30_000, 5_000, schedule=0.0375, **more))
 
 
 LOOKING = ("removal", "saliency", "speedy", "popspa", "minisplatting", "efficientgs", "opacity", "lightgaussian")
@@ -190,6 +210,26 @@ def test_a_job_with_a_time_can_be_continued_with_its_schedule(tiny, slow, tmp_pa
         job(tiny, tmp_path / "a.ply", stop_after=30)
     assert job(tiny, tmp_path / "a.ply", time=0.0, schedule=planned["schedule"])["time"] is None
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+
+
+def test_training_keeps_its_plan_too(tiny, slow, tmp_path, monkeypatch):
+    def training(name: str, stop_after: int = 0, **more) -> dict:
+        options = TrainOptions(colmap=tiny.folder, out=tmp_path / name, quiet=True, resume=True, sh_degree=1, **{"time": 60.0} | more)
+        seen = [0]
+
+        def adapt(context):
+            return replace(context, observe=lambda p: seen.append(p.iteration), stop=lambda: bool(stop_after) and seen[-1] >= stop_after)
+
+        return train_scene(options, adapt)
+
+    planned = training("whole.ply")["time"]
+    assert planned["asked"] == 60 and planned["foreseen"] <= 57 and LEAST < planned["schedule"] < 0.05
+    with pytest.raises(Cancelled):
+        training("a.ply", stop_after=30)
+    monkeypatch.setattr(planning, "pace_of", lambda *_: replace(SLOW, step=1e-3))
+    assert training("a.ply")["time"]["schedule"] == planned["schedule"]
+    training("b.ply", time=0.0, schedule=planned["schedule"])
+    assert (tmp_path / "whole.ply").read_bytes() == (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
 # --- what is measured

@@ -15,6 +15,9 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from statistics import fmean
+
+import numpy as np
 
 from .. import native
 from ..finetune.engine import NativeEngine
@@ -25,6 +28,7 @@ from ..finetune.plan import Plan, prune_plan
 from ..finetune.quality import quality_views
 from ..finetune.recovery_pruning import CUTS
 from ..finetune.run import Run
+from ..finetune.settings import MCMC, Phase
 from ..finetune.strength_controller import UPDATES
 from ..metrics.evaluate import evaluate, mean_psnr, render_options
 from ..native import Rasterizer
@@ -36,14 +40,18 @@ from .train_and_prune import CURVE_VIEWS
 STEP_POWER, LOOK_POWER = 0.4, 0.65
 STEP_SECONDS, STEPS, LEAST_STEPS = 0.5, 8, 3  # time limit of measuring steps after one that is not; most and fewest that are measured
 LOOKED_AT, MEASURED = 3, 2  # views of which the time of a look and of the measures of quality are measured
+GROWTH = (0, 3, 10, 40, 145), (1.0, 1.0, 2.2, 3.4, 5.0)  # densifications, and how much longer a step takes after them: means over seven scenes
+GROWTH_POWER = 0.27  # of the number of Gaussians in this
+UNKNOWN_SHARE = 0.3  # of the Gaussians of a training, those that stay if a method decides
 PARTS = 16  # parts of a phase in which the number of Gaussians is taken as constant
 BISECTION = 10  # PSNRs that find the fewest Gaussians that hold one (finetune/quality.py)
 
 
 @dataclass(frozen=True)
 class Pace:
-    """Speeds on this machine with all Gaussians of a scene, in seconds, and the numbers of views."""
+    """Speeds on this machine with all Gaussians of a scene, in seconds, and the numbers of Gaussians and views."""
 
+    count: int
     step: float  # one step, its photograph in memory
     look: float  # one look at all training views; 0: the method has none
     drawn: float  # rendering a view and measuring its PSNR
@@ -54,21 +62,30 @@ class Pace:
     test_views: int  # views on which the quality is measured
     uncached: float  # share of the training photographs that do not stay in memory
 
+    def pruning(self, plan: Plan, share: float, recorded: tuple[int, int] = (0, 0)) -> float:
+        """Seconds of `svrgs prune` without reading and writing the splat. share: of the Gaussians, those that stay. recorded: further views that
+        are rendered for each point of the curves, and once."""
+        return self._measuring(2) + self._cut(plan, share) + self._run(plan, share, recorded[0]) + recorded[1] * self.drawn
+
+    def training(self, plan: Plan, recorded: tuple[int, int] = (0, 0)) -> float:
+        """Seconds of `svrgs train` without reading the points and writing the splat. recorded: as for pruning()."""
+        grown = max((growth(phase, self.count)[1] for phase in plan.phases), default=1.0) ** (1 / GROWTH_POWER) * self.count
+        share = plan.share or (plan.target / grown if plan.target else UNKNOWN_SHARE)
+        return self._measuring(1) + self._run(plan, min(1.0, share), recorded[0])
+
     def _run(self, plan: Plan, share: float, recorded: int) -> float:
-        """Seconds of all steps of the plan and of what is done between them. share: of the Gaussians, those that stay."""
+        """Seconds of all steps of the plan and of what is done between them."""
         point = (self.point + recorded * self.drawn) * min(CURVE_POINTS / max(1, plan.total), 1 / LEAST_BETWEEN)  # of a step
-        total, left = 0.0, share if plan.method.ranks else 1.0
+        total, grown, left = 0.0, 1.0, share if plan.method.ranks and not plan.prunes else 1.0
         for phase in plan.phases:
             looks = plan.method.looks(plan, phase.steps, share) if phase.active else []
-            steps = gradual(share) if phase.active and not looks else between(looks, left)
-            total += phase.steps * (self.step + point) * sum(length * n**STEP_POWER for length, n in steps) + self._looks(looks)
+            if plan.method.ranks:  # in training, the cut comes last
+                looks = [(1.0, after) for _, after in looks]
+            parts = gradual(share) if phase.active and not looks else between(looks, left)
+            mean, grown = growth(phase, self.count) if phase.densify else (grown, grown)
+            total += phase.steps * (self.step + point) * mean * sum(length * n**STEP_POWER for length, n in parts) + grown * self._looks(looks, left)
             left = share if phase.active else left
         return total + self._drop(plan, share) + self._reading(plan.total)
-
-    def pruning(self, plan: Plan, share: float, recorded: tuple[int, int] = (0, 0)) -> float:
-        """Seconds of `svrgs prune` without reading and writing the splat. recorded: further views that are rendered for each point of the curves,
-        and once."""
-        return self._measuring(2) + self._cut(plan, share) + self._run(plan, share, recorded[0]) + recorded[1] * self.drawn
 
     def _measuring(self, times: int) -> float:
         """Seconds of measuring the quality so many times; the photographs are read once."""
@@ -77,10 +94,11 @@ class Pace:
     def _cut(self, plan: Plan, share: float) -> float:
         """Seconds of what precedes the steps: the first cut, and the cut of a method that ranks."""
         first = self.train_views * self.drawn if plan.min_contribution else 0.0
-        return first + (self._looks(plan.method.looks(plan, 0, share)) if plan.method.ranks else 0.0)
+        return first + (self._looks(plan.method.looks(plan, 0, share), 1.0) if plan.method.ranks else 0.0)
 
-    def _looks(self, looks: list[tuple[float, float]]) -> float:
-        return sum(self.look * n**LOOK_POWER for n in [1.0, *(after for _, after in looks)][: len(looks)])
+    def _looks(self, looks: list[tuple[float, float]], left: float) -> float:
+        """Seconds of looks. left: Gaussians before the first one."""
+        return sum(self.look * n**LOOK_POWER for n in [left, *(after for _, after in looks)][: len(looks)])
 
     def _drop(self, plan: Plan, share: float) -> float:
         """Seconds of holding a loss of quality: PSNRs on a few views, and the looks of the recovery."""
@@ -106,6 +124,7 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
     look = lambda: plan.method.score(scene, looked_at, rasterizer, options)  # noqa: E731
     drawn = _seconds(lambda: mean_psnr(scene, dataset, views, rasterizer, options)) / len(views)
     return Pace(
+        count=scene.count,
         look=_seconds(look) * len(train) / len(looked_at) if plan.method.looks(plan, max(1, plan.total), 1.0) else 0.0,
         drawn=drawn,
         point=drawn * min(CURVE_VIEWS, len(dataset.test_indices)),
@@ -116,6 +135,23 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
         uncached=max(0.0, 1 - dataset.memory_budget / sum(3 * dataset.cameras[index].width * dataset.cameras[index].height for index in train)),
         step=_step(scene, replace(dataset, train_indices=shown), plan),
     )
+
+
+def growth(phase: Phase, count: int) -> tuple[float, float]:
+    """How much longer a step takes because of the Gaussians that a phase adds to `count`: in the mean of its steps, and in its last one. Steps on
+    reduced photographs take the less time."""
+    rule = phase.densify
+    if rule is None or not phase.steps:
+        return 1.0, 1.0
+
+    def at(step: float) -> float:
+        rounds = max(0.0, min(step, rule.until) - rule.start) / rule.every
+        if isinstance(rule, MCMC):
+            return max(1.0, min(rule.cap / count, rule.growth**rounds)) ** GROWTH_POWER
+        return float(np.interp(rounds, *GROWTH))
+
+    steps = [(part + 0.5) / PARTS * phase.steps for part in range(PARTS)]
+    return fmean(at(step) / phase.reduction(round(step)) for step in steps), at(phase.steps)
 
 
 def between(looks: list[tuple[float, float]], left: float) -> list[tuple[float, float]]:

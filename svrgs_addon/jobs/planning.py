@@ -8,8 +8,11 @@ from pathlib import Path
 
 from .. import memory
 from ..files.registry import load_scene
+from ..finetune.model import scene_from_points
 from ..finetune.plan import Plan, at_schedule
+from ..finetune.settings import Densify
 from ..photographs.dataset import Dataset
+from ..report.prune_report import REPORT_VIEWS
 from ..scene import Scene
 from .context import JobContext
 from .duration import pace_of
@@ -28,13 +31,24 @@ def pruning_within(seconds: float, plan: Plan, splat: Path, dataset: Dataset, jo
     memory.refuse_excess(f"{splat}: choosing the steps for --time", needed)
     pace = pace_of(scene, dataset, plan, job.lpips)
     kept = plan.target or expected_count(plan, scene, dataset, seen_by_some(scene, dataset, plan))
-    fit = lambda: fitted(seconds, plan, lambda some: pace.pruning(some, kept / scene.count, job.recorded), job.seconds() + 2 * read)  # noqa: E731
+    others = 2 * read + (2 * REPORT_VIEWS * pace.measured if job.report else 0.0)  # the splat is read again, and written
+    fit = lambda: fitted(seconds, plan, lambda some: pace.pruning(some, kept / scene.count, job.recorded), job.seconds() + others)  # noqa: E731
     found, quality = fit(), None
     if is_foreseen(some := at_schedule(plan, found.schedule)):
         quality = forecast(scene, dataset, some, expected_order(plan, scene, dataset, seen_by_some(scene, dataset, plan)), kept)
         found = fit()  # the forecast has taken some of the time
     psnr = f"PSNR about {quality.after:.1f} dB or more (now {quality.before:.1f} dB)" if quality else ""
     return _with(found, plan, job, f"about {kept:,} of {scene.count:,} Gaussians stay", psnr)
+
+
+def training_within(seconds: float, plan: Plan, dataset: Dataset, job: JobContext, sh_degree: int) -> tuple[Plan, JobContext]:
+    """As pruning_within(), for `svrgs train`. How many Gaussians a training adds is not known before, so it is less exact."""
+    if found := of_checkpoint(seconds, job.folder) if job.resume else None:
+        return _with(found, plan, job, "the job goes on as it was planned")
+    growth = plan.phases[0].densify or Densify()
+    pace = pace_of(scene_from_points(dataset.points, dataset.point_colors, sh_degree, *growth.INITIAL), dataset, plan, job.lpips)
+    found = fitted(seconds, plan, lambda some: pace.training(some, job.recorded), job.seconds())
+    return _with(found, plan, job, "more or less by a third, as the scene grows")
 
 
 def timed_scene(splat: Path) -> tuple[Scene, float]:
@@ -48,7 +62,3 @@ def _with(found: TimePlan, plan: Plan, job: JobContext, *foreseen: str) -> tuple
     chosen = at_schedule(plan, found.schedule)
     job.tell(found, found.sentence(chosen, *foreseen))
     return chosen, replace(job, planned=found)
-
-
-def training_within(seconds: float, plan: Plan, dataset: Dataset, job: JobContext, sh_degree: int) -> tuple[Plan, JobContext]:
-    raise NotImplementedError
