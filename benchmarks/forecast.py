@@ -34,8 +34,8 @@ STEPS = {"removal": ("0.08", (0.1, 0.3, 1.0)), "svr": ("0.17", (0.1, 1.0))}
 ESTIMATE = """
 import sys
 from svrgs_addon.exit_status import answer
-from svrgs_addon.jobs import estimate, quality_forecast
-estimate.VIEW_SECONDS = quality_forecast.SECONDS = 600
+from svrgs_addon.jobs import estimate, expected_count, quality_forecast
+expected_count.VIEW_SECONDS = quality_forecast.SECONDS = 600
 sys.exit(answer(estimate._estimate_request))
 """
 

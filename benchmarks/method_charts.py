@@ -46,6 +46,21 @@ def curve_chart(runs: list[tuple[str, dict]], title: str, path: Path):
     _save(figure, path)
 
 
+def time_chart(curves: dict[str, list[tuple[float, float]]], before: float, title: str, path: Path):
+    """PSNR over the seconds that jobs took. curves: points (seconds, dB) of each method, by rising time; before: dB of the scene that was pruned."""
+    figure, axes = plt.subplots(figsize=(8.5, 5))
+    for k, (method, points) in enumerate(sorted(curves.items())):
+        style = {"color": "black", "linewidth": 2} if method == "removal" else {"color": plt.cm.tab10(k % 10), "linewidth": 1}
+        axes.plot(*zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", markersize=4, label=method, **style)
+    axes.axhline(before, color="black", linewidth=1, linestyle=":", label="before")
+    axes.set_xscale("log")
+    axes.set_xlabel("seconds of the whole job")
+    axes.set_ylabel("PSNR of the test views, dB")
+    axes.set_title(title)
+    axes.legend(fontsize=8)
+    _save(figure, path)
+
+
 def _save(figure, path: Path):
     figure.tight_layout()
     figure.savefig(path, metadata={"Date": None})

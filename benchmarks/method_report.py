@@ -12,11 +12,12 @@ from statistics import fmean
 
 from method_charts import curve_chart, pareto_chart
 from method_scenes import GENERATED
+from time_report import in_time
 
 BASE, RIVAL, PAPER = "3DGS", "MaskGS alpha", "SVR-GS"
 PAPER_RUNS = (BASE, RIVAL, PAPER, "Scenario A", "Scenario B")  # the columns of the paper's tables
 FIGURES = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame")
-PRUNES = ("pareto", "ablation", "schedules")  # studies that prune a trained scene
+PRUNES = ("pareto", "ablation", "schedules", "time")  # studies that prune a trained scene
 LOSSES = {"table": "usual", "lambda": "usual", "printed": "printed"}  # weights of the image loss, by study
 
 
@@ -207,4 +208,6 @@ def ablation(rows: list[dict], charts: Path) -> str:
     return table(["part", *(f"{case(those[0])}, {float(those[0]['share']):.0%}" for those in columns.values())], lines)
 
 
-PARTS: dict[str, Callable[[list[dict], Path], str]] = {part.__name__: part for part in (commands, pruning, few, other_figures, points, paper, sweep, ablation)}
+PARTS: dict[str, Callable[[list[dict], Path], str]] = {
+    part.__name__: part for part in (commands, pruning, few, in_time, other_figures, points, paper, sweep, ablation)
+}

@@ -14,6 +14,7 @@ stopped experiment can be continued. --work (default build/methods) holds the sc
     pareto    `svrgs prune` of the scene of `table` that --start names (trained with the schedule --trained), every method at several counts
     ablation  the same with method `removal`, with one part of it changed at a time
     schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
+    time      the same to 10 %, where each method has the same seconds (`--time`); to be run on a quiet machine. --only 10 runs one limit
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from method_scenes import GENERATED, prepared
 from svrgs_addon.finetune.methods import METHODS
 
 ROOT = Path(__file__).resolve().parents[1]
-KEPT = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame", "iterations", "before", "curves", "peak_memory_bytes")
+KEPT = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame", "iterations", "before", "curves", "peak_memory_bytes", "time")
 ITERATIONS, RECOVERY = 30_000, 5_000
 
 TABLE = {
@@ -61,6 +62,8 @@ RIVALS = (
     "opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns",
     "gaussianpop", "popspa", "speedy", "minisplatting", "reduced3dgs", "efficientgs", "rdo",
 )  # fmt: skip
+LIMITS = (10, 30, 60, 120, 300)  # seconds
+IN_TIME = ("removal", "saliency", "gaussianpop", "lightgaussian", "maskgs", "gns")
 OURS = ("svr", "svr-self", "svr-even", "saliency", "removal")
 AS_MANY_STEPS = ["--recovery", "8000"]  # for methods that only recover: 3 000 + 5 000, as many steps as the others
 
@@ -88,7 +91,9 @@ STUDIES = {
     "pareto": pareto(),
     "ablation": {f"{label} {target}": ["--method", "removal", "--target", target] for target in ("0.17", "0.05") for label in ABLATION},
     "schedules": {f"{method} {target}": ["--method", method, "--target", target] for target in DEEP for method in ("removal", "maskgs", "gns")},
+    "time": {f"{method} {limit} s": ["--method", method, "--target", "0.1", "--time", str(limit)] for limit in LIMITS for method in IN_TIME},
 }
+PRUNED = ("pareto", "ablation", "schedules", "time")  # studies that prune the 3DGS scene of `table`
 
 
 def requests(options: argparse.Namespace) -> Iterator[dict]:
@@ -101,7 +106,8 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
                         continue
                     yield {
                         "study": study, "scene": scene.partition("=")[0], "run": label, "flags": flags, "seed": seed,
-                        "schedule": options.schedule, "trained": options.trained or options.schedule, "start": options.start, "shrink": options.shrink,
+                        "schedule": 1.0 if study == "time" else options.schedule, "trained": options.trained or options.schedule,
+                        "start": options.start, "shrink": options.shrink,
                     }  # fmt: skip
 
 
@@ -110,10 +116,11 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
     out = work / f"{request['study']}.ply"
     kept = request["study"] == "table" and request["run"] in STARTS
     trained = work / f"{request['run'] if kept else request['start']}-{request['seed']}-{request['trained']}.ply"
-    common = [*request["flags"], *data, "--seed", str(request["seed"]), "--schedule", str(request["schedule"]), "--json", "--quiet"]
+    schedule = [] if request["study"] == "time" else ["--schedule", str(request["schedule"])]
+    common = [*request["flags"], *data, "--seed", str(request["seed"]), *schedule, "--json", "--quiet"]
     change = {"ablation": ABLATION.get(request["run"].rpartition(" ")[0]), "printed": PRINTED}.get(request["study"])
     program = [sys.executable, "-c", f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli.main import main\nsys.exit(main())"]
-    if request["study"] in ("pareto", "ablation", "schedules"):
+    if request["study"] in PRUNED:
         return [*program, "prune", str(trained), "--out", str(out), *common]
     return [*program, "train", "--out", str(trained if kept else out), *common]
 
@@ -168,7 +175,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--study", action="append", choices=list(STUDIES), help="default: all")
     parser.add_argument("--only", action="append", metavar="WORD", help="only runs of this name, or with this word in it")
     parser.add_argument("--schedule", type=float, default=0.1, help="share of the published 30 000 + 5 000 iterations (default: 0.1)")
-    parser.add_argument("--trained", type=float, help="with pareto, ablation and schedules: the schedule of the scene that is pruned (default: --schedule)")
+    parser.add_argument("--trained", type=float, help=f"with {', '.join(PRUNED)}: the schedule of the scene that is pruned (default: --schedule)")
     parser.add_argument("--start", choices=STARTS, default="3DGS", help="with these studies: the run of `table` whose scene is pruned (default: 3DGS)")
     parser.add_argument("--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)")
     parser.add_argument("--seeds", type=int, default=1)

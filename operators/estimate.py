@@ -46,18 +46,18 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     found = of(obj)
     if "error" in found:
         return [found["error"] or tr("the estimate ended with status {status}").format(**found)]
-    kept, count, minutes = found["kept"], found["count"], found["seconds"] / 60
+    kept, count = found["kept"], found["count"]
     stay = tr("At most {kept:,} of {count:,} would stay ({share:.0%})") if found["at_most"] else tr("About {kept:,} of {count:,} would stay ({share:.0%})")
     seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled photographs")
     if found["faint"]:
         seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled photographs, {faint:,} dropped first as too faint")
-    time = tr("About {minutes:.0f} min ({speed:.0f} steps/s)") if minutes >= 1 else tr("Less than a minute ({speed:.0f} steps/s)")
+    time = tr("About {minutes:.0f} min for {steps:,} steps") if found["seconds"] >= 120 else tr("About {seconds:.0f} s for {steps:,} steps")
     return [
         stay.format(kept=kept, count=count, share=kept / count),
         tr("{before} → about {after}").format(before=size_text(obj, count), after=size_text(obj, kept)),
         quality(found),
         seen.format(**found),
-        time.format(minutes=minutes, speed=found["steps_per_second"]),
+        time.format(minutes=found["seconds"] / 60, **found),
         *found["notes"],
     ]
 

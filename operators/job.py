@@ -28,9 +28,10 @@ def options_of(context, obj: bpy.types.Object) -> dict:
     s = context.scene.svrgs_prune
     colmap, images = dataset_paths.dataset_of(context)
     options = {
-        "colmap": colmap, "images": images, "method": s.method, "iterations": s.iterations, "recovery": s.recovery, "seed": s.seed,
-        "threads": threads(context), "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
+        "colmap": colmap, "images": images, "method": s.method, "seed": s.seed, "threads": threads(context), "holdout": s.holdout,
+        "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
+    options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}
     if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
     return options | goals.options(s, obj)

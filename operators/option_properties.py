@@ -41,6 +41,17 @@ def option_property(name: str, /, **overrides):
     return PROPERTY_TYPES[kind.type](**(arguments | overrides))
 
 
+def limited_time_property():
+    """Whether the time of a job is limited."""
+    text = "Choose the number of steps so that the job takes at most so many seconds. It is chosen for the speed of this machine"
+    return BoolProperty(name="Limit Time", description=text)
+
+
+def time_property(default: int):
+    """The limit of the time of a job, seconds."""
+    return IntProperty(name="Seconds", min=1, soft_max=3600, default=default, description="Seconds that the job may take, reading and measuring included")
+
+
 def method_choice_property(**more):
     """The short menu of methods, which shows and sets the property `method`."""
     items = [(key, METHODS[name].label, _tooltip(METHODS[name])) for key, name in CHOICES.items()]

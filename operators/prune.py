@@ -62,6 +62,7 @@ class SVRGS_OT_prune(bpy.types.Operator):
     target: option_property("target", subtype="FACTOR", description="Share of the Gaussians to keep. 0: the method decides")
     target_count: option_property("target_count", min=0, description="Number of Gaussians to keep. 0: the method decides")
     max_drop: option_property("max_drop", precision=2, description="PSNR in dB that may be lost, instead of a target. 0: no such limit")
+    time: option_property("time", description="Seconds that the job may take, in place of numbers of steps. 0: no limit")
     iterations: option_property("iterations")
     recovery: option_property("recovery")
     seed: option_property("seed")
@@ -143,10 +144,11 @@ class SVRGS_OT_prune(bpy.types.Operator):
         given = {
             "--colmap": absolute(colmap), "--images": images, "--report": absolute(self.report_folder),
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
-            "--max-drop": self.max_drop,
+            "--max-drop": self.max_drop, "--time": self.time,
         }  # fmt: skip
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
-        return [*options, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in ("iterations", "recovery", "seed")), "--quiet", "--json"]
+        steps = [name for name in ("iterations", "recovery") if not self.time or self.properties.is_property_set(name)]
+        return [*options, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in (*steps, "seed")), "--quiet", "--json"]
 
 
 def absolute(path: str) -> str:

@@ -9,7 +9,7 @@ from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty,
 
 from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
 from . import bridge, former_methods, goals, job_result
-from .option_properties import RELATIVE, method_choice_property, method_property, option_property
+from .option_properties import RELATIVE, limited_time_property, method_choice_property, method_property, option_property, time_property
 from .translation import OWN
 
 WEAKEST, STRONGEST = -5.0, -3.0  # ends of the slider Strength: powers of ten of λ_F
@@ -66,6 +66,8 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     drop: FloatProperty(
         name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2, description="PSNR in dB that may be lost, measured on a few of the photographs"
     )
+    use_time: limited_time_property()
+    time: time_property(default=60)
     method: method_property(update=former_methods.method_chosen)
     method_choice: method_choice_property()
     iterations: option_property("iterations", soft_max=30_000)

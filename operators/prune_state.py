@@ -79,7 +79,7 @@ def _of_job(job: Job) -> list[str]:
         return [tr("{waiting}: one job runs at a time").format(waiting=job_queue.waiting_text(job))]
     if is_busy(job):
         without = [". ".join((tr("Stop Now does not wait for it"), resume_sentence(job)))] if job.stopping else []
-        texts = [tr(job.facts.get("text") or n_("Working")), *_figures(job.facts), *filter(None, [job.facts.get("note")]), *without]
+        texts = [tr(job.facts.get("text") or n_("Working")), *_figures(job.facts), *_planned(job.facts), *filter(None, [job.facts.get("note")]), *without]
         silent = tr("No sign of life for {seconds:.0f} s: Stop ends the job").format(seconds=job.seconds_silent)
         return [*texts, silent] if job.seconds_silent > SILENT_SECONDS else texts
     if not is_resumable(job):
@@ -117,6 +117,13 @@ def _figures(facts: dict) -> list[str]:
         return []
     text = tr("{count:,} Gaussians, PSNR {psnr:.2f} dB") if facts.get("psnr") else tr("{count:,} Gaussians")
     return [text.format(count=facts["count"], psnr=facts.get("psnr"))]
+
+
+def _planned(facts: dict) -> list[str]:
+    """Of a job whose time is limited: what was foreseen."""
+    if not facts.get("schedule"):
+        return []
+    return [tr("Planned for {asked:.0f} s: {schedule:.1%} of the steps, about {foreseen:.0f} s").format(**facts)]
 
 
 def _time_left_text(job: Job) -> str:

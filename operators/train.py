@@ -17,6 +17,7 @@ from . import bridge, bridge_cameras, dataset_paths, job_queue
 from .job import JobOperator, new_folder
 from .job_watch import is_busy, is_resumable, job_of, link, start_timer
 from .native_check import native_problem
+from .option_properties import limited_time_property, time_property
 from .preferences import threads
 
 QUICK = 7_000  # steps: a usable splat in a quarter of the time
@@ -67,8 +68,8 @@ class SVRGS_OT_train(JobOperator):
         root, settings = root_to_train(context), context.scene.svrgs_train
         assert root is not None
         options = {
-            "colmap": dataset_paths.dataset_of_root(root), "images": root.get(bridge.IMAGES, ""), "iterations": settings.iterations,
-            "holdout": context.scene.svrgs_prune.holdout, "threads": threads(context),
+            "colmap": dataset_paths.dataset_of_root(root), "images": root.get(bridge.IMAGES, ""), "holdout": context.scene.svrgs_prune.holdout,
+            "threads": threads(context), **({"time": settings.time} if settings.use_time else {"iterations": settings.iterations}),
         }  # fmt: skip
         folder = JobFolder.create_training(new_folder(context, root.name), options, root.name)
         link(root, str(folder.path))
@@ -97,6 +98,8 @@ class SVRGS_PG_train(bpy.types.PropertyGroup):
         name="Iterations", min=1, soft_max=ITERATIONS, default=QUICK,
         description=f"Number of training steps. {QUICK:,} give a usable splat, {ITERATIONS:,} one as in papers",
     )  # fmt: skip
+    use_time: limited_time_property()
+    time: time_property(default=600)
     about: StringProperty(get=_about, options={"HIDDEN"})  # what a splat would be trained from; empty if that makes no sense now
     problem: StringProperty(get=_problem, options={"HIDDEN"})
 

@@ -11,6 +11,7 @@ GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # 
 ADVANCED = (
     "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder",
 )  # fmt: skip
+STEPS = ("iterations", "recovery")  # chosen by the program if the time is limited
 ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK"}  # stage -> icon of the first sentence
 
 
@@ -58,7 +59,9 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(context.scene.svrgs_prune, "method", text="All Methods")
         for name in ADVANCED:
-            column.prop(context.scene.svrgs_prune, name)
+            row = column.row()
+            row.active = not (context.scene.svrgs_prune.use_time and name in STEPS)
+            row.prop(context.scene.svrgs_prune, name)
 
 
 def draw_settings(layout, context, state):
@@ -77,6 +80,9 @@ def draw_settings(layout, context, state):
         draw_strength(column.column(align=True), settings)
         wrapped_label(column, state.strength_help)
     wrapped_label(column, state.goal_help)
+    column.prop(settings, "use_time")
+    if settings.use_time:
+        column.prop(settings, "time")
     row = layout.row(align=True)
     row.operator("svrgs.estimate", icon="VIEWZOOM")
     row.operator("svrgs.job_start", icon="PLAY")

@@ -21,7 +21,8 @@ class SVRGS_PT_train(bpy.types.Panel):
         wrapped_label(layout, settings.about, "OUTLINER_OB_CAMERA")
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
-        column.prop(settings, "iterations")
+        column.prop(settings, "use_time")
+        column.prop(settings, "time" if settings.use_time else "iterations")
         column.operator("svrgs.train", icon="PLAY", text="Train Splat from Photographs")
         if settings.problem:
             wrapped_label(layout, settings.problem, "INFO")

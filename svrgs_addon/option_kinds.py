@@ -67,6 +67,7 @@ SH_DEGREE = Kind(int, "a degree of 0 to 3", choices=(0, 1, 2, 3))
 DENSIFY = Kind(str, "3dgs or mcmc", lambda value: value in ("3dgs", "mcmc"), choices=("3dgs", "mcmc"))
 WEIGHT = Kind(float, "a weight of 0 to 1e9", lambda value: 0 <= value <= 1e9, minimum=0, maximum=1e9)
 GIGABYTES = Kind(float, "a number of gigabytes of 0 to 1,000,000", lambda value: 0 <= value <= 1e6, minimum=0, maximum=1e6)
+SECONDS = Kind(float, "a number of seconds above 0", lambda value: 0 < value < math.inf, minimum=0)
 DECIBELS = Kind(float, "a number of dB above 0", lambda value: 0 < value < math.inf, minimum=0)
 SHARE = Kind(float, "a share above 0 and up to 1", lambda value: 0 < value <= 1, minimum=0, maximum=1)
 SMALL_SHARE = Kind(float, "a share of 0 or more, below 1", lambda value: 0 <= value < 1, minimum=0, maximum=0.99)
@@ -85,6 +86,7 @@ class Option:
     metavar: str = ""
     default_help: str = ""  # description of the default where it is not one value
     size: bool = False  # sets the number of Gaussians that stay; at most one such option may be given
+    steps: bool = False  # sets the number of steps; no such option may be given with a time limit
     required: bool = False
     in_job: bool = False  # allowed in a job folder
 

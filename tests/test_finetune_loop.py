@@ -89,12 +89,20 @@ def test_a_loss_that_is_not_finite_ends_the_run_with_the_view_named():
 
 def test_observers_see_each_step_and_curves_gain_points(monkeypatch):
     monkeypatch.setattr(loop, "CURVE_POINTS", 6)
+    monkeypatch.setattr(loop, "LEAST_BETWEEN", 1)
     run, seen = training(), []
     run_to_end(run, seen.append, lambda: False, lambda: None, lambda: 12.5)
     assert [p.iteration for p in seen] == list(range(1, 61)) and seen[-1].seconds_left == 0
     assert [p.phase for p in seen] == ["train"] * 45 + ["recover"] * 15
     assert run.curves.iteration == [10, 20, 30, 40, 50, 60] and run.curves.psnr == [12.5] * 6
     assert run.curves.count[-1] == run.model.count and run.seconds.keys() == {"train", "recover"}
+
+
+def test_a_short_run_measures_few_points(monkeypatch):
+    monkeypatch.setattr(loop, "LEAST_BETWEEN", 25)
+    run, measured = training(), []
+    run_to_end(run, lambda _: None, lambda: False, lambda: None, lambda: measured.append(run.iteration))
+    assert measured == run.curves.iteration == [25, 50, 60]
 
 
 def test_a_request_to_stop_leaves_a_checkpoint():

@@ -12,7 +12,7 @@ from plans import prune_settings, train_settings
 from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import removal
-from svrgs_addon.finetune.methods.removal import LOOKS
+from svrgs_addon.finetune.methods.removal import FEWEST, LOOKS, STEPS_PER_LOOK, number_of_looks
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import SHARE, removal_errors, saliency
@@ -82,6 +82,7 @@ def test_a_lambda_above_every_saliency_is_refused_at_once():
 
 def test_those_of_lowest_removal_error_go_first(monkeypatch):
     monkeypatch.setattr(removal, "STEPS_AT_USUAL_RATES", 1)
+    monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
     run = run_of(replace(prune_settings("removal", 32, 0), target=15))
     run.advance()  # one step, and the first look
     left = set(run.model.origin)
@@ -95,7 +96,8 @@ def test_those_of_lowest_removal_error_go_first(monkeypatch):
 
 
 @pytest.mark.parametrize("method", ["removal", "saliency"])
-def test_the_target_is_approached_quickly_at_first_and_met(method):
+def test_the_target_is_approached_quickly_at_first_and_met(method, monkeypatch):
+    monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
     counts = counts_of(run_of(replace(prune_settings(method, 32, 4), target=15)))
     np.testing.assert_allclose(counts[:32:2], [COUNT * (15 / COUNT) ** math.sqrt(k / LOOKS) for k in range(1, LOOKS + 1)], atol=1)
     assert counts[0] == counts[1] and counts[30] == counts[-1] == 15, "a look after the first step of each part"
@@ -115,6 +117,12 @@ def test_a_short_run_takes_larger_steps_and_a_long_one_those_of_3dgs():
 def test_training_keeps_its_rates_until_gaussians_are_removed():
     train, *_ = train_settings("removal", 3_000, 500).phases
     assert train.rates == train_settings("3dgs", 3_000, 500).phases[0].rates
+
+
+def test_a_short_phase_has_fewer_looks():
+    counts = counts_of(run_of(replace(prune_settings("removal", 32, 4), target=15)))
+    assert len(set(counts)) == FEWEST < LOOKS and counts[-1] == 15
+    assert [number_of_looks(steps) for steps in (1, FEWEST, 8 * STEPS_PER_LOOK, LOOKS * STEPS_PER_LOOK, 10_000)] == [1, FEWEST, 8, LOOKS, LOOKS]
 
 
 @pytest.mark.parametrize("steps", [1, 5, 17])

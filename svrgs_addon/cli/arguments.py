@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..errors import SceneError
 from ..exit_status import printable
-from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions
+from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions, refuse_time_and_steps
 from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_of
 from ..outputs import PICTURES
 
@@ -25,6 +26,17 @@ CHOICES = {"engine": ENGINES}
 
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one sentence on stderr, and whose help lists the methods if it has the option --method."""
+
+    options: type | None = None  # the dataclass of options of a job
+
+    def parse_known_args(self, *words, **more):
+        found, rest = super().parse_known_args(*words, **more)
+        if self.options is not None and "time" in found and found.time:
+            try:
+                refuse_time_and_steps(self.options, vars(found))
+            except SceneError as error:
+                self.error(str(error))
+        return found, rest
 
     def error(self, message: str):
         self.exit(2, f"{self.prog}: {printable(message)}\n")
@@ -59,12 +71,12 @@ def parser() -> argparse.ArgumentParser:
 
 
 def options_from(cls: type, words: argparse.Namespace, **more: Any) -> Any:
-    """An object of a dataclass of options, from the parsed command line. more: values of further fields."""
+    """An object of a dataclass of options, from the parsed command line; defaults for options that are not there. more: values of further fields."""
     names = {field.name for field in fields(cls)} & set(vars(words))
     return cls(**({name: getattr(words, name) for name in names} | more))
 
 
-def _command(commands, name: str, help_: str) -> argparse.ArgumentParser:
+def _command(commands, name: str, help_: str) -> Parser:
     command = commands.add_parser(name, help=help_, description=help_)
     command.add_argument("--json", action="store_true", help="print the result as one JSON object on stdout, and nothing else there")
     return command
@@ -74,8 +86,9 @@ def _threads(command: argparse.ArgumentParser):
     _add(command, "threads", options_of(DatasetOptions)["threads"], 0)
 
 
-def _options(command: argparse.ArgumentParser, cls: type, leave_out: tuple[str, ...] = (), **required: bool):
+def _options(command: Parser, cls: type, leave_out: tuple[str, ...] = (), **required: bool):
     """Adds the options of the dataclass to the command. required: whether an option must be given, if its field says otherwise."""
+    command.options = cls
     options = {name: option for name, option in options_of(cls).items() if name not in leave_out}
     size = command.add_mutually_exclusive_group() if any(option.size for option in options.values()) else None  # Python 3.11: never an empty group
     for name, option in options.items():
@@ -88,7 +101,7 @@ def _add(command, name: str, option: Option, default: Any, required: bool = Fals
         command.add_argument(flag, action="store_true", help=option.help)
         return
     shown = option.default_help or ("" if default is None or required else f"{default:g}" if isinstance(default, float) else str(default))
-    words: dict[str, Any] = {"type": _reader(option.kind), "default": default, "required": required}
+    words: dict[str, Any] = {"type": _reader(option.kind), "default": argparse.SUPPRESS if option.steps else default, "required": required}
     if choices := CHOICES.get(name) or option.kind.choices:
         words["choices"] = choices
     elif option.metavar:

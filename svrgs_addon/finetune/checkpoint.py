@@ -28,15 +28,15 @@ KEPT = 2  # number of checkpoints that are kept
 _PARTS = ("values", "moments")
 
 
-def save(run: Run, folder: Path, identity: str) -> Path:
+def save(run: Run, folder: Path, identity: str, time: dict | None = None) -> Path:
     """Writes the state of the run to folder/<iteration> and deletes all checkpoints but the newest two. Returns the new folder.
 
-    identity: digest of settings and inputs, compared by restore(). Raises SceneError if the checkpoint cannot be written; the earlier
-    checkpoints then stay.
+    identity: digest of settings and inputs, compared by restore(). time: the plan of a job with a time limit, for newest_manifest(). Raises
+    SceneError if the checkpoint cannot be written; the earlier checkpoints then stay.
     """
     target = folder / f"{run.iteration:07d}"
     try:
-        _write(run, target, identity)
+        _write(run, target, identity, time)
     except SceneError:
         if read_manifest(target) is None:
             shutil.rmtree(target, ignore_errors=True)
@@ -47,7 +47,7 @@ def save(run: Run, folder: Path, identity: str) -> Path:
     return target
 
 
-def _write(run: Run, target: Path, identity: str):
+def _write(run: Run, target: Path, identity: str, time: dict | None):
     arrays = {f"{part}.{name}": array for part in _PARTS for name, array in getattr(run.model, part).items()}
     arrays |= {"origin": run.model.origin, "statistics.total": run.statistics.total, "statistics.views": run.statistics.views}
     arrays |= {"views.losses": run.views.losses, "views.left_out": run.views.left_out}
@@ -56,6 +56,7 @@ def _write(run: Run, target: Path, identity: str):
     manifest = {
         "schema": SCHEMA,
         "identity": identity,
+        "time": time,
         "sha256": _digest(target / "arrays.npz"),
         "iteration": run.iteration,
         "epoch": [run.views.epoch, run.views.position],
@@ -92,6 +93,11 @@ def restore(run: Run, folder: Path, identity: str) -> bool:
         _apply(run, candidate, manifest)
         return True
     return False
+
+
+def newest_manifest(folder: Path) -> dict | None:
+    """The manifest of the newest valid checkpoint in the folder; None if there is none."""
+    return next(filter(None, map(read_manifest, reversed(_folders(folder)))), None)
 
 
 def delete_all(folder: Path):

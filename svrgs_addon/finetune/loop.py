@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from ..errors import Cancelled, SplatError
 from .run import Run
 
-CURVE_POINTS = 40
+CURVE_POINTS, LEAST_BETWEEN = 40, 20  # points of the curves; least number of steps between two: a point takes as long as one or two steps
 
 
 @dataclass
@@ -34,13 +34,13 @@ def run_to_end(
     checkpoint: Callable[[], object],
     measure: Callable[[], float | None],  # a PSNR for the curves
 ):
-    """Advances the run until it is finished. Its curves get about CURVE_POINTS points.
+    """Advances the run until it is finished. Its curves get about CURVE_POINTS points, fewer in a short run.
 
     When stop() returns True, it saves a checkpoint and raises Cancelled. A SplatError, for example of a photograph that can no longer
     be read, is raised on after a checkpoint, if a step was done and none is half done.
     """
     total, begun, first, counted_from = run.settings.total, time.perf_counter(), run.iteration, run.iteration
-    every = max(1, total // CURVE_POINTS)
+    every = max(LEAST_BETWEEN, total // CURVE_POINTS)
     try:
         while not run.finished:
             phase, _ = run.phase()

@@ -61,6 +61,11 @@ def _plan(method: Method, phases: list[Phase], trained: bool, lambda_f: float | 
     return Plan(method=method, phases=tuple(phases), **own | rest)
 
 
+def at_schedule(plan: Plan, share: float) -> Plan:
+    """The plan with all step counts multiplied by `share`: that of the same request with schedule=share. plan: one with schedule=1."""
+    return replace(plan, phases=tuple(plan.method.paced(scaled(list(plan.phases), share))))
+
+
 def scaled(phases: list[Phase], share: float) -> list[Phase]:
     """The phases with all step counts multiplied by `share`. The rate of the masks is divided by `share`, so that logits still change
     by the same amount in the whole phase. The weights of the loss stay: they trade quality against count, whatever the number of steps."""

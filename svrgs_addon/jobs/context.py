@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..finetune.loop import Progress
 from ..finetune.run import Run
+from .time_plan import TimePlan
+
+PROCESS = 0.5  # seconds of starting and ending the program
 
 
 @dataclass(frozen=True)
@@ -18,11 +22,19 @@ class JobContext:
     report: Path | None = None
     resume: bool = False
     engine: str = "native"
+    planned: TimePlan | None = None  # of a job with a time limit
+    recorded: tuple[int, int] = (0, 0)  # views that the observer renders: for each point of the curves, and at the end
+    started: float = field(default_factory=time.perf_counter)  # when the job began
+    tell: Callable[[TimePlan, str], None] = lambda *_: None  # called with the plan of a job with a time limit, and what is foreseen, in a sentence
     lpips: Callable | None = None  # (image, photograph) -> float
     lpips_missing: str = ""  # why lpips is None
     observe: Callable[[Progress], None] = lambda _: None  # called after each step
     stop: Callable[[], bool] = lambda: False  # asked after each step
     begin: Callable[[Run], None] = lambda _: None  # called before the first step, after a checkpoint was restored
+
+    def seconds(self) -> float:
+        """Seconds since the job began, with those that the program needs to start and to end."""
+        return PROCESS + time.perf_counter() - self.started
 
     @property
     def folder(self) -> Path:

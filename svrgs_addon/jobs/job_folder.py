@@ -48,7 +48,7 @@ from ..finetune.methods import FORMER_NAMES
 from ..option_kinds import check_mapping
 from ..scene import Scene
 from .disk_room import check_room
-from .options import PruneOptions, TrainOptions
+from .options import PruneOptions, TrainOptions, refuse_time_and_steps
 
 SCHEMA = 2
 ROW = "svrgs_row"  # column of scene.ply
@@ -63,7 +63,7 @@ OPTIONS = {PRUNE: PruneOptions, TRAIN: TrainOptions}
 METRICS = ("iteration", "count", "loss", "psnr")
 FACTS = {  # keys of state.json and of messages that are read, and their types
     "state": str, "text": str, "pid": int, "iteration": int, "total": int, "phase": str, "count": int, "loss": float, "psnr": float,
-    "seconds_left": float, "finishing": bool, "note": str,
+    "seconds_left": float, "finishing": bool, "note": str, "asked": float, "foreseen": float, "schedule": float,
 }  # fmt: skip
 _FILES = (
     "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy", "score.npy",
@@ -319,8 +319,10 @@ def facts_of(message: dict) -> dict:
 
 def _check_options(kind: str, options: object):
     """Raises SceneError if these are not valid options of a job of this kind."""
-    if not check_mapping(OPTIONS[kind], options).get("colmap"):
+    checked = check_mapping(OPTIONS[kind], options)
+    if not checked.get("colmap"):
         raise SceneError("the job has no dataset")
+    refuse_time_and_steps(OPTIONS[kind], checked)
 
 
 def _is(kind: type, value) -> bool:

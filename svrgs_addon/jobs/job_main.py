@@ -71,7 +71,7 @@ class JobMain:
         recorder = RECORDERS[kind](self.folder, self)
         run: Any = {PRUNE: prune_scene, TRAIN: train_scene}[kind]
         try:
-            result = run(options, lambda job: replace(job, begin=recorder.begin, observe=recorder.observe, stop=lambda: job.stop() or bool(self.ending)))
+            result = run(options, lambda job: replace(recorder.attached(job), stop=lambda: job.stop() or bool(self.ending)))
         except Cancelled:
             self.tell("STATUS", state=self.ending or "interrupted", text="")
             return 0

@@ -19,11 +19,15 @@ from ..finetune.run import Run
 from ..metrics.evaluate import render_options, rounded_to_8_bits
 from ..native import Rasterizer, RenderOptions
 from ..scene import Scene
+from .context import JobContext
 from .job_folder import METRICS, PRUNE, ROW, TRAIN, JobFolder
+from .ranking import VIEWS as IMPORTANCE_VIEWS
 from .ranking import Ranking, importance
+from .time_plan import TimePlan
 
 PREVIEW_SIDE = 512  # longest side of a preview, pixels
 METRIC_ROWS = 200  # rows of metrics.csv for a whole run, roughly
+RECORDED = (1, IMPORTANCE_VIEWS)  # views that are rendered: for each point of the curves, and at the end of a job that prunes
 
 
 class Listener(Protocol):
@@ -39,6 +43,13 @@ class JobRecorder:
 
     def __init__(self, folder: JobFolder, listener: Listener):
         self.folder, self.listener = folder, listener
+
+    def attached(self, job: JobContext) -> JobContext:
+        """The context of the job, with this recorder as its observer."""
+        return replace(job, begin=self.begin, observe=self.observe, tell=self._planned, recorded=RECORDED)
+
+    def _planned(self, planned: TimePlan, _):
+        self.listener.tell("STATUS", asked=planned.asked, foreseen=planned.foreseen, schedule=planned.schedule)
 
     def begin(self, run: Run):
         self.run = run

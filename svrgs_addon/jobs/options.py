@@ -6,9 +6,11 @@ begins in lower case and has no full stop; Blender's tooltips capitalise it.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import SceneError
 from ..option_kinds import (
     COLOUR,
     COUNT,
@@ -20,12 +22,14 @@ from ..option_kinds import (
     GIGABYTES,
     PATH,
     POSITIVE,
+    SECONDS,
     SH_DEGREE,
     SHARE,
     SMALL_SHARE,
     TEXT,
     WEIGHT,
     option,
+    options_of,
 )
 
 ITERATIONS, PRUNE_ITERATIONS, RECOVERY = 30_000, 3_000, 5_000
@@ -69,7 +73,11 @@ class TuningOptions(DatasetOptions):
     views_by_loss: bool = option(FLAG, False, "show the half of the photographs with the lower loss only in every other epoch", in_job=True)
     schedule: float = option(
         FACTOR, 1.0, "multiply all step counts, pruning events included, but not the spacing of densifications and opacity resets; a quick try is 0.1",
-        metavar="X",
+        metavar="X", steps=True,
+    )  # fmt: skip
+    time: float = option(
+        SECONDS, 0.0, "seconds that the job may take: measures the speed of this machine, chooses the schedule that fits, up to 1, and prints it",
+        metavar="SECONDS", default_help="no limit", in_job=True,
     )  # fmt: skip
     target: float | None = option(
         SHARE, None, "share of the Gaussians to keep, up to 1", metavar="SHARE", default_help="the method decides", size=True, in_job=True
@@ -84,9 +92,9 @@ class TrainOptions(TuningOptions):
     """Options of `svrgs train`."""
 
     method: str = option(TEXT, "3dgs", "method that prunes while training, see the list below", metavar="NAME")
-    iterations: int = option(COUNT, ITERATIONS, "number of training steps", metavar="N", in_job=True)
+    iterations: int = option(COUNT, ITERATIONS, "number of training steps", metavar="N", steps=True, in_job=True)
     recovery: int | None = option(
-        COUNT, None, "number of recovery steps after the training steps", metavar="N", default_help=f"{RECOVERY} for methods that prune, else 0"
+        COUNT, None, "number of recovery steps after the training steps", metavar="N", default_help=f"{RECOVERY} for methods that prune, else 0", steps=True
     )
     coarse_until: int = option(COUNT, 0, "train on photographs of half the size up to this step", metavar="N")
     densify: str = option(
@@ -108,8 +116,8 @@ class PruneOptions(TuningOptions):
     """Options of `svrgs prune` for one scene."""
 
     method: str = option(TEXT, "removal", "method that decides which Gaussians are removed, see the list below", metavar="NAME", in_job=True)
-    iterations: int = option(COUNT, PRUNE_ITERATIONS, "steps spent deciding which Gaussians to remove", metavar="N", in_job=True)
-    recovery: int = option(COUNT, RECOVERY, "steps after pruning, which recover the quality", metavar="N", in_job=True)
+    iterations: int = option(COUNT, PRUNE_ITERATIONS, "steps spent deciding which Gaussians to remove", metavar="N", steps=True, in_job=True)
+    recovery: int = option(COUNT, RECOVERY, "steps after pruning, which recover the quality", metavar="N", steps=True, in_job=True)
     min_contribution: float | None = option(
         SMALL_SHARE, None, "first remove the Gaussians that cover less than this share of every pixel in every training view", metavar="A",
         default_help=f"{MIN_CONTRIBUTION} for methods that learn masks, else 0", in_job=True,
@@ -121,3 +129,10 @@ class PruneOptions(TuningOptions):
     scene: Path | None = None  # splat file to prune
     out: Path | None = None  # splat file to write
     report: Path | None = None  # folder of the HTML report
+
+
+def refuse_time_and_steps(cls: type, given: Collection[str]):
+    """Raises SceneError if both a time limit and a number of steps are given. given: names of the options of the dataclass that are."""
+    steps = [f"--{name}" for name, found in options_of(cls).items() if found.steps and name in given]
+    if "time" in given and steps:
+        raise SceneError(f"--time chooses the number of steps itself: leave out {' and '.join(steps)}, or --time")

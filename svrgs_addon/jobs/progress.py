@@ -19,6 +19,11 @@ class Reporter:
         self.terminal = sys.stderr.isatty()
         self._next = 0.0
 
+    def say(self, sentence: str):
+        """Prints a sentence before the first step."""
+        if not self.quiet:
+            print(sentence, file=sys.stderr, flush=True)
+
     def __call__(self, p: Progress):
         now = time.monotonic()
         last = p.iteration == p.total

@@ -47,17 +47,18 @@ class Forecast(NamedTuple):
 
 def forecast(scene: Scene, dataset: Dataset, plan: Plan, ranking: np.ndarray, kept: int) -> Forecast:
     """The forecast for a run that keeps `kept` Gaussians, about those that are highest in `ranking` (N,): removal error for the methods that
-    rank by it, else the largest alpha T. Views: test views, or training views if there are none. Raises FormatError, SceneError.
-
-    Not foreseen: methods without a fitted number; an allowed drop, which is the quality; a run without steps in which the method prunes, or
-    with fewer than LEAST_STEPS steps.
-    """
-    halved = HALVED.get(plan.method.name)
-    if halved is None or plan.max_drop or not plan.prunes or plan.total < LEAST_STEPS:
+    rank by it, else the largest alpha T. Views: test views, or training views if there are none. Raises FormatError, SceneError."""
+    if not is_foreseen(plan):
         (before,) = _mean_psnrs(scene, dataset, [None])
         return Forecast(before, None, None)
     before, removed = _mean_psnrs(scene, dataset, [None, scores.top(ranking, kept).astype(np.uint8)])
-    return Forecast(before, removed, psnr_after(before, removed, plan.total, halved))
+    return Forecast(before, removed, psnr_after(before, removed, plan.total, HALVED[plan.method.name]))
+
+
+def is_foreseen(plan: Plan) -> bool:
+    """Whether the quality is foreseen. It is not for methods without a fitted number; with an allowed drop, which is the quality; for a run
+    without steps in which the method prunes, or with fewer than LEAST_STEPS steps."""
+    return plan.method.name in HALVED and not plan.max_drop and plan.prunes and plan.total >= LEAST_STEPS
 
 
 def psnr_after(before: float, removed: float, steps: int, halved: float) -> float:

@@ -15,10 +15,12 @@ from ..finetune.methods.base import Method
 from ..finetune.plan import Plan, prune_plan, train_plan
 from ..finetune.settings import MCMC, Densify
 from ..metrics import load_lpips
+from ..option_kinds import default_of, options_of
 from ..photographs.dataset import Dataset, load_dataset
 from . import train_and_prune
 from .context import JobContext
-from .options import MIN_CONTRIBUTION, RECOVERY, DatasetOptions, PruneOptions, TrainOptions, TuningOptions
+from .options import MIN_CONTRIBUTION, RECOVERY, DatasetOptions, PruneOptions, TrainOptions, TuningOptions, refuse_time_and_steps
+from .planning import pruning_within, training_within
 from .progress import Reporter
 from .stop_request import StopRequest
 
@@ -29,11 +31,14 @@ def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict:
     """Does `svrgs train`. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint."""
     assert options.out is not None
     native.set_threads(options.threads)
-    plan, job = plan_of_training(options), _context(options, options.out)
+    job, plan = _context(options, options.out), plan_of_training(options)
     train_and_prune.check_outputs(job)
     dataset = dataset_of(options, need_points=True)
     with StopRequest() as stop:
-        return train_and_prune.train(dataset, plan, adapt(replace(job, stop=stop)), options.sh_degree)
+        job = adapt(replace(job, stop=stop))
+        if options.time:
+            plan, job = training_within(options.time, plan, dataset, job, options.sh_degree)
+        return train_and_prune.train(dataset, plan, job, options.sh_degree)
 
 
 def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
@@ -42,11 +47,14 @@ def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
     if options.colmap is None:
         raise SceneError(f"{options.scene}: pruning needs the photographs that the scene was trained on; give --colmap DIR")
     assert options.scene is not None and options.out is not None
-    plan, job = plan_of_pruning(options), _context(options, options.out, options.report)
+    job, plan = _context(options, options.out, options.report), plan_of_pruning(options)
     train_and_prune.check_outputs(job)
     dataset = dataset_of(options)
     with StopRequest() as stop:
-        return train_and_prune.prune(options.scene, dataset, plan, adapt(replace(job, stop=stop)))
+        job = adapt(replace(job, stop=stop))
+        if options.time:
+            plan, job = pruning_within(options.time, plan, options.scene, dataset, job)
+        return train_and_prune.prune(options.scene, dataset, plan, job)
 
 
 def plan_of_training(options: TrainOptions) -> Plan:
@@ -102,7 +110,8 @@ def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:
 
 
 def _settings(options: TuningOptions) -> dict[str, Any]:
-    """The settings that training and pruning have in common."""
+    """The settings that training and pruning have in common. Raises SceneError for a time limit together with a number of steps."""
+    refuse_time_and_steps(type(options), [name for name in options_of(type(options)) if getattr(options, name) != default_of(type(options), name)])
     return {
         "lambda_f": options.lambda_f, "lambda_m": options.lambda_m, "seed": options.seed, "full": not options.visible_mask,
         "background": options.background, "views_by_loss": options.views_by_loss, "schedule": options.schedule,
@@ -119,4 +128,7 @@ def _target(options: PruneOptions, method: Method) -> int:
 
 def _context(options: TuningOptions, out: Path, report: Path | None = None) -> JobContext:
     lpips, missing = load_lpips(options.lpips_weights)
-    return JobContext(out, report, options.resume, options.engine, lpips, missing, Reporter(options.quiet))
+    reporter = Reporter(options.quiet)
+    return JobContext(
+        out, report, options.resume, options.engine, lpips=lpips, lpips_missing=missing, observe=reporter, tell=lambda _, sentence: reporter.say(sentence)
+    )

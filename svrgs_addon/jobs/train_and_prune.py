@@ -7,6 +7,7 @@ import hashlib
 import logging
 import os
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,7 @@ def _train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int, room: 
     run, scene = fine_tune(model, dataset, plan, job, clock, room)
     with clock.phase("evaluate"):
         after = measured(scene, dataset, job)
-    return {**after, **run_facts(run, job, clock)}
+    return {**after, **run_facts(run, job, clock), "time": time_facts(job, clock)}
 
 
 def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> dict:
@@ -94,7 +95,7 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
     result |= run_facts(run, job, clock)
     if job.report:
         write_prune_report(job.report, scene_path.stem, pictures, scene, dataset, run, result, job.lpips_missing)
-    return result
+    return {**result, "time": time_facts(job, clock)}
 
 
 class Clock:
@@ -206,7 +207,7 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
 
     def save():
         with room.for_checkpoint(run.model.count):
-            checkpoint.save(run, job.folder, identity)
+            checkpoint.save(run, job.folder, identity, asdict(job.planned) if job.planned else None)
 
     def observe(progress: loop.Progress):
         nonlocal saved
@@ -262,6 +263,11 @@ def measured(scene: Scene, dataset: Dataset, job: JobContext, path: Path | None 
     """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes (default: the output)."""
     views = dataset.test_indices or dataset.train_indices
     return {**evaluate(scene, dataset, views, Rasterizer(), job.lpips), "bytes": (path or job.out).stat().st_size}
+
+
+def time_facts(job: JobContext, clock: Clock) -> dict | None:
+    """Of a job with a time limit: seconds asked for, foreseen and used, the time between a stop and a resume left out, and the schedule that was chosen."""
+    return {**asdict(job.planned), "used": clock.earlier + job.seconds()} if job.planned else None
 
 
 def run_facts(run: Run, job: JobContext, clock: Clock) -> dict:

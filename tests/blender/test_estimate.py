@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 
 import bpy
 import numpy as np
 from extension import DATA, part
-from job_helpers import LONG, follow, set_up
+from job_helpers import LONG, drawn, follow, set_up
 
 
 def said() -> str:
@@ -44,6 +45,24 @@ def test_it_says_how_good_the_result_would_be():
     settings.method = "opacity"
     bpy.ops.svrgs.estimate()
     assert f"PSNR now {before:.1f} dB; after pruning: not foreseen for this method or goal" in said()
+
+
+def test_a_limit_of_time_chooses_the_steps():
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat, settings = bpy.context.object, bpy.context.scene.svrgs_prune
+    settings.colmap = str(DATA / "tiny")
+    settings.method, settings.goal, settings.share = "removal", "SHARE", 20
+    assert "use_time" in drawn("prune") and not re.search(r"\btime\b", drawn("prune"))
+    bpy.ops.svrgs.estimate()
+    assert part("operators.estimate").of(splat)["steps"] == 8_000 and "for 8,000 steps" in said()
+    settings.use_time, settings.time = True, 3600
+    assert re.search(r"\btime\b", drawn("prune"))
+    options = part("operators.job").options_of(bpy.context, splat)
+    assert options["time"] == 3600 and not {"iterations", "recovery"} & options.keys()
+    assert "would stay" not in said(), "the estimate was for all steps"
+    bpy.ops.svrgs.estimate()
+    assert part("operators.estimate").of(splat)["schedule"] == 1, "it is enough for all steps"
+    settings.use_time = False  # the scene is that of the other tests, too
 
 
 MISSING = "1 of 12 photographs are missing: 05.png; the other 11 are used"

@@ -166,6 +166,20 @@ def test_stopped_and_resumed(splat, watch):
     assert not job.folder.path.exists() and bpy.ops.svrgs.job_start.poll() and not watch.jobs
 
 
+def test_a_job_with_a_limit_of_time_says_what_was_planned_and_keeps_to_it(splat, watch):
+    set_up({"method": "removal", "goal": "SHARE", "share": 40, "use_time": True, "time": 3600})
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: job.facts.get("iteration"))
+    total, schedule = job.facts["total"], job.facts["schedule"]
+    assert f"Planned for 3600 s: {schedule:.1%} of the steps, about " in drawn("prune")
+    bpy.ops.svrgs.job_stop()
+    follow(watch, lambda: not job.running)
+    bpy.ops.svrgs.job_resume()
+    follow(watch, lambda: job.facts.get("iteration"))
+    assert (job.facts["total"], job.facts["schedule"]) == (total, schedule)
+
+
 def test_an_interrupted_job_is_found_when_the_file_is_opened_again(splat, watch, bridge, tmp_path):
     set_up(SHORT | {"iterations": 2000})
     bpy.ops.svrgs.job_start()

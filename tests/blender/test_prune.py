@@ -172,6 +172,16 @@ def test_a_drop_is_the_option_of_the_command_line(capfd, tmp_path):
     assert result["count"] < 250
 
 
+def test_a_limit_of_time_is_the_option_of_the_command_line(capfd, tmp_path):
+    colmap, out = str(DATA / "tiny"), str(tmp_path / "out.ply")
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    with pytest.raises(RuntimeError, match="--time chooses the number of steps itself: leave out --iterations"):
+        bpy.ops.svrgs.prune(colmap=colmap, out=out, time=600, iterations=20)
+    bpy.ops.svrgs.prune(colmap=colmap, out=out, time=600, method="opacity", target=0.5)
+    (result,) = json_lines(capfd.readouterr().out)
+    assert result["time"]["asked"] == 600 and result["iterations"] == round(5_000 * result["time"]["schedule"])
+
+
 def test_pruning_without_a_splat_says_so():
     with pytest.raises(RuntimeError, match="there is no object"):
         bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"))

@@ -18,7 +18,7 @@ def root(tmp_path, watch) -> bpy.types.Object:
     """The root of imported cameras; it is active."""
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "nerfstudio"))
     bpy.context.scene.svrgs_prune.folder = str(tmp_path / "jobs")
-    bpy.context.scene.svrgs_train.iterations = 60
+    bpy.context.scene.svrgs_train.iterations, bpy.context.scene.svrgs_train.use_time = 60, False
     return bpy.context.object
 
 
@@ -52,6 +52,20 @@ def test_it_is_stopped_and_resumed_like_any_job(root, watch, bridge):
     bpy.ops.svrgs.job_resume()
     follow(watch, lambda: splats(bridge))
     assert job.state == "done"
+
+
+def test_a_limit_of_time_takes_the_place_of_the_steps(root, watch):
+    settings = bpy.context.scene.svrgs_train
+    assert "iterations" in drawn("train")
+    settings.use_time, settings.time = True, 3600
+    assert "iterations" not in drawn("train")
+    bpy.ops.svrgs.train()
+    (job,) = watch.jobs.values()
+    assert job.folder.request()["options"]["time"] == 3600
+    follow(watch, lambda: job.facts.get("iteration"))
+    assert job.facts["asked"] == 3600 and "Planned for 3600 s" in drawn("prune")
+    bpy.ops.svrgs.job_stop(now=True)
+    follow(watch, lambda: not job.running)
 
 
 def test_a_finished_job_is_loaded_by_hand_if_it_could_not_be_at_once(root, watch, bridge):

@@ -56,7 +56,7 @@ class Method:
         return _recovery(recovery)
 
     def paced(self, phases: list[Phase]) -> list[Phase]:
-        """The phases of a run, with the learning rates that their final numbers of steps call for."""
+        """The phases, with the learning rates that their numbers of steps call for. It depends on nothing else, so it may be called again."""
         return phases
 
     def weights(self, trained: bool) -> tuple[float, float]:
@@ -66,6 +66,12 @@ class Method:
     def uses_lambda_f(self, settings: Settings) -> bool:
         """Whether settings.lambda_f has an effect in a run with these settings."""
         return self.lambda_f > 0
+
+    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        """The looks of an active phase that keeps the share `share` of the Gaussians: those times at which score() ranks all of them over all
+        training views. (share of the steps before it, roughly the share of the Gaussians after it) each. For methods that rank, those of
+        their cut. Empty: Gaussians go gradually. jobs/duration.py foresees the time of a run with it."""
+        return []
 
     # --- a step of an active phase
 

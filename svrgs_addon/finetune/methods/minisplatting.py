@@ -20,12 +20,18 @@ class MiniSplatting(Stepwise):
     EVENTS: ClassVar = (0.0, 1 / 3)
     by_area: bool = False
 
+    def looks(self, settings, steps, share):
+        return [(0.0, share)] if settings.target else super().looks(settings, steps, share)
+
+    def score(self, scene, cameras, rasterizer, options):
+        return importance(scene, cameras, rasterizer, options, self.by_area)
+
     def event(self, run: RunView, done: int) -> Keep:
         """With a target the first draws as many Gaussians, and the second does nothing."""
         first = run.model.count == self.count  # nothing is drawn yet
         if run.target and not first:
             return None
-        scores = importance(run.model, run.training_cameras, run.rasterizer, run.score_options, self.by_area)
+        scores = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
         if first:
             return drawn(scores, run.target or int(SAMPLED * (scores > 0).sum()), [run.settings.seed, 5, run.iteration])
         order = np.argsort(scores, kind="stable")

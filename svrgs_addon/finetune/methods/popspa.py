@@ -7,7 +7,7 @@ from typing import ClassVar
 from .. import admm
 from ..penalties import EffectiveRank
 from ..saliency import removal_errors
-from ..settings import Phase
+from ..settings import Phase, Settings
 from .base import RunView
 from .stepwise import Stepwise
 
@@ -27,11 +27,21 @@ class POPSpa(Stepwise):
         pull = (admm.pull(run.model, RHO),) if self.count and self._pulls(phase, number) else ()
         return {"penalty": (EffectiveRank(), *pull)} if self.count else {}
 
+    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        first, last = super().looks(settings, steps, share)
+        pulls = steps // pull_every(steps)
+        return [first, *((k / pulls, first[1]) for k in range(pulls)), last]
+
     def _pulls(self, phase: Phase, number: int) -> bool:
-        return number % max(LEAST, round(EVERY * (phase.steps - self.begun(phase)))) == 0
+        return number % pull_every(phase.steps - self.begun(phase)) == 0
 
     def score(self, scene, cameras, rasterizer, options):
         return removal_errors(scene, cameras, rasterizer, options)
+
+
+def pull_every(steps: int) -> int:
+    """The number of steps from one pull to the next."""
+    return max(LEAST, round(EVERY * steps))
 
 
 METHODS = (POPSpa("popspa", "cuts twice by the change of the photographs and fades, in between, the Gaussians that are to go", 21, "POPSpa"),)

@@ -11,6 +11,7 @@ from ...native import Rasterizer, RenderOptions
 from ...scene import Scene
 from ..model import Model
 from ..scores import top
+from ..settings import Settings
 from .base import Keep, Method, RunView
 
 
@@ -19,6 +20,9 @@ class Ranked(Method):
     """A method that ranks. A subclass defines score()."""
 
     ranks: bool = True
+
+    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        return [(0.0, share)]
 
     def cut(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> np.ndarray:
         return top(self.score(scene, cameras, rasterizer, options), count)

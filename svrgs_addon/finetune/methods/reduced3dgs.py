@@ -9,7 +9,7 @@ import numpy as np
 from ..penalties import MeanSeenOpacity, sigmoid
 from ..redundancy import survivors
 from ..scores import top
-from ..settings import Phase
+from ..settings import Phase, Settings
 from .base import Keep, RunView
 from .stepwise import Stepwise
 
@@ -20,6 +20,9 @@ INVISIBLE, EVERY = 1 / 255, 100  # opacity below which Gaussians are removed, ev
 class Reduced3DGS(Stepwise):
     EVENTS: ClassVar = tuple(k / 15 for k in range(13))
     lambda_m: float = 1e-3
+
+    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        return []  # its events render nothing
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         return {"penalty": MeanSeenOpacity(run.settings.lambda_m)}

@@ -25,7 +25,8 @@ from ..scores import top
 from ..settings import Densify, Phase, Rates, Settings
 from .base import REMOVE, Keep, Method, RunView
 
-LOOKS = 16
+LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
+STEPS_PER_LOOK = 36  # a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few steps
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
 STEPS_AT_USUAL_RATES = 12_800  # of phase and recovery; with S steps the other rates are sqrt(12 800 / S) times those of 3DGS, but at most
@@ -70,8 +71,8 @@ class Removal(Method):
         return int(stays.sum())
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
-        """A look after the first step of each of LOOKS equal parts of the phase; in a phase of fewer steps after each step."""
-        looks = min(LOOKS, phase.steps)
+        """A look after the first step of each of number_of_looks() equal parts of the phase."""
+        looks = number_of_looks(phase.steps)
         earlier, these = ((number - back) * looks // phase.steps for back in (2, 1))
         if earlier == these:
             return None
@@ -80,10 +81,18 @@ class Removal(Method):
 
     def stays(self, run: RunView, done: float) -> np.ndarray:
         """The Gaussians that stay at a look, (N,) bool. done: share of the looks that have been, this one included."""
-        rank = self.ranking(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
         if run.settings.max_drop:
             return fewest_within(run, rank, run.psnr_before - done * run.settings.max_drop)
         return top(rank, round(self.count * (min(run.target, self.count) / self.count) ** sqrt(done)))
+
+    def score(self, scene, cameras, rasterizer, options) -> np.ndarray:
+        return self.ranking(scene, cameras, rasterizer, options)
+
+    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        """Also the budget takes a look at all views, which costs twice as much."""
+        looks = number_of_looks(steps)
+        return [(0.0, 1.0)] * (2 * self.uses_lambda_f(settings)) + [(k / looks, share ** sqrt((k + 1) / looks)) for k in range(looks)]
 
     def state(self) -> dict:
         return {"count": self.count}
@@ -92,11 +101,18 @@ class Removal(Method):
         self.count = state["count"]
 
 
+def number_of_looks(steps: int) -> int:
+    """The number of looks in a phase of so many steps: LOOKS, in a short phase one in STEPS_PER_LOOK steps, but FEWEST if there are as many steps."""
+    return min(LOOKS, max(FEWEST, steps // STEPS_PER_LOOK), steps)
+
+
 def _rates(phase: Phase, larger: float) -> Rates:
-    """The rates of the phase or of the recovery, all but that of opacity times `larger`, that of position at most doubled."""
-    rates, position = phase.rates, Rates().position_first * min(larger, 2.0)
+    """The rates of the phase or of the recovery: those with which 3DGS begins, times `larger`; that of position at most doubled, that of
+    opacity as it is."""
+    usual, rates = Rates(), phase.rates
+    position = usual.position_first * min(larger, 2.0)
     last = position if phase.active else rates.position_last
-    others = {name: larger * getattr(rates, name) for name in ("scale", "rotation", "sh", "sh_rest")}
+    others = {name: larger * getattr(usual, name) for name in ("scale", "rotation", "sh", "sh_rest")}
     return replace(rates, position_first=position, position_last=last, **others)
 
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..scores import top
-from ..settings import Phase, Rates
+from ..settings import Phase, Rates, Settings
 from .base import Keep, Method, RunView, learning_phase
 
 
@@ -23,6 +23,9 @@ class Stepwise(Method):
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         rates = Rates(position_first=5e-6, position_steps=iterations)
         return [*learning_phase(iterations, rates, 0), *super().prune_phases(iterations, recovery, prune_every)]
+
+    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        return [(event, share ** ((k + 1) / len(self.EVENTS))) for k, event in enumerate(self.EVENTS)]
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         begun = self.begun(phase)

@@ -1,0 +1,100 @@
+"""Roughly how many Gaussians a run of `svrgs prune` keeps, from a few views and within about a second, without a step of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..finetune import scores
+from ..finetune.methods.removal import Removal
+from ..finetune.plan import Plan
+from ..finetune.saliency import saliency
+from ..metrics.evaluate import mean_psnr, render_options
+from ..native import Rasterizer
+from ..photographs.dataset import Dataset
+from ..scene import Scene
+from .quality_forecast import spread
+
+VIEW_SECONDS = 0.8  # time limit of rendering views, without reading files
+VIEWS = 8  # training views that are rendered
+DROP_VIEWS = 2  # views on which PSNR is measured, if a drop is allowed
+SIDE = 512  # longer side of a reduced view, pixels
+RANKING_VIEWS = 24  # training views for what ranks the Gaussians: removal error, saliency, or the largest alpha T. Fewer leave too many Gaussians unseen
+# For methods that learn masks, a Gaussian is predicted as removed if its mean alpha T over its pixels is below
+# KNEE * (lambda_F / 1e-4)^SLOPE. Fitted to runs of method svr on one scene of photographs, with lambda_F from 1e-5 to 1e-3: a rough estimate.
+KNEE, SLOPE = 0.0128, 0.37
+
+
+class Seen(NamedTuple):
+    """What some training views see of each Gaussian, (N,) each; and their number."""
+
+    sums: np.ndarray  # sum of alpha T, float64
+    peaks: np.ndarray  # largest alpha T, float32
+    hits: np.ndarray  # pixels in which it is blended, int64
+    views: int
+
+
+def seen_by_some(scene: Scene, dataset: Dataset, plan: Plan) -> Seen:
+    """What some training views see, as many as time allows."""
+    rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
+    chosen = spread(_views(dataset))[: RANKING_VIEWS if plan.method.learns_masks else VIEWS]
+    sums, peaks, hits = np.zeros(scene.count), np.zeros(scene.count, np.float32), np.zeros(scene.count, np.int64)
+    views, end = 0, time.monotonic() + VIEW_SECONDS
+    for index in chosen:
+        found = scores.contribution(scene, [_reduced(dataset, index)], rasterizer, options)
+        sums, peaks, hits = sums + found[0], np.maximum(peaks, found[1]), hits + found[2]
+        views += 1
+        if time.monotonic() > end:
+            break
+    return Seen(sums, peaks, hits, views)
+
+
+def expected_count(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> int:
+    """Roughly how many Gaussians stay, at least 1. With an allowed drop an upper bound."""
+    if plan.max_drop:
+        return max(1, int(_fewest_within(scene, dataset, seen.peaks, plan.max_drop).sum()))
+    if plan.target:
+        return plan.target
+    kept = seen.peaks >= plan.min_contribution
+    if plan.method.learns_masks and plan.prunes:
+        kept &= seen.sums > np.maximum(seen.hits, 1) * KNEE * ((plan.lambda_f or 1e-4) / 1e-4) ** SLOPE
+    elif isinstance(plan.method, Removal):
+        kept &= _from_some(saliency, scene, dataset) > plan.lambda_f
+    return max(1, int(kept.sum()))
+
+
+def expected_order(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> np.ndarray:
+    """The Gaussians that are expected to stay are highest in it, (N,): removal error for the methods that rank by it, else the largest alpha T."""
+    return _from_some(plan.method.ranking, scene, dataset) if isinstance(plan.method, Removal) and not plan.max_drop else seen.peaks
+
+
+def _from_some(ranking: Callable, scene: Scene, dataset: Dataset) -> np.ndarray:
+    """Saliency or removal error (N,), from some of the views."""
+    train = _views(dataset)
+    chosen = train[:: max(1, len(train) // RANKING_VIEWS)][:RANKING_VIEWS]
+    return ranking(scene, [_reduced(dataset, index) for index in chosen], Rasterizer(), render_options(scene, dataset.background))
+
+
+def _views(dataset: Dataset) -> list[int]:
+    return dataset.train_indices or list(range(len(dataset.cameras)))
+
+
+def _reduced(dataset: Dataset, index: int):
+    camera = dataset.cameras[index]
+    return camera.reduced(max(1, max(camera.width, camera.height) // SIDE))
+
+
+def _fewest_within(scene: Scene, dataset: Dataset, peaks: np.ndarray, drop: float) -> np.ndarray:
+    """(N,) bool: the fewest Gaussians of largest alpha T (N,) that lose at most `drop` dB on two views, without learning. A job keeps fewer."""
+    rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
+    train = _views(dataset)
+    views, end = train[:: max(1, len(train) // DROP_VIEWS)][:DROP_VIEWS], time.monotonic() + VIEW_SECONDS
+    psnr_of = lambda kept: mean_psnr(scene, dataset, views, rasterizer, options, kept)  # noqa: E731
+    floor, few, enough = psnr_of(None) - drop, 0, scene.count
+    while enough - few > max(1, scene.count // 100) and time.monotonic() < end:
+        middle = (few + enough) // 2
+        few, enough = (few, middle) if psnr_of(scores.top(peaks, middle).astype(np.uint8)) >= floor else (middle, enough)
+    return scores.top(peaks, enough)
