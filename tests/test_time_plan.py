@@ -126,7 +126,7 @@ def test_the_result_says_what_was_asked_foreseen_and_used_and_can_be_repeated(ti
     words = ["prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.4, "--json"]
     done = svrgs(*words, "--time", 20, "--out", tmp_path / "a.ply")
     time = done.json["time"]
-    assert time["asked"] == 20 and 15 < time["foreseen"] <= 19 and time["used"] == 1.5 and LEAST < time["schedule"] < 0.1
+    assert time["asked"] == 20 and 15 < time["foreseen"] <= 18.4 and time["used"] == 1.5 and LEAST < time["schedule"] < 0.1
     (line,) = [line for line in done.err.splitlines() if line.startswith("--time 20: ")]
     assert f"{done.json['iterations']:,} steps" in line and f"about {time['foreseen']:.0f} s" in line and f"--schedule {time['schedule']}" in line
     again = svrgs(*words, "--schedule", time["schedule"], "--out", tmp_path / "b.ply")
@@ -223,7 +223,7 @@ def test_training_keeps_its_plan_too(tiny, slow, tmp_path, monkeypatch):
         return train_scene(options, adapt)
 
     planned = training("whole.ply")["time"]
-    assert planned["asked"] == 60 and planned["foreseen"] <= 57 and LEAST < planned["schedule"] < 0.05
+    assert planned["asked"] == 60 and planned["foreseen"] <= 48 and LEAST < planned["schedule"] < 0.05
     with pytest.raises(Cancelled):
         training("a.ply", stop_after=30)
     monkeypatch.setattr(planning, "pace_of", lambda *_: replace(SLOW, step=1e-3))

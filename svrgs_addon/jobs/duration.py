@@ -40,7 +40,7 @@ from .train_and_prune import CURVE_VIEWS
 STEP_POWER, LOOK_POWER = 0.4, 0.65
 STEP_SECONDS, STEPS, LEAST_STEPS = 0.5, 8, 3  # time limit of measuring steps after one that is not; most and fewest that are measured
 LOOKED_AT, MEASURED = 3, 2  # views of which the time of a look and of the measures of quality are measured
-GROWTH = (0, 3, 10, 40, 145), (1.0, 1.0, 2.2, 3.4, 5.0)  # densifications, and how much longer a step takes after them: means over seven scenes
+GROWTH = (0, 3, 10, 40, 145), (1.0, 1.0, 2.2, 4.0, 5.5)  # densifications, and how much longer a step takes after them: means over seven scenes
 GROWTH_POWER = 0.27  # of the number of Gaussians in this
 UNKNOWN_SHARE = 0.3  # of the Gaussians of a training, those that stay if a method decides
 PARTS = 16  # parts of a phase in which the number of Gaussians is taken as constant

@@ -18,7 +18,7 @@ from .context import JobContext
 from .duration import pace_of
 from .expected_count import expected_count, expected_order, seen_by_some
 from .quality_forecast import forecast, is_foreseen
-from .time_plan import TimePlan, fitted, of_checkpoint
+from .time_plan import TRAINING_MARGIN, TimePlan, fitted, of_checkpoint
 
 
 def pruning_within(seconds: float, plan: Plan, splat: Path, dataset: Dataset, job: JobContext) -> tuple[Plan, JobContext]:
@@ -47,8 +47,8 @@ def training_within(seconds: float, plan: Plan, dataset: Dataset, job: JobContex
         return _with(found, plan, job, "the job goes on as it was planned")
     growth = plan.phases[0].densify or Densify()
     pace = pace_of(scene_from_points(dataset.points, dataset.point_colors, sh_degree, *growth.INITIAL), dataset, plan, job.lpips)
-    found = fitted(seconds, plan, lambda some: pace.training(some, job.recorded), job.seconds())
-    return _with(found, plan, job, "more or less by a third, as the scene grows")
+    found = fitted(seconds, plan, lambda some: pace.training(some, job.recorded), job.seconds(), TRAINING_MARGIN)
+    return _with(found, plan, job, "a quarter more or less, as the scene grows")
 
 
 def timed_scene(splat: Path) -> tuple[Scene, float]:

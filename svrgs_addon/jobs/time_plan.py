@@ -15,7 +15,7 @@ from ..errors import FormatError, SceneError
 from ..finetune import checkpoint
 from ..finetune.plan import Plan, at_schedule
 
-MARGIN = 0.05  # share of the time that is left free, because steps are not foreseen exactly
+MARGIN, TRAINING_MARGIN = 0.08, 0.2  # share of the time that is left free, because steps are not foreseen exactly
 LEAST, MOST = 0.01, 1.0  # schedules that are chosen: 80 of the 8 000 steps of `svrgs prune`, and all of them
 GRID = 10_000  # a schedule is a multiple of 1/GRID
 
@@ -35,13 +35,13 @@ class TimePlan:
         return f"--time {self.asked:g}: {'; '.join(parts)}"
 
 
-def fitted(asked: float, plan: Plan, seconds: Callable[[Plan], float], fixed: float) -> TimePlan:
+def fitted(asked: float, plan: Plan, seconds: Callable[[Plan], float], fixed: float, margin: float = MARGIN) -> TimePlan:
     """The plan for a time. plan: with the whole schedule. seconds: of a plan; they rise with the schedule. fixed: further seconds. Raises SceneError
     if the time is too short."""
     foreseen = lambda n: fixed + seconds(at_schedule(plan, n / GRID))  # noqa: E731
-    least, most, limit = round(LEAST * GRID), round(MOST * GRID), asked * (1 - MARGIN)
+    least, most, limit = round(LEAST * GRID), round(MOST * GRID), asked * (1 - margin)
     if (shortest := foreseen(least)) > limit:
-        enough = math.ceil(shortest / (1 - MARGIN))
+        enough = math.ceil(shortest / (1 - margin))
         raise SceneError(f"{asked:g} s are too short: the shortest job that makes sense takes about {enough} s on this machine; allow {enough} s or more")
     while least < most:
         middle = (least + most + 1) // 2
