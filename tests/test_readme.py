@@ -30,6 +30,7 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     "svrgs train --colmap DATASET --out trained.ply": ("trained.ply",),
     "svrgs prune trained.ply --colmap DATASET --out pruned.ply --report report": ("pruned.ply", "report/index.html"),
     "svrgs prune trained.ply --colmap DATASET --target 0.25 --out quarter.ply": ("quarter.ply",),
+    "svrgs prune trained.ply --colmap DATASET --target 0.25 --time 60 --out quarter.ply": ("quarter.ply",),
     "svrgs eval pruned.ply --colmap DATASET": (),
     "svrgs render pruned.ply --colmap DATASET --views test --outputs rgb,mask --out pictures": ("pictures/00.rgb.png", "pictures/00.mask.png"),
     "svrgs compare trained.ply pruned.ply --colmap DATASET --out comparison": ("comparison/index.html",),
@@ -37,7 +38,10 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     """blender -b FILE.blend --python-expr "import bpy; bpy.ops.svrgs.prune(colmap='DATASET', target=0.25)\"""": ("scene_pruned.ply",),
     "blender -b --python svrgs_addon/batch.py -- prune FOLDER --out PRUNED": ("PRUNED/one.ply",),
 }
-SHORTER = {"svrgs train --colmap DATASET --out trained.ply": "--iterations 100"}  # added, since 30,000 steps take minutes
+SHORTER = {  # added, since 30,000 steps take minutes
+    "svrgs train --colmap DATASET --out trained.ply": "--iterations 100",
+    "svrgs prune trained.ply --colmap DATASET --target 0.25 --time 60 --out quarter.ply": "--time 10",
+}
 NOT_RUN = {
     "make demo": "renders and trains for minutes, and downloads packages",
     "make test": "runs this test",
