@@ -49,6 +49,19 @@ def test_recovery_after_training_begins_where_the_position_rate_ended():
     assert recover.rates.at(0, 1.0)["means"] == pytest.approx(train.rates.at(7_000, 1.0)["means"], rel=1e-12)
 
 
+@pytest.mark.parametrize(("steps", "larger"), [(30_000, 1), (12_800, 1), (3_200, 2), (800, 4), (100, 4)])
+def test_a_short_training_takes_larger_steps_and_ends_with_small_ones(steps, larger):
+    rates, usual = train_settings("3dgs", steps, 0).phases[0].rates, Rates()
+    for name in ("scale", "rotation", "sh", "sh_rest"):
+        assert getattr(rates, name) == pytest.approx(larger * getattr(usual, name), rel=1e-3)
+    assert (rates.opacity, rates.mask) == (usual.opacity, usual.mask)
+    assert rates.at(0, 1.0)["means"] == pytest.approx(min(larger, 2) * 1.6e-4) and rates.at(steps, 1.0)["means"] == pytest.approx(1.6e-6)
+
+
+def test_a_long_training_has_the_rates_of_3dgs():
+    assert train_settings("3dgs", 30_000, 0).phases[0].rates == train_settings("3dgs", 40_000, 0).phases[0].rates == Rates()
+
+
 def test_phases_follow_one_another_and_number_their_own_steps():
     settings = prune_settings("svr", 3, 2)
     found = []
@@ -63,6 +76,13 @@ def test_the_sh_degree_rises_every_thousand_steps_of_training():
     (phase,) = run.settings.phases
     degrees = [run.render_options(phase, number).sh_degree for number in (1, 999, 1_000, 2_500, 3_000, 29_999)]
     assert degrees == [0, 0, 1, 2, 3, 3]
+
+
+def test_a_short_training_learns_every_sh_degree_and_densifies():
+    run = small_run(train_settings("3dgs", 700, 0, densify=Densify.within(700)))
+    (phase,) = run.settings.phases
+    assert [run.render_options(phase, number).sh_degree for number in (99, 100, 299, 300)] == [0, 1, 2, 3]
+    assert [number for number in range(1, 701) if run._densifies(phase, number)] == [200, 300]
 
 
 def test_the_spatial_mask_is_drawn_only_while_masks_are_learned():

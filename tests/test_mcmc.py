@@ -205,7 +205,7 @@ def test_the_cap_is_the_option_s_or_the_target_s():
     first = plan_of_training(options(cap=5_000)).phases[0].densify
     assert first == MCMC(until=25_000, cap=5_000) and first.INITIAL == (0.5, 0.1)
     plan = plan_of_training(options(target_count=7_000, iterations=600))
-    assert plan.phases[0].densify == MCMC(until=500, cap=7_000) and plan.target == 0
+    assert plan.phases[0].densify == MCMC(start=166, until=500, cap=7_000) and plan.target == 0
     pruning = plan_of_training(options(target_count=7_000, cap=20_000, method="gns"))
     assert pruning.phases[0].densify.cap == 20_000 and pruning.target == 7_000
     assert plan_of_training(TrainOptions()).phases[0].densify == Densify()

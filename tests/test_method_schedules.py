@@ -70,7 +70,7 @@ def test_gns_presses_in_the_last_8_of_23_parts_of_training():
         ("prune", 8_000, True),
         ("recover", 100, False),
     ]
-    assert press.rates.at(0, 1.0)["means"] == pytest.approx(Rates().at(15_000, 1.0)["means"])
+    assert press.rates.at(0, 1.0)["means"] == pytest.approx(train.rates.at(15_000, 1.0)["means"])
     assert press.rates.at(1, 1.0)["opacity_logits"] == pytest.approx(0.1)
 
 

@@ -11,12 +11,13 @@ from pictures import photographed
 from plans import prune_settings, train_settings
 from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune.engine import NativeEngine
+from svrgs_addon.finetune import settings
 from svrgs_addon.finetune.methods import removal
 from svrgs_addon.finetune.methods.removal import FEWEST, LOOKS, STEPS_PER_LOOK, number_of_looks
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import SHARE, removal_errors, saliency
-from svrgs_addon.finetune.settings import Rates
+from svrgs_addon.finetune.settings import Rates, rates_for
 from svrgs_addon.native import Rasterizer, RenderOptions
 
 COUNT = 60
@@ -81,7 +82,7 @@ def test_a_lambda_above_every_saliency_is_refused_at_once():
 
 
 def test_those_of_lowest_removal_error_go_first(monkeypatch):
-    monkeypatch.setattr(removal, "STEPS_AT_USUAL_RATES", 1)
+    monkeypatch.setattr(settings, "USUAL_STEPS", 1)
     monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
     run = run_of(replace(prune_settings("removal", 32, 0), target=15))
     run.advance()  # one step, and the first look
@@ -116,7 +117,7 @@ def test_a_short_run_takes_larger_steps_and_a_long_one_those_of_3dgs():
 
 def test_training_keeps_its_rates_until_gaussians_are_removed():
     train, *_ = train_settings("removal", 3_000, 500).phases
-    assert train.rates == train_settings("3dgs", 3_000, 500).phases[0].rates
+    assert train.rates == rates_for(train.steps, Rates(position_steps=3_000))
 
 
 def test_a_short_phase_has_fewer_looks():

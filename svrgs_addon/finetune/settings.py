@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from math import sqrt
 from typing import ClassVar
+
+USUAL_STEPS = 12_800  # a run of fewer steps S takes larger ones: sqrt(12 800 / S) times the rates of 3DGS, but at most
+LARGEST, LARGEST_OF_POSITION = 4.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,14 @@ class Rates:
         }
 
 
+def rates_for(steps: int, rates: Rates) -> Rates:
+    """`rates` with those rates of position (the first), scale, rotation and SH that a run of so many steps needs to get as far: those with
+    which 3DGS begins, and the larger, the fewer steps there are. Calling it again changes nothing."""
+    usual, larger = Rates(), min(max(sqrt(USUAL_STEPS / max(steps, 1)), 1.0), LARGEST)
+    others = {name: larger * getattr(usual, name) for name in ("scale", "rotation", "sh", "sh_rest")}
+    return replace(rates, position_first=usual.position_first * min(larger, LARGEST_OF_POSITION), **others)
+
+
 @dataclass(frozen=True)
 class Densify:
     """Densification of 3DGS (section 5.2 of the paper): clone, split, prune, opacity reset. Step numbers are those of the phase."""
@@ -57,8 +69,9 @@ class Densify:
     @classmethod
     def within(cls, iterations: int, until: int | None = None) -> Densify:
         """Densification of a run of so many iterations. It ends after half of them, at most at step 15 000, so that new Gaussians are
-        trained too. Published for 30 000 iterations: 15 000. until: the last step instead."""
-        return cls(until=min(cls.until, iterations // 2) if until is None else until)
+        trained too, and begins in the first third of that time. Published for 30 000 iterations: 500 to 15 000. until: the last step instead."""
+        until = min(cls.until, iterations // 2) if until is None else until
+        return cls(start=min(cls.start, until // 3), until=until)
 
 
 @dataclass(frozen=True)
@@ -77,7 +90,8 @@ class MCMC(Densify):
     @classmethod
     def capped(cls, cap: int, iterations: int, until: int | None = None) -> MCMC:
         """Densification of a run of so many iterations. It ends after 5/6 of them, at most at step 25 000. until: the last step instead."""
-        return cls(until=min(cls.until, iterations * 5 // 6) if until is None else until, cap=cap)
+        until = min(cls.until, iterations * 5 // 6) if until is None else until
+        return cls(start=min(cls.start, until // 3), until=until, cap=cap)
 
 
 @dataclass(frozen=True)

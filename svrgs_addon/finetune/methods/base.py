@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,10 +11,11 @@ from ...native import Rasterizer, RenderOptions
 from ...scene import Scene
 from ..model import Model
 from ..run_view import Keep, RunView
-from ..settings import Densify, Phase, Rates, Settings, recovery_phase
+from ..settings import Densify, Phase, Rates, Settings, rates_for, recovery_phase
 
 __all__ = ["Keep", "Method", "RunView"]
 
+SH_EVERY, SH_PARTS = 1_000, 7  # the SH degree rises after so many steps of training; at least after this part of them
 DECIDE, REMOVE = "Deciding which Gaussians to remove", "Removing Gaussians"  # labels of pruning phases: masks or events decide; opacities fade
 
 
@@ -46,18 +47,21 @@ class Method:
 
     def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
         """The phases of `svrgs train`: 3DGS from sparse points, with the method active in every step; then recovery."""
+        rates = Rates(position_steps=max(1, min(iterations, Rates.position_steps)))
         train = Phase(
-            "train", iterations, Rates(), densify, active=self.prunes, sh_every=1_000, coarse_until=coarse_until, label="Training from the photographs"
-        )
-        return [train, *_recovery(recovery, Rates().at(iterations, 1.0)["means"])]
+            "train", iterations, rates, densify, active=self.prunes, sh_every=sh_every(iterations), coarse_until=coarse_until,
+            label="Training from the photographs",
+        )  # fmt: skip
+        return [train, *_recovery(recovery, rates.at(iterations, 1.0)["means"])]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         """The phases of `svrgs prune`. Here only recovery, for methods that decide before it."""
         return _recovery(recovery)
 
     def paced(self, phases: list[Phase]) -> list[Phase]:
-        """The phases, with the learning rates that their numbers of steps call for. It depends on nothing else, so it may be called again."""
-        return phases
+        """The phases, with the learning rates that their numbers of steps call for. It depends on nothing else, so it may be called again.
+        Here those of training from points."""
+        return [replace(phase, rates=rates_for(phase.steps, phase.rates)) if phase.densify else phase for phase in phases]
 
     def weights(self, trained: bool) -> tuple[float, float]:
         """Defaults of lambda_F and lambda_m. trained: whether the run starts from a trained scene."""
@@ -134,6 +138,11 @@ class Method:
 def learning_phase(steps: int, rates: Rates, prune_every: int) -> list[Phase]:
     """The pruning phase of `svrgs prune`, in which the method is active. An empty list for 0 steps."""
     return [Phase("prune", steps, rates, active=True, prune_every=prune_every, label=DECIDE)] if steps else []
+
+
+def sh_every(iterations: int) -> int:
+    """Steps after which the SH degree rises: SH_EVERY, fewer if the training is too short for them."""
+    return max(1, min(SH_EVERY, iterations // SH_PARTS))
 
 
 def _recovery(steps: int, *rates: float) -> list[Phase]:

@@ -50,7 +50,7 @@ class GNS(Method):
         press = round(iterations * SHARE_OF_TRAINING)
         train, *recover = super().train_phases(iterations, recovery, densify, coarse_until)
         train = replace(train, steps=iterations - press, active=False)
-        return [train, *pressure_phase(press, *(Rates().at(step, 1.0)["means"] for step in (train.steps, iterations))), *recover]
+        return [train, *pressure_phase(press, *(train.rates.at(step, 1.0)["means"] for step in (train.steps, iterations))), *recover]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         return [*pressure_phase(iterations, 5e-6, Rates().position_last), *super().prune_phases(iterations, recovery, prune_every)]

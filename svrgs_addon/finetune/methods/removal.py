@@ -22,15 +22,13 @@ from .. import masks
 from ..quality import fewest_within
 from ..saliency import removal_errors, saliency
 from ..scores import top
-from ..settings import Densify, Phase, Rates, Settings
+from ..settings import Densify, Phase, Rates, Settings, rates_for
 from .base import REMOVE, Keep, Method, RunView
 
 LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
 STEPS_PER_LOOK = 36  # a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few steps
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
-STEPS_AT_USUAL_RATES = 12_800  # of phase and recovery; with S steps the other rates are sqrt(12 800 / S) times those of 3DGS, but at most
-LARGEST = 4.0
 
 
 @dataclass
@@ -54,10 +52,10 @@ class Removal(Method):
         return [*looks, *super().prune_phases(iterations, recovery, prune_every)]
 
     def paced(self, phases: list[Phase]) -> list[Phase]:
-        """The learning rates of the phase and of the recovery: those of 3DGS's first step, and the larger, the fewer steps there are."""
+        """Also of the phase and the recovery: they begin with the rates of a training with as many steps."""
         own = [phase for phase in phases if phase.densify is None]
-        larger = min(max(sqrt(STEPS_AT_USUAL_RATES / max(sum(phase.steps for phase in own), 1)), 1.0), LARGEST)
-        return [replace(phase, rates=_rates(phase, larger)) if phase in own else phase for phase in phases]
+        steps = sum(phase.steps for phase in own)
+        return [replace(phase, rates=_rates(phase, steps)) if phase in own else phase for phase in super().paced(phases)]
 
     def uses_lambda_f(self, settings: Settings) -> bool:
         return not (settings.target or settings.share or settings.max_drop)
@@ -106,14 +104,10 @@ def number_of_looks(steps: int) -> int:
     return min(LOOKS, max(FEWEST, steps // STEPS_PER_LOOK), steps)
 
 
-def _rates(phase: Phase, larger: float) -> Rates:
-    """The rates of the phase or of the recovery: those with which 3DGS begins, times `larger`; that of position at most doubled, that of
-    opacity as it is."""
-    usual, rates = Rates(), phase.rates
-    position = usual.position_first * min(larger, 2.0)
-    last = position if phase.active else rates.position_last
-    others = {name: larger * getattr(usual, name) for name in ("scale", "rotation", "sh", "sh_rest")}
-    return replace(rates, position_first=position, position_last=last, **others)
+def _rates(phase: Phase, steps: int) -> Rates:
+    """The rates of the phase or of the recovery, which have so many steps together. In the phase the rate of position does not fall."""
+    rates = rates_for(steps, phase.rates)
+    return replace(rates, position_last=rates.position_first) if phase.active else rates
 
 
 METHODS = (
