@@ -16,7 +16,6 @@ from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import gns
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
-from svrgs_addon.finetune.settings import Rates
 
 
 def test_a_shorter_schedule_keeps_the_spacing_of_what_needs_views():

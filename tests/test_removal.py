@@ -10,8 +10,8 @@ import scenes
 from pictures import photographed
 from plans import prune_settings, train_settings
 from svrgs_addon.errors import SceneError
-from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune import settings
+from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import removal
 from svrgs_addon.finetune.methods.removal import FEWEST, LOOKS, STEPS_PER_LOOK, number_of_looks
 from svrgs_addon.finetune.model import Model
