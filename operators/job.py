@@ -20,6 +20,7 @@ from .job_watch import JOBS_FOLDER, current, delete_job, is_busy, is_resumable, 
 from .native_check import native_problem
 from .preferences import PACKAGE, threads
 
+SMALLEST = 0.1  # share of a nested result down to which smaller numbers of Gaussians are trained
 STOP_NOW = n_("End the process at once, without waiting for a checkpoint. What was learned since the last one is lost")
 
 
@@ -32,6 +33,8 @@ def options_of(context, obj: bpy.types.Object) -> dict:
         "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
     options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}
+    if s.nested:
+        options["nested"] = SMALLEST
     if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
     return options | goals.options(s, obj)
@@ -51,7 +54,10 @@ def start_problem(context) -> str:
     _, pruned = job_result.pair_of(context.object)
     if job_result.undecided(pruned):
         return tr("Apply or discard the result first")
-    return dataset_paths.problem(context) or goals.problem(context.scene.svrgs_prune) or native_problem()
+    settings = context.scene.svrgs_prune
+    if settings.nested and not settings.use_time and not settings.recovery:
+        return tr("Train Smaller Sizes needs steps of recovery: set Recovery above 0 under Advanced")
+    return dataset_paths.problem(context) or goals.problem(settings) or native_problem()
 
 
 def new_folder(context, name: str) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import bpy
-from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
 from . import bridge, former_methods, goals, job_result
@@ -82,6 +82,11 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         description="Methods that learn masks first drop the Gaussians that cover less than this share of every pixel in every photograph",
     )  # fmt: skip
     visible_mask: option_property("visible_mask", name="Visible Part Only")
+    nested: BoolProperty(
+        name="Train Smaller Sizes",
+        description="Also train smaller numbers of Gaussians, down to a tenth of the result, so that the slider Keep shows a good picture at every position. "
+        "The result as a whole loses 0.1 to 0.5 dB",
+    )
     views_by_loss: option_property("views_by_loss", name="Harder Views More Often")
     folder: StringProperty(
         name="Job Folder", subtype="DIR_PATH", options=RELATIVE,

@@ -80,6 +80,7 @@ def draw_settings(layout, context, state):
         draw_strength(column.column(align=True), settings)
         wrapped_label(column, state.strength_help)
     wrapped_label(column, state.goal_help)
+    column.prop(settings, "nested")
     column.prop(settings, "use_time")
     if settings.use_time:
         column.prop(settings, "time")

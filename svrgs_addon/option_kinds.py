@@ -54,7 +54,7 @@ class Kind:
         return right and self.good(value)
 
 
-def _colour(word: str) -> tuple[float, ...]:
+def _numbers(word: str) -> tuple[float, ...]:
     """Parses numbers with commas between them."""
     return tuple(float(part) for part in word.split(","))
 
@@ -70,11 +70,16 @@ GIGABYTES = Kind(float, "a number of gigabytes of 0 to 1,000,000", lambda value:
 SECONDS = Kind(float, "a number of seconds above 0", lambda value: 0 < value < math.inf, minimum=0)
 DECIBELS = Kind(float, "a number of dB above 0", lambda value: 0 < value < math.inf, minimum=0)
 SHARE = Kind(float, "a share above 0 and up to 1", lambda value: 0 < value <= 1, minimum=0, maximum=1)
+SMALLER_SHARE = Kind(float, "a share above 0 and below 1", lambda value: 0 < value < 1, minimum=0, maximum=0.99)
 SMALL_SHARE = Kind(float, "a share of 0 or more, below 1", lambda value: 0 <= value < 1, minimum=0, maximum=0.99)
 FACTOR = Kind(float, "a factor of 0.001 to 10", lambda value: 0.001 <= value <= 10, minimum=0.001, maximum=10)
 COLOUR = Kind(
-    tuple, "three numbers of 0..1 with commas between", lambda parts: len(parts) == 3 and all(0 <= part <= 1 for part in parts), _colour, minimum=0, maximum=1
+    tuple, "three numbers of 0..1 with commas between", lambda parts: len(parts) == 3 and all(0 <= part <= 1 for part in parts), _numbers, minimum=0, maximum=1
 )
+SHARES = Kind(
+    tuple, "shares above 0 and below 1 with commas between, each once", lambda parts: len(set(parts)) == len(parts) and all(0 < part < 1 for part in parts),
+    _numbers,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

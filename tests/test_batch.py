@@ -214,9 +214,9 @@ def test_an_output_file_is_for_one_scene(tmp_path):
 def test_no_scene_of_a_batch_is_the_output_of_another(tmp_path):
     """As "*.ply" gives it the second time: with --overwrite the second scene would be lost before it is read."""
     touch(tmp_path / "a.ply", tmp_path / "a_pruned.ply", tmp_path / "run/point_cloud/iteration_7/point_cloud.ply", tmp_path / "x/point_cloud.ply")
-    with pytest.raises(SceneError, match=r"a_pruned.ply: is both a scene to prune and the output of .*a.ply"):
+    with pytest.raises(SceneError, match=r"a_pruned.ply: is both a scene to prune and an output of .*a.ply"):
         expand([tmp_path / "a.ply", tmp_path / "a_pruned.ply"], None, None)
-    with pytest.raises(SceneError, match=r"iteration_7/point_cloud.ply: is both a scene to prune and the output of .*x/point_cloud.ply"):
+    with pytest.raises(SceneError, match=r"iteration_7/point_cloud.ply: is both a scene to prune and an output of .*x/point_cloud.ply"):
         expand([tmp_path / "run", tmp_path / "x/point_cloud.ply"], None, tmp_path / "run/point_cloud/iteration_7")
     (tmp_path / "link.ply").symlink_to(tmp_path / "a_pruned.ply")
     with pytest.raises(SceneError, match="is both a scene to prune"):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import SceneError
 from ..files import registry
+from ..jobs.level_files import level_files
 
 PRUNED = "_pruned"  # end of the default name of an output, before its suffix
+OUTPUT = re.compile(rf"{PRUNED}(_[0-9.]+)?$")  # end of the default names of outputs and of their levels of detail
 
 
 @dataclass(frozen=True)
@@ -20,15 +23,16 @@ class Item:
     scene: Path
     colmap: Path | None  # folder of its dataset; None: not found
     out: Path
+    levels: tuple[Path, ...] = ()  # files of its levels of detail
 
 
-def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Path | None = None) -> list[Item]:
+def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Path | None = None, levels: tuple[float, ...] = ()) -> list[Item]:
     """All scenes under `paths`, in order.
 
     A folder with a splat is one scene, and the folder is its dataset. In a folder without a splat, each folder is tried as a scene.
     colmap: a dataset for all scenes instead. out: a folder, or a file for a single scene; None: the folder of each scene. report: the
-    folder of the reports, which are named after the scenes.
-    Raises SceneError if a path does not exist, if a folder has no scene, if two scenes would have the same output or report, if the
+    folder of the reports, which are named after the scenes. levels: shares of the levels of detail that are written too.
+    Raises SceneError if a path does not exist, if a folder has no scene, if two scenes would have the same output or report, if an
     output of one is another one, if an output that was not asked for is a link, and if `out` is a file for several scenes.
     """
     found = [pair for path in paths for pair in _scenes(path, out)]
@@ -39,18 +43,33 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
     to_file = out is not None and not out.is_dir() and (out.name.lower().endswith(registry.suffixes(written=True)) or (alone and out.suffix != ""))
     if to_file and len(found) > 1:
         raise SceneError(f"{out}: is the name of a file, but there are {len(found)} scenes; give a folder instead")
-    items = [Item(name, scene, colmap or _dataset(scene), out if out and to_file else _output(name, scene, out)) for name, scene in found]
+    items = []
+    for name, scene in found:
+        target = out if out and to_file else _output(name, scene, out)
+        items.append(Item(name, scene, colmap or _dataset(scene), target, tuple(level_files(target, levels).values())))
     _refuse_inputs_as_outputs(items)
+    _refuse_outputs_of_two(items)
     return items
 
 
 def _refuse_inputs_as_outputs(items: list[Item]) -> None:
-    """Raises SceneError if the output of one scene is another scene of the list. (prune() refuses the scene itself.)"""
+    """Raises SceneError if an output of one scene is another scene of the list. (prune() refuses the scene itself.)"""
     scenes = {os.path.realpath(item.scene): item for item in items}
     for item in items:
-        other = scenes.get(os.path.realpath(item.out), item)
-        if other is not item:
-            raise SceneError(f"{other.scene}: is both a scene to prune and the output of {item.scene}; leave one out, or choose another folder with --out")
+        for out in (item.out, *item.levels):
+            other = scenes.get(os.path.realpath(out), item)
+            if other is not item:
+                raise SceneError(f"{other.scene}: is both a scene to prune and an output of {item.scene}; leave one out, or choose another folder with --out")
+
+
+def _refuse_outputs_of_two(items: list[Item]) -> None:
+    """Raises SceneError if a level of detail of one scene would lie where an output of another one does."""
+    owners: dict[str, Item] = {}
+    for item in items:
+        for out in (item.out, *item.levels):
+            owner = owners.setdefault(os.path.realpath(out), item)
+            if owner is not item:
+                raise SceneError(f"{out}: would be an output of both {owner.scene} and {item.scene}; prune one of them into another folder")
 
 
 def same_file(a: Path, b: Path) -> bool:
@@ -85,7 +104,7 @@ def _splat_in(folder: Path) -> Path | None:
     numbered = [p for p, number in trained.items() if number.isdecimal()]
     if numbered:  # the folder of a 3DGS run also holds input.ply, which has only sparse points
         return max(numbered, key=lambda p: int(trained[p]))
-    files = [p for p in sorted(_splats(folder, "*")) if not p.stem.endswith(PRUNED) and not p.name.startswith(".")]
+    files = [p for p in sorted(_splats(folder, "*")) if not OUTPUT.search(p.stem) and not p.name.startswith(".")]
     return folder if len(files) > 1 else files[0] if files else None
 
 

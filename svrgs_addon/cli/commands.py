@@ -52,7 +52,7 @@ def prune(words: Words) -> int:
 
     options = options_from(PruneOptions, words, out=None, report=None)
     method_of(options)  # raises for an unknown method once, not for each scene
-    items = batch_list.expand(words.scenes, words.colmap, words.out, words.report)
+    items = batch_list.expand(words.scenes, words.colmap, words.out, words.report, options.levels)
     if len(items) == 1 and not words.batch:
         result = prune_scene(_of_item(options, items[0], words.report))
         return _print(result, words, _figures(result))
@@ -133,6 +133,7 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
     lines = ([f"before  {_figures(before)}"] if before else []) + [("after   " if before else "") + ", ".join(parts)]
     if before:
         lines.append(f"kept {result['count'] / before['count']:.1%} of the Gaussians at {result['psnr'] - before['psnr']:+.2f} dB")
+    lines += [f"level {level['share']:g}: {_figures(level)}; saved {level['out']}" for level in result.get("levels", ())]
     if result.get("densifications_held_back"):
         lines.append(f"{result['densifications_held_back']} densifications added nothing: memory was too short")
     if "seconds" in result:

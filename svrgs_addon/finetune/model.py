@@ -87,6 +87,11 @@ class Model:
                 arrays[name] = selected(arrays[name], rows)
         self.origin = self.origin[rows]
 
+    def first(self, count: int) -> Model:
+        """The first `count` rows as a model that shares the arrays: training it changes this one."""
+        parts = ({name: array[:count] for name, array in arrays.items()} for arrays in (self.values, self.moments))
+        return Model(*parts, self.origin[:count], self.metadata)
+
     def append(self, rows: dict[str, np.ndarray]):
         """Adds Gaussians with zero moments. rows: one array per name in `values`."""
         added = len(rows["means"])
@@ -96,14 +101,14 @@ class Model:
             self.moments[name] = np.concatenate([self.moments[name], zero_moments(new)])
         self.origin = np.concatenate([self.origin, np.full(added, -1, np.int32)])
 
-    def into_scene(self) -> Scene:
+    def into_scene(self, source_order: bool = True) -> Scene:
         """The model as a Scene, at the end of a run. It takes the arrays out of the model, so the model is empty afterwards.
 
-        Rows have the order of the source; added Gaussians follow. The other fields of the source are kept; its attributes only
-        if no Gaussian was added. An array that is already in this order is not copied.
+        Rows have the order of the source; added Gaussians follow. source_order=False: rows have the model's order. The other fields of the
+        source are kept; its attributes only if no Gaussian was added. An array that is already in this order is not copied.
         """
         self.moments = {}
-        rows = self._source_order()
+        rows = self._source_order() if source_order else slice(None)
         arrays: dict[str, Any] = {name: np.ascontiguousarray(self.values.pop(name)[rows], np.float32) for name in PARAMETERS}
         if (self.origin < 0).any():
             return Scene(**arrays, **(self.metadata | {"attributes": {}, "property_order": ()}))

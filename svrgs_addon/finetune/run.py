@@ -25,6 +25,7 @@ from ..photographs.dataset import Dataset
 from . import densify, masks, mcmc
 from .engine import Step, StepResult
 from .model import Model
+from .nested import nested_order, size_of_step
 from .plan import Plan
 from .quality import quality_views
 from .recovery_pruning import RecoveryPruning
@@ -99,7 +100,8 @@ class Run:
             self._into_order()
         self._prepare(phase, number)
         step = self._step(phase, number, self.dataset.cameras[view].reduced(reduction), target)
-        result = self.engine.step(self.model, step)
+        size = size_of_step(self.settings, phase, self.iteration, self.model.count)
+        result = self.engine.step(self.model.first(size) if size < self.model.count else self.model, step)
         self._record(result, step, view)
         self.iteration += 1
         self._density_control(phase, number, step, result)
@@ -142,6 +144,8 @@ class Run:
             self.recovery_pruning.before_step(self)
         if not phase.active:
             self.model.remove_extras()
+            if self.settings.nested and phase.name == "recover" and number == 1:
+                self.model.reorder(nested_order(self))
             return
         if self.settings.share and not self.target and not _densifying(phase, number):
             self.target = max(1, round(self.settings.share * self.model.count))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..finetune.loop import Progress
 from ..finetune.run import Run
+from .level_files import level_files
 from .time_plan import TimePlan
 
 PROCESS = 0.5  # seconds of starting and ending the program
@@ -22,6 +23,7 @@ class JobContext:
     report: Path | None = None
     resume: bool = False
     engine: str = "native"
+    levels: tuple[float, ...] = ()  # shares of a nested result that are written too
     planned: TimePlan | None = None  # of a job with a time limit
     recorded: tuple[int, int] = (0, 0)  # views that the observer renders: for each point of the curves, and at the end
     started: float = field(default_factory=time.perf_counter)  # when the job began
@@ -35,6 +37,11 @@ class JobContext:
     def seconds(self) -> float:
         """Seconds since the job began, with those that the program needs to start and to end."""
         return PROCESS + time.perf_counter() - self.started
+
+    @property
+    def level_files(self) -> dict[float, Path]:
+        """The files of the levels of detail, by their share."""
+        return level_files(self.out, self.levels)
 
     @property
     def folder(self) -> Path:

@@ -24,10 +24,12 @@ from ..finetune.engine import NativeEngine
 from ..finetune.loop import CURVE_POINTS, LEAST_BETWEEN
 from ..finetune.methods import method_named
 from ..finetune.model import Model
+from ..finetune.nested import SIZES
 from ..finetune.plan import Plan, prune_plan
 from ..finetune.quality import quality_views
 from ..finetune.recovery_pruning import CUTS
 from ..finetune.run import Run
+from ..finetune.saliency import removal_errors
 from ..finetune.settings import MCMC, Phase
 from ..finetune.strength_controller import UPDATES
 from ..metrics.evaluate import evaluate, mean_psnr, render_options
@@ -85,7 +87,7 @@ class Pace:
             mean, grown = growth(phase, self.count) if phase.densify else (grown, grown)
             total += phase.steps * (self.step + point) * mean * sum(length * n**STEP_POWER for length, n in parts) + grown * self._looks(looks, left)
             left = share if phase.active else left
-        return total + self._drop(plan, share) + self._reading(plan.total)
+        return total + self._ordering(plan, left) + self._drop(plan, share) + self._reading(plan.total)
 
     def _measuring(self, times: int) -> float:
         """Seconds of measuring the quality so many times; the photographs are read once."""
@@ -99,6 +101,11 @@ class Pace:
     def _looks(self, looks: list[tuple[float, float]], left: float) -> float:
         """Seconds of looks. left: Gaussians before the first one."""
         return sum(self.look * n**LOOK_POWER for n in [left, *(after for _, after in looks)][: len(looks)])
+
+    def _ordering(self, plan: Plan, left: float) -> float:
+        """Seconds of the order of a nested result: looks at fewer and fewer of the Gaussians that are left. Its quicker steps are not foreseen."""
+        looks = [(0.0, left * plan.nested ** (k / SIZES)) for k in range(1, SIZES + 1)] if plan.nested else []
+        return self._looks(looks, left)
 
     def _drop(self, plan: Plan, share: float) -> float:
         """Seconds of holding a loss of quality: PSNRs on a few views, and the looks of the recovery."""
@@ -121,11 +128,12 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
     views, options, rasterizer = spread(test)[:MEASURED], render_options(scene, dataset.background), Rasterizer()
     _read_some(dataset, views)
     looked_at = [dataset.cameras[index] for index in spread(train)[:LOOKED_AT]]
-    look = lambda: plan.method.score(scene, looked_at, rasterizer, options)  # noqa: E731
+    looks = bool(plan.method.looks(plan, max(1, plan.total), 1.0))
+    look = lambda: (plan.method.score if looks else removal_errors)(scene, looked_at, rasterizer, options)  # noqa: E731
     drawn = _seconds(lambda: mean_psnr(scene, dataset, views, rasterizer, options)) / len(views)
     return Pace(
         count=scene.count,
-        look=_seconds(look) * len(train) / len(looked_at) if plan.method.looks(plan, max(1, plan.total), 1.0) else 0.0,
+        look=_seconds(look) * len(train) / len(looked_at) if looks or plan.nested else 0.0,
         drawn=drawn,
         point=drawn * min(CURVE_VIEWS, len(dataset.test_indices)),
         measured=_seconds(lambda: evaluate(scene, dataset, views, rasterizer, lpips), warm=True) / len(views),

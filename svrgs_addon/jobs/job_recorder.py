@@ -138,8 +138,10 @@ class PruneRecorder(JobRecorder):
         source = load_scene(self.folder / "scene.ply").scene
         source_rows = self._checked_rows(source.attributes.get(ROW))
         rank[source_rows] = importance(source, self.run.dataset, Rasterizer(), render_options(source, self.run.settings.background))
+        if self.run.settings.nested:  # its rows are in the order of importance
+            rank[rows], recovered = np.linspace(1, 0, recovered.count, dtype=np.float32), recovered.select(np.argsort(rows))
         _save(self.folder / "kept.npy", kept)
-        _save(self.folder / "score.npy", self.ranking.scores(kept, rank))
+        _save(self.folder / "score.npy", self.ranking.scores(kept, rank, nested=self.run.settings.nested > 0))
         probability = self.ranking.probabilities()
         if probability is not None:
             _save(self.folder / "probability.npy", probability)

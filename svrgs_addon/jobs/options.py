@@ -25,7 +25,9 @@ from ..option_kinds import (
     SECONDS,
     SH_DEGREE,
     SHARE,
+    SHARES,
     SMALL_SHARE,
+    SMALLER_SHARE,
     TEXT,
     WEIGHT,
     option,
@@ -125,6 +127,14 @@ class PruneOptions(TuningOptions):
     max_drop: float = option(
         DECIBELS, 0.0, "keep as few Gaussians as possible and lose about this much PSNR, in dB, on a few training views", metavar="DB",
         default_help="no such limit", size=True, in_job=True,
+    )  # fmt: skip
+    nested: float | None = option(
+        SMALLER_SHARE, None, "also train smaller numbers of Gaussians, down to this share of the result: its first rows, any number, are a good splat",
+        metavar="SHARE", default_help="only the result as a whole is trained", in_job=True,
+    )  # fmt: skip
+    levels: tuple[float, ...] = option(
+        SHARES, (), "levels of detail, as in 0.5,0.25,0.1: also write the first rows of a nested result, these shares of it, to OUT_50.ply and so on",
+        metavar="SHARES", default_help="none",
     )  # fmt: skip
     scene: Path | None = None  # splat file to prune
     out: Path | None = None  # splat file to write

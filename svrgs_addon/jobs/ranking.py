@@ -77,14 +77,15 @@ class Ranking:
         self._origin = run.model.origin
         self._logits = run.model.values[MASK].astype(np.float32) if run.model.learns_masks else None  # a copy, because keep() works in place
 
-    def scores(self, kept: np.ndarray, importance: np.ndarray) -> np.ndarray:
+    def scores(self, kept: np.ndarray, importance: np.ndarray, nested: bool = False) -> np.ndarray:
         """The score of each Gaussian, (N,) float32 in 0..1, all different. Kept ones are above 0.5, by probability. Removed ones are below,
         by the time of removal, then by probability.
 
-        kept (N,) bool. importance (N,): the order of Gaussians with equal probability, or without one.
+        kept (N,) bool. importance (N,): the order of Gaussians with equal probability, or without one. nested: that of all kept ones.
         """
         self._record_final()
-        order = np.lexsort((importance, np.nan_to_num(self.probability, nan=-1.0), np.where(kept, ALIVE, self.dropped)))
+        probability = np.where(kept & nested, 0.0, np.nan_to_num(self.probability, nan=-1.0))
+        order = np.lexsort((importance, probability, np.where(kept, ALIVE, self.dropped)))
         score, removed = np.empty(len(kept), np.float32), len(kept) - int(kept.sum())
         score[order[:removed]] = 0.5 * np.arange(removed) / max(1, removed)
         score[order[removed:]] = 0.5 + 0.5 * np.arange(1, len(kept) - removed + 1) / max(1, len(kept) - removed)

@@ -47,7 +47,7 @@ def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
     if options.colmap is None:
         raise SceneError(f"{options.scene}: pruning needs the photographs that the scene was trained on; give --colmap DIR")
     assert options.scene is not None and options.out is not None
-    job, plan = _context(options, options.out, options.report), plan_of_pruning(options)
+    job, plan = replace(_context(options, options.out, options.report), levels=options.levels), plan_of_pruning(options)
     train_and_prune.check_outputs(job)
     dataset = dataset_of(options)
     with StopRequest() as stop:
@@ -88,7 +88,7 @@ def plan_of_pruning(options: PruneOptions) -> Plan:
     and the file cannot be read."""
     method = method_of(options)
     first_cut = options.min_contribution if options.min_contribution is not None else MIN_CONTRIBUTION * method.first_cut
-    more: dict[str, Any] = {"target": _target(options, method), "max_drop": options.max_drop, "min_contribution": first_cut}
+    more: dict[str, Any] = {"target": _target(options, method), "max_drop": options.max_drop, "min_contribution": first_cut, "nested": _nested(options)}
     return prune_plan(method, options.iterations, options.recovery, **_settings(options), **more)
 
 
@@ -124,6 +124,14 @@ def _target(options: PruneOptions, method: Method) -> int:
         return options.target_count
     share = options.target or (0.0 if options.max_drop else method.share)
     return max(1, round(share * registry.describe(options.scene)["count"])) if share and options.scene else 0
+
+
+def _nested(options: PruneOptions) -> float:
+    """The share of the result down to which smaller numbers of Gaussians are trained; 0: none. Raises SceneError if no steps would train them."""
+    smallest = min([*options.levels, *([options.nested] if options.nested else [])], default=0.0)
+    if smallest and not options.recovery:
+        raise SceneError("--nested and --levels train smaller numbers of Gaussians in the recovery: give --recovery a number above 0")
+    return smallest
 
 
 def _context(options: TuningOptions, out: Path, report: Path | None = None) -> JobContext:

@@ -66,10 +66,13 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
     """Prunes a trained scene and recovers its quality. Writes job.out and, if job.report is set, the report. Returns the JSON result.
     Raises SplatError, Cancelled."""
     check_outputs(job)
-    if os.path.realpath(job.out) == os.path.realpath(scene_path):
-        raise SceneError(f"{job.out}: is the input itself, which is never overwritten; choose another output")
-    with reserved(job.out), DiskRoom(job.out, job.folder) as room:
-        return _prune(scene_path, dataset, plan, job, room)
+    for out in (job.out, *job.level_files.values()):
+        if os.path.realpath(out) == os.path.realpath(scene_path):
+            raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
+    with contextlib.ExitStack() as outputs:
+        for out in (job.out, *job.level_files.values()):
+            outputs.enter_context(reserved(out))
+        return _prune(scene_path, dataset, plan, job, outputs.enter_context(DiskRoom(job.out, job.folder)))
 
 
 def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room: DiskRoom) -> dict:
@@ -91,7 +94,8 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
     run, scene = fine_tune(model, dataset, plan, job, clock, room)
     with clock.phase("evaluate after"):
         after = measured(scene, dataset, job)
-    result = {**after, "scene": str(scene_path), "before": before, "after": after, "first_cut": cut}
+        levels = written_levels(scene, dataset, job)
+    result = {**after, "scene": str(scene_path), "before": before, "after": after, "levels": levels, "first_cut": cut}
     result |= run_facts(run, job, clock)
     if job.report:
         write_prune_report(job.report, scene_path.stem, pictures, scene, dataset, run, result, job.lpips_missing)
@@ -119,8 +123,9 @@ class Clock:
 
 def check_outputs(job: JobContext):
     """Checks, before any work, that all results can be written. Raises SceneError."""
-    format_to_write(job.out)
-    check_writable(job.out)
+    for out in (job.out, *job.level_files.values()):
+        format_to_write(out)
+        check_writable(out)
     check_writable(job.folder / "manifest.json")
     if job.report:
         check_writable(job.report / "index.html")
@@ -220,7 +225,7 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
     clock.phases |= run.seconds
     run.drop = run.recovery_pruning.drop(run) if run.recovery_pruning else None
     run.engine = make_engine(job.engine)  # a new engine frees the buffers of the old one
-    scene = model.into_scene()
+    scene = model.into_scene(source_order=not plan.nested)
     room.release()
     with clock.phase("write"):
         write_scene(job.out, scene)
@@ -263,6 +268,16 @@ def measured(scene: Scene, dataset: Dataset, job: JobContext, path: Path | None 
     """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes (default: the output)."""
     views = dataset.test_indices or dataset.train_indices
     return {**evaluate(scene, dataset, views, Rasterizer(), job.lpips), "bytes": (path or job.out).stat().st_size}
+
+
+def written_levels(scene: Scene, dataset: Dataset, job: JobContext) -> list[dict]:
+    """Writes the levels of detail of a nested scene. Returns the share, the file and the figures of each."""
+    levels = []
+    for share, path in job.level_files.items():
+        level = scene.select(np.arange(max(1, round(share * scene.count))))
+        write_scene(path, level)
+        levels.append({"share": share, "out": str(path), **measured(level, dataset, job, path)})
+    return levels
 
 
 def time_facts(job: JobContext, clock: Clock) -> dict | None:
