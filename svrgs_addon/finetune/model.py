@@ -89,8 +89,8 @@ class Model:
 
     def first(self, count: int) -> Model:
         """The first `count` rows as a model that shares the arrays: training it changes this one."""
-        parts = ({name: array[:count] for name, array in arrays.items()} for arrays in (self.values, self.moments))
-        return Model(*parts, self.origin[:count], self.metadata)
+        values, moments = ({name: array[:count] for name, array in arrays.items()} for arrays in (self.values, self.moments))
+        return Model(values, moments, self.origin[:count], self.metadata)
 
     def append(self, rows: dict[str, np.ndarray]):
         """Adds Gaussians with zero moments. rows: one array per name in `values`."""
