@@ -115,6 +115,25 @@ def test_a_short_run_takes_larger_steps_and_a_long_one_those_of_3dgs():
         assert (first["opacity_logits"], recover["opacity_logits"]) == (0.025, 0.05)
 
 
+@pytest.mark.parametrize(("left", "larger"), [(60, 1), (15, 1), (5, 3**0.5), (1, 15**0.5)])
+def test_the_fewer_are_left_the_larger_the_steps(left, larger):
+    run = run_of(replace(prune_settings("removal", 12_800, 12_800), target=15))
+    run.method.count = COUNT
+    run.model.keep(np.arange(COUNT) < left)
+    for phase in run.settings.phases:
+        usual, rates = phase.rates.at(7, run.extent), run.method.rates(run, phase, 7)
+        for name in ("log_scales", "quats", "sh", "sh_rest"):
+            assert rates[name] == pytest.approx(larger * usual[name])
+        assert rates["means"] == pytest.approx(min(larger, 2) * usual["means"]) and rates["opacity_logits"] == usual["opacity_logits"]
+
+
+def test_steps_are_never_larger_than_four_times_those_of_3dgs():
+    run = run_of(replace(prune_settings("removal", 40, 40), target=15))
+    run.method.count = COUNT
+    run.model.keep(np.arange(COUNT) < 5)
+    assert run.method.rates(run, run.settings.phases[0], 1) == run.settings.phases[0].rates.at(1, run.extent)
+
+
 def test_training_keeps_its_rates_until_gaussians_are_removed():
     train, *_ = train_settings("removal", 3_000, 500).phases
     assert train.rates == rates_for(train.steps, Rates(position_steps=3_000))

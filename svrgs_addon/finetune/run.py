@@ -160,7 +160,7 @@ class Run:
             camera=camera,
             target=target,
             number=self.iteration + 1,
-            rates=phase.rates.at(number, self.extent),
+            rates=self.method.rates(self, phase, number),
             options=self.render_options(phase, number),
             l1_weight=s.l1_weight,
             ssim_weight=s.ssim_weight,

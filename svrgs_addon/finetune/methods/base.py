@@ -77,6 +77,10 @@ class Method:
         their cut. Empty: Gaussians go gradually. jobs/duration.py foresees the time of a run with it."""
         return []
 
+    def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:
+        """The learning rates of step `number` of the phase, by parameter name."""
+        return phase.rates.at(number, run.extent)
+
     # --- a step of an active phase
 
     def budget(self, run: RunView) -> int:

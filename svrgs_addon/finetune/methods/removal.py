@@ -4,7 +4,8 @@ Budget: the target, or the number of Gaussians with a saliency above lambda_F. I
 that rank lowest are removed. The first looks remove most, because they remove what is not needed; the last ones tread softly. The looks
 measure the ranking again, because only one of two Gaussians that can replace each other may go. Between the looks and in the recovery the
 others are trained, with the position rate that 3DGS begins with: the few that stay must move to where the others were, and grow. A short run
-takes larger steps, else they would not get there; in a long one large steps stretch Gaussians that few views see. Nothing but the image
+takes larger steps, else they would not get there, and so does one that keeps few Gaussians, which must reach farther; otherwise large steps
+stretch Gaussians that few views see. Nothing but the image
 loss acts on a Gaussian before it goes.
 
 With an allowed drop, each look keeps the fewest Gaussians that hold its share of the drop.
@@ -22,12 +23,13 @@ from .. import masks
 from ..quality import fewest_within
 from ..saliency import removal_errors, saliency
 from ..scores import top
-from ..settings import Densify, Phase, Rates, Settings, rates_for
+from ..settings import LARGEST, LARGEST_OF_POSITION, Densify, Phase, Rates, Settings, rates_for
 from .base import REMOVE, Keep, Method, RunView
 
 LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
 STEPS_PER_LOOK = 36  # a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few steps
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
+MANY = 0.25  # share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to settings.LARGEST
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
 
 
@@ -56,6 +58,16 @@ class Removal(Method):
         own = [phase for phase in phases if phase.densify is None]
         steps = sum(phase.steps for phase in own)
         return [replace(phase, rates=_rates(phase, steps)) if phase in own else phase for phase in super().paced(phases)]
+
+    def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:
+        """Larger where few Gaussians are left: the distance between those on a surface grows with the root of what went."""
+        rates = super().rates(run, phase, number)
+        if phase.densify:
+            return rates
+        more, already = sqrt(max(1.0, MANY * self.count / run.model.count)), phase.rates.scale / Rates().scale
+        larger = {name: min(more, max(1.0, LARGEST / already)) for name in ("log_scales", "quats", "sh", "sh_rest")}
+        larger["means"] = min(more, max(1.0, LARGEST_OF_POSITION / already))
+        return rates | {name: factor * rates[name] for name, factor in larger.items()}
 
     def uses_lambda_f(self, settings: Settings) -> bool:
         return not (settings.target or settings.share or settings.max_drop)
