@@ -103,7 +103,7 @@ def test_cases_cover_what_they_claim():
 
 
 # The contract is 2e-5 for images and 1e-4 relative L2 for gradients. These bounds are what is reached: they are frozen at about
-# 1.05 times the worst value seen, which is noted beside them.
+# 1.05 times the worst value seen, which is noted beside them. Processors differ in their estimates of 1/x and 1/sqrt(x).
 IMAGE_BOUND = {
     "rgb": 4.6e-7,  # 4.39e-7
     "depth": 2.35e-6,  # 2.20e-6
@@ -115,7 +115,7 @@ GRADIENT_BOUND = {
     "means": 1.5e-6,  # 1.42e-6
     "log_scales": 1.3e-6,  # 1.22e-6
     "quats": 2.5e-6,  # 2.34e-6
-    "opacity_logits": 2.1e-6,  # 1.97e-6
+    "opacity_logits": 2.2e-6,  # 2.11e-6
     "sh": 1.6e-6,  # 1.50e-6
     "masks": 1.6e-6,  # 1.51e-6
 }
