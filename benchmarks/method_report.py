@@ -134,7 +134,7 @@ def few(rows: list[dict], charts: Path) -> str:
 
 
 def other_figures(rows: list[dict], charts: Path) -> str:
-    """SSIM and FLIP of the default, beside its PSNR and beside as many further steps without pruning."""
+    """PSNR, SSIM and FLIP of the default at each share, and of the same number of further steps without pruning."""
     lines = []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         base = [row for row in those if row["share"] == 1]

@@ -77,8 +77,8 @@ COLOUR = Kind(
     tuple, "three numbers of 0..1 with commas between", lambda parts: len(parts) == 3 and all(0 <= part <= 1 for part in parts), _numbers, minimum=0, maximum=1
 )
 SHARES = Kind(
-    tuple, "shares above 0 and below 1 with commas between, each once", lambda parts: len(set(parts)) == len(parts) and all(0 < part < 1 for part in parts),
-    _numbers,
+    tuple, "shares above 0 and below 1 with commas between, each once",
+    lambda parts: len({f"{100 * part:g}" for part in parts}) == len(parts) and all(0 < part < 1 for part in parts), _numbers,
 )  # fmt: skip
 
 

@@ -162,6 +162,7 @@ def test_what_cannot_be_is_one_sentence(tiny, svrgs, tmp_path):
     words = ["prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.4, "--out", tmp_path / "o.ply"]
     refused(svrgs(*words, "--nested", 0.1, "--recovery", 0), "give --recovery a number above 0")
     refused(svrgs(*words, "--levels", "0.5,0.5"), "is not shares above 0 and below 1 with commas between, each once")
+    refused(svrgs(*words, "--levels", "0.3333333,0.33333331"), "each once")  # their files would have one name
     refused(svrgs(*words, "--levels", "1"), "is not shares above 0 and below 1")
     refused(svrgs(*words, "--nested", 1), "is not a share above 0 and below 1")
     assert not list(tmp_path.iterdir())
@@ -172,6 +173,12 @@ def test_a_level_is_never_the_input(tiny, svrgs, tmp_path):
     source.write_bytes(tiny.splat.read_bytes())
     refused(svrgs("prune", source, "--colmap", tiny.folder, "--levels", "0.5", "--out", tmp_path / "o.ply"), "o_50.ply: is the input itself")
     assert source.read_bytes() == tiny.splat.read_bytes() and list(tmp_path.iterdir()) == [source]
+
+
+def test_a_finished_scene_without_its_levels_is_not_passed_over_in_silence(tiny, svrgs, tmp_path):
+    (tmp_path / "o.ply").touch()
+    done = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--levels", "0.5", "--batch", "--out", tmp_path / "o.ply")
+    assert json.loads(done.out)["skipped"] == "the output exists, not all its levels: add --overwrite" and done.status == 0
 
 
 def test_a_level_never_replaces_a_scene(tmp_path):

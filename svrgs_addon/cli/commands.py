@@ -60,7 +60,7 @@ def prune(words: Words) -> int:
     for item in items:
         line = {"scene": str(item.scene), "out": str(item.out)}
         if item.out.exists() and not words.overwrite and not batch_list.same_file(item.out, item.scene):
-            line["skipped"] = "the output exists"
+            line["skipped"] = "the output exists" if all(level.exists() for level in item.levels) else "the output exists, not all its levels: add --overwrite"
         else:
             status, result = run_in_child(_of_item(options, item, words.report and words.report / item.name))
             line, failed, stopped = {**line, **result}, failed or status != 0, status == STOPPED

@@ -1,12 +1,11 @@
 """Iterative removal: the default method `removal`, and `saliency` (docs/methods.md, "`removal`, the default").
 
 Budget: the target, or the number of Gaussians with a saliency above lambda_F. In LOOKS looks, spread evenly over the phase, the Gaussians
-that rank lowest are removed. The first looks remove most, because they remove what is not needed; the last ones tread softly. The looks
+that rank lowest are removed. The first looks remove most, because they remove what is not needed; the last ones remove few. The looks
 measure the ranking again, because only one of two Gaussians that can replace each other may go. Between the looks and in the recovery the
 others are trained, with the position rate that 3DGS begins with: the few that stay must move to where the others were, and grow. A short run
 takes larger steps, else they would not get there, and so does one that keeps few Gaussians, which must reach farther; otherwise large steps
-stretch Gaussians that few views see. Nothing but the image
-loss acts on a Gaussian before it goes.
+stretch Gaussians that few views see. Nothing but the image loss acts on a Gaussian before it goes.
 
 With an allowed drop, each look keeps the fewest Gaussians that hold its share of the drop.
 """
