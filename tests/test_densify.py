@@ -132,3 +132,11 @@ def test_opacities_are_reset_to_a_hundredth_at_most():
         moved = name == "opacity_logits"
         assert moved or (model.values[name] == before[name]).all()
         assert (model.moments[name] == (0 if moved else 1)).all()
+
+
+def test_each_opacity_is_lowered_by_its_factor():
+    model = gaussians([0.1] * 5)
+    model.opacity_logits[:] = [logit(0.9), logit(0.02), 60.0, -60.0, 3.0]
+    densify.lower_opacity(model, np.array([0.3, 0.5, 0.25, 0.3, 1.0]))
+    np.testing.assert_allclose(model.opacity_logits, [logit(0.27), logit(0.01), logit(0.25), -60 + np.log(0.3), 3.0], rtol=1e-6)
+    assert (model.moments["opacity_logits"] == 0).all() and (model.moments["means"] == 1).all()

@@ -16,7 +16,7 @@ from svrgs_addon.finetune.methods import removal
 from svrgs_addon.finetune.methods.removal import FEWEST, LOOKS, STEPS_PER_LOOK, number_of_looks
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
-from svrgs_addon.finetune.saliency import SHARE, removal_errors, saliency
+from svrgs_addon.finetune.saliency import SHARE, removal_errors, saliency, views_that_see
 from svrgs_addon.finetune.settings import Rates, rates_for
 from svrgs_addon.native import Rasterizer, RenderOptions
 
@@ -84,6 +84,7 @@ def test_a_lambda_above_every_saliency_is_refused_at_once():
 def test_those_of_lowest_removal_error_go_first(monkeypatch):
     monkeypatch.setattr(settings, "USUAL_STEPS", 1)
     monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
+    monkeypatch.setattr(removal, "FAINTER", 1.0)
     run = run_of(replace(prune_settings("removal", 32, 0), target=15))
     run.advance()  # one step, and the first look
     left = set(run.model.origin)
@@ -160,6 +161,31 @@ def test_nothing_but_the_image_loss_acts_on_those_that_stay():
     run._prepare(phase, number)
     assert run.method.terms(run, phase, number) == {}
     run.close()
+
+
+@pytest.mark.parametrize(("share", "factor"), [(2.0, 0.3), (0.5, 0.3**0.5)])
+def test_opacities_are_lowered_before_the_first_step_as_far_as_the_steps_can_raise_them(share, factor, monkeypatch):
+    """share: of the steps that are enough."""
+    scene, data = scene_and_data()
+    scene.means[:3] += 1_000  # no view sees them
+    run = Run(Model.of(scene), data, replace(prune_settings("removal", 40, 0), target=15), NativeEngine())
+    seen = views_that_see(run.model, run.training_cameras, run.engine.rasterizer, run.score_options)
+    assert not seen[:3].any() and seen[3:].all()
+    monkeypatch.setattr(removal, "ENOUGH", 40 * seen.mean() / len(run.training_cameras) / share)
+    run._prepare(*run.phase())
+    before, after = (1 / (1 + np.exp(-values.astype(float))) for values in (scene.opacity_logits, run.model.opacity_logits))
+    run.close()
+    np.testing.assert_allclose(after[3:], factor * before[3:], rtol=1e-5)
+    np.testing.assert_array_equal(run.model.opacity_logits[:3], scene.opacity_logits[:3])
+
+
+def test_only_the_first_step_lowers_opacities():
+    run = run_of(replace(prune_settings("removal", 32, 0), target=15))
+    before = run.model.opacity_logits.copy()
+    phase, _ = run.phase()
+    run.method.prepare(run, phase, 2)
+    run.close()
+    np.testing.assert_array_equal(run.model.opacity_logits, before)
 
 
 def test_no_more_is_lost_than_allowed():

@@ -15,10 +15,11 @@ from plans import prune_settings, train_settings
 from svrgs_addon.errors import Cancelled, FormatError, SceneError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.methods import METHODS
+from svrgs_addon.finetune.methods import METHODS, removal
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.plan import at_schedule
 from svrgs_addon.finetune.run import Run
+from svrgs_addon.finetune.saliency import views_that_see
 from svrgs_addon.finetune.settings import MCMC
 from svrgs_addon.jobs import planning, time_plan
 from svrgs_addon.jobs.context import JobContext
@@ -80,11 +81,13 @@ LOOKING = ("removal", "saliency", "speedy", "popspa", "minisplatting", "efficien
 
 @pytest.mark.parametrize("method", [*LOOKING, "reduced3dgs", "maskgs", "gns"])
 def test_a_method_foresees_its_looks(method, data, tiny, monkeypatch):
-    """As many as score() is called in a run, each over all training views."""
+    """As many as score() is called in a run, each over all training views, and views_that_see()."""
     plan, calls = prune_settings(method, 120, 10, target=60), []
     cls, scene = type(plan.method), read_ply(tiny.splat)
     score = lambda self, scene, cameras, *rest, score=cls.score: calls.append(len(cameras)) or score(self, scene, cameras, *rest)  # noqa: E731
     monkeypatch.setattr(cls, "score", score)
+    seen = lambda scene, cameras, *rest: calls.append(len(cameras)) or views_that_see(scene, cameras, *rest)  # noqa: E731
+    monkeypatch.setattr(removal, "views_that_see", seen)
     run = Run(Model.of(scene), data, plan, NativeEngine())
     if plan.method.ranks:
         plan.method.cut(scene, run.training_cameras, run.rasterizer, run.score_options, 60)
@@ -104,7 +107,7 @@ def test_a_longer_time_gives_as_many_steps_or_more_and_never_too_many():
     assert schedules == sorted(schedules) and schedules[0] < 0.05 and schedules[-1] == MOST
     for one in found:
         assert one.foreseen == 3.0 + seconds(at_schedule(plan, one.schedule)) <= one.asked
-        assert one.schedule == MOST or 3.0 + seconds(at_schedule(plan, one.schedule + 1 / GRID)) > one.asked * (1 - time_plan.MARGIN)
+        assert one.schedule == MOST or 3.0 + seconds(at_schedule(plan, round(one.schedule * GRID + 1) / GRID)) > one.asked * (1 - time_plan.MARGIN)
 
 
 def test_a_time_that_is_too_short_is_refused_with_one_that_is_enough():

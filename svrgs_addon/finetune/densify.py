@@ -77,3 +77,12 @@ def reset_opacity(model: Model):
     limit = np.log(RESET_OPACITY / (1 - RESET_OPACITY))
     np.minimum(model.opacity_logits, limit, out=model.values["opacity_logits"])
     model.moments["opacity_logits"][:] = 0
+
+
+def lower_opacity(model: Model, factor: np.ndarray):
+    """Multiplies each opacity by its factor (N,) in (0, 1]; the moments of the logits become 0. With o = 1 / (1 + exp(-l)) the new logit is
+    log(factor o / (1 - factor o)) = log factor - log(exp(-l) + 1 - factor)."""
+    logits = model.opacity_logits.astype(np.float64)
+    with np.errstate(divide="ignore"):  # log(1 - factor) of a factor of 1, which leaves a logit as it is
+        model.values["opacity_logits"][:] = np.log(factor) - np.logaddexp(-logits, np.log1p(-factor))
+    model.moments["opacity_logits"][:] = 0

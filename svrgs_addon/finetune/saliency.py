@@ -42,6 +42,15 @@ def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rast
     return total
 
 
+def views_that_see(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+    """(N,) int64: the number of views in which the removal of each Gaussian would change a pixel."""
+    views = np.zeros(scene.count, np.int64)
+    for view in _reduced(cameras):
+        rasterizer.forward(scene, view, options, outputs=())
+        views += _removal_error(rasterizer, view, scene.count) > 0
+    return views
+
+
 def saliency(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
     """Saliency of each Gaussian, (N,) float64, in units of lambda_F. 0 for Gaussians that no view sees."""
     n, options = scene.count, replace(options, mask_kind="svr")

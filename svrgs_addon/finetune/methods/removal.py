@@ -7,6 +7,9 @@ others are trained, with the position rate that 3DGS begins with: the few that s
 takes larger steps, else they would not get there, and so does one that keeps few Gaussians, which must reach farther; otherwise large steps
 stretch Gaussians that few views see. Nothing but the image loss acts on a Gaussian before it goes.
 
+Before the first look all opacities are lowered once. What the photographs need, the steps raise again; what only fitted a few photographs too
+closely stays faint, and is removed.
+
 With an allowed drop, each look keeps the fewest Gaussians that hold its share of the drop.
 """
 
@@ -19,8 +22,9 @@ from math import sqrt
 import numpy as np
 
 from .. import masks
+from ..densify import lower_opacity
 from ..quality import fewest_within
-from ..saliency import removal_errors, saliency
+from ..saliency import removal_errors, saliency, views_that_see
 from ..scores import top
 from ..settings import LARGEST, LARGEST_OF_POSITION, Densify, Phase, Rates, Settings, rates_for
 from .base import REMOVE, Keep, Method, RunView
@@ -29,6 +33,8 @@ LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
 STEPS_PER_LOOK = 36  # a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few steps
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
 MANY = 0.25  # share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to settings.LARGEST
+FAINTER = 0.3  # factor on all opacities before the phase
+ENOUGH = 80  # steps that see a Gaussian in the phase, in the mean; if fewer do, the factor is nearer to 1, for opacities would not rise again
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
 
 
@@ -79,6 +85,13 @@ class Removal(Method):
         masks.refuse_emptying(stays, run.initial_count)
         return int(stays.sum())
 
+    def prepare(self, run: RunView, phase: Phase, number: int):
+        """Lowers all opacities before the first step, except of what no view sees. Not with an allowed drop: a look could not tell it from a loss."""
+        if number == 1 and not run.settings.max_drop:
+            seen = views_that_see(run.model, run.training_cameras, run.rasterizer, run.score_options)
+            steps = phase.steps * seen.mean() / len(run.training_cameras)
+            lower_opacity(run.model, np.where(seen, FAINTER ** min(1.0, steps / ENOUGH), 1.0))
+
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         """A look after the first step of each of number_of_looks() equal parts of the phase."""
         looks = number_of_looks(phase.steps)
@@ -99,9 +112,9 @@ class Removal(Method):
         return self.ranking(scene, cameras, rasterizer, options)
 
     def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
-        """Also the budget takes a look at all views, which costs twice as much."""
-        looks = number_of_looks(steps)
-        return [(0.0, 1.0)] * (2 * self.uses_lambda_f(settings)) + [(k / looks, share ** sqrt((k + 1) / looks)) for k in range(looks)]
+        """Also the lowering takes a look at all views, and the budget one that costs twice as much."""
+        looks, before = number_of_looks(steps), (not settings.max_drop) + 2 * self.uses_lambda_f(settings)
+        return [(0.0, 1.0)] * before + [(k / looks, share ** sqrt((k + 1) / looks)) for k in range(looks)]
 
     def state(self) -> dict:
         return {"count": self.count}
