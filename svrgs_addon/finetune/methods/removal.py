@@ -5,10 +5,10 @@ that rank lowest are removed. The first looks remove most, because they remove w
 measure the ranking again, because only one of two Gaussians that can replace each other may go. Between the looks and in the recovery the
 others are trained, with the position rate that 3DGS begins with: the few that stay must move to where the others were, and grow. A short run
 takes larger steps, else they would not get there, and so does one that keeps few Gaussians, which must reach farther; otherwise large steps
-stretch Gaussians that few views see. Nothing but the image loss acts on a Gaussian before it goes.
+stretch Gaussians that few views see.
 
-Before the first look all opacities are lowered once. What the photographs need, the steps raise again; what only fitted a few photographs too
-closely stays faint, and is removed.
+Before the first look all opacities are lowered once; after that nothing but the image loss acts on a Gaussian. What the photographs need, the
+steps raise again; what only fitted a few photographs too closely stays faint, and is removed.
 
 With an allowed drop, each look keeps the fewest Gaussians that hold its share of the drop.
 """
