@@ -14,6 +14,7 @@ from method_charts import curve_chart, pareto_chart
 from method_scenes import GENERATED
 from time_report import in_time
 
+DEFAULT, BEST = "removal", 3  # the default method; others that are named beside it
 BASE, RIVAL, PAPER = "3DGS", "MaskGS alpha", "SVR-GS"
 PAPER_RUNS = (BASE, RIVAL, PAPER, "Scenario A", "Scenario B")  # the columns of the paper's tables
 FIGURES = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame")
@@ -89,42 +90,33 @@ def pruned(rows: list[dict], study: str) -> list[dict]:
 
 
 def pruning(rows: list[dict], charts: Path) -> str:
-    """PSNR of every method at equal counts: a chart and a table for each scene and schedule."""
-    parts = []
+    """The default and the best of the others at equal counts: one table of all scenes, and a chart with every method for each."""
+    lines, pictures = [], []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         first, before = those[0], those[0]["before"]
         name = f"pareto-{first['scene']}-{first['schedule']:g}-{first['start']}"
         curves = {method: sorted((row["count"], row["psnr"]) for row in group) for (method,), group in groups(those, "method").items()}
         pareto_chart(curves, (before["count"], before["psnr"]), case(first), charts / f"{name}.svg")
-        parts += [f"![{case(first)}](results/{name}.svg)", "", shares_table(those)]
-    return "\n".join(parts)
+        pictures.append(f"![{case(first)}](results/{name}.svg)\n")
+        lines += standings(those)
+    return table(["scene: Gaussians and PSNR before", "as many further steps", "kept", DEFAULT, "the best of the others", ""], lines) + "\n" + "\n".join(pictures)
 
 
-def shares_table(rows: list[dict]) -> str:
-    """One scene: a line per method, the best first, a column per share that is kept. The best of each column is bold."""
-    shares = sorted({row["share"] for row in rows if row["share"] < 1}, reverse=True)
-    best = {share: max(row["psnr"] for row in rows if row["share"] == share) for share in shares}
-    lines = []
-    for (method,), group in groups((row for row in rows if row["share"] < 1), "method").items():
-        found = {row["share"]: row for row in group}
-        cells = [bold(psnr_of(found[share]), found[share]["psnr"] == best[share]) if share in found else "" for share in shares]
-        lines.append((mean(group, "psnr"), [f"`{method}`", *cells, f"{mean(group, 'seconds'):.0f}"]))
-    ordered = [cells for _, cells in sorted(lines, key=lambda line: -line[0])]
-    before = rows[0]["before"]
-    for row in (row for row in rows if row["share"] == 1):
-        ordered.insert(0, [f"no pruning, as many further steps: {psnr_of(row)} dB", *[""] * len(shares), f"{row['seconds']:.0f}"])
-    head = [f"{case(rows[0])}: {before['count']:,} Gaussians, {before['psnr']:.2f} dB", *(f"{100 * share:g} %" for share in shares), "seconds"]
-    return table(head, ordered)
-
-
-def bold(text: str, is_best: bool) -> str:
-    return f"**{text}**" if is_best else text
+def standings(rows: list[dict]) -> Iterable[list[str]]:
+    """One scene: a line per share with the default, the best others, and how many others there are."""
+    before, further = rows[0]["before"], [psnr_of(row) for row in rows if row["share"] == 1]
+    for (share,), those in sorted(groups((row for row in rows if row["share"] < 1), "share").items(), reverse=True):
+        others = sorted((row for row in those if row["method"] != DEFAULT), key=lambda row: -row["psnr"])
+        best = [f"{psnr_of(row)} `{row['method']}`" for row in others[:BEST]]
+        ours = [psnr_of(row) for row in those if row["method"] == DEFAULT]
+        place = f"{case(rows[0])}: {before['count']:,}, {before['psnr']:.2f} dB"
+        yield [place, *(further or [""]), f"{100 * share:g} %", *(ours or [""]), ", ".join(best), f"of {len(others)}"]
 
 
 def few(rows: list[dict], charts: Path) -> str:
     """PSNR of the default and its nearest rivals at few Gaussians, for several schedules."""
     rows = pruned(rows, "schedules")
-    columns = sorted(groups(rows, "schedule", "method"), key=lambda column: (column[0], column[1] != "removal", column[1]))
+    columns = sorted(groups(rows, "schedule", "method"), key=lambda column: (column[0], column[1] != DEFAULT, column[1]))
     lines = []
     for scene, share in sorted(groups(rows, "scene", "share"), key=lambda place: (place[0], -place[1])):
         found = {(row["schedule"], row["method"]): row for row in rows if (row["scene"], row["share"]) == (scene, share)}
@@ -138,7 +130,7 @@ def other_figures(rows: list[dict], charts: Path) -> str:
     lines = []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         base = [row for row in those if row["share"] == 1]
-        ours = sorted((row for row in those if row["method"] == "removal"), key=lambda row: -row["share"])
+        ours = sorted((row for row in those if row["method"] == DEFAULT), key=lambda row: -row["share"])
         for row in [*base, *ours]:
             kept = "no pruning" if row["share"] == 1 else f"{100 * row['share']:g} %"
             lines.append([case(row), kept, psnr_of(row), f"{row['ssim']:.4f}", f"{row['flip']:.4f}"])
