@@ -99,7 +99,8 @@ def pruning(rows: list[dict], charts: Path) -> str:
         pareto_chart(curves, (before["count"], before["psnr"]), case(first), charts / f"{name}.svg")
         pictures.append(f"![{case(first)}](results/{name}.svg)\n")
         lines += standings(those)
-    return table(["scene: Gaussians and PSNR before", "as many further steps", "kept", DEFAULT, "the best of the others", ""], lines) + "\n" + "\n".join(pictures)
+    head = ["scene: Gaussians and PSNR before", "as many further steps", "kept", DEFAULT, "the best of the others", ""]
+    return table(head, lines) + "\n" + "\n".join(pictures)
 
 
 def standings(rows: list[dict]) -> Iterable[list[str]]:
