@@ -84,7 +84,7 @@ def test_a_lambda_above_every_saliency_is_refused_at_once():
 def test_those_of_lowest_removal_error_go_first(monkeypatch):
     monkeypatch.setattr(settings, "USUAL_STEPS", 1)
     monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
-    monkeypatch.setattr(removal, "FAINTER", 1.0)
+    monkeypatch.setattr(removal, "lowering", lambda steps: 1.0)
     run = run_of(replace(prune_settings("removal", 32, 0), target=15))
     run.advance()  # one step, and the first look
     left = set(run.model.origin)
@@ -163,18 +163,22 @@ def test_nothing_but_the_image_loss_acts_on_those_that_stay():
     run.close()
 
 
-@pytest.mark.parametrize(("share", "factor"), [(2.0, 0.3), (0.5, 0.3**0.5)])
-def test_opacities_are_lowered_before_the_first_step_as_far_as_the_steps_can_raise_them(share, factor, monkeypatch):
-    """share: of the steps that are enough."""
+@pytest.mark.parametrize(("steps", "factor"), [(0, 1), (5, 1), (13, 1), (52, 0.5), (208, 0.25), (1_300, 0.1), (100_000, 0.1)])
+def test_the_more_steps_can_raise_opacities_the_lower_they_begin(steps, factor):
+    assert removal.lowering(steps) == pytest.approx(factor)
+
+
+def test_opacities_are_lowered_before_the_first_step_but_not_of_what_no_view_sees():
     scene, data = scene_and_data()
-    scene.means[:3] += 1_000  # no view sees them
-    run = Run(Model.of(scene), data, replace(prune_settings("removal", 40, 0), target=15), NativeEngine())
+    scene.means[:3] += 1_000
+    run = Run(Model.of(scene), data, replace(prune_settings("removal", 52, 0), target=15), NativeEngine())
     seen = views_that_see(run.model, run.training_cameras, run.engine.rasterizer, run.score_options)
     assert not seen[:3].any() and seen[3:].all()
-    monkeypatch.setattr(removal, "ENOUGH", 40 * seen.mean() / len(run.training_cameras) / share)
     run._prepare(*run.phase())
     before, after = (1 / (1 + np.exp(-values.astype(float))) for values in (scene.opacity_logits, run.model.opacity_logits))
     run.close()
+    factor = removal.lowering(52 * seen.mean() / len(run.training_cameras))
+    assert 0.4 < factor < 0.7
     np.testing.assert_allclose(after[3:], factor * before[3:], rtol=1e-5)
     np.testing.assert_array_equal(run.model.opacity_logits[:3], scene.opacity_logits[:3])
 

@@ -33,8 +33,7 @@ LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
 STEPS_PER_LOOK = 36  # a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few steps
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
 MANY = 0.25  # share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to settings.LARGEST
-FAINTER = 0.3  # factor on all opacities before the phase
-ENOUGH = 80  # steps that see a Gaussian in the phase, in the mean; if fewer do, the factor is nearer to 1, for opacities would not rise again
+FAINTEST, RISING = 0.1, 13  # least factor on all opacities before the phase; steps that see a Gaussian, with fewer of which nothing is lowered
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
 
 
@@ -89,8 +88,7 @@ class Removal(Method):
         """Lowers all opacities before the first step, except of what no view sees. Not with an allowed drop: a look could not tell it from a loss."""
         if number == 1 and not run.settings.max_drop:
             seen = views_that_see(run.model, run.training_cameras, run.rasterizer, run.score_options)
-            steps = phase.steps * seen.mean() / len(run.training_cameras)
-            lower_opacity(run.model, np.where(seen, FAINTER ** min(1.0, steps / ENOUGH), 1.0))
+            lower_opacity(run.model, np.where(seen, lowering(phase.steps * seen.mean() / len(run.training_cameras)), 1.0))
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         """A look after the first step of each of number_of_looks() equal parts of the phase."""
@@ -126,6 +124,12 @@ class Removal(Method):
 def number_of_looks(steps: int) -> int:
     """The number of looks in a phase of so many steps: LOOKS, in a short phase one in STEPS_PER_LOOK steps, but FEWEST if there are as many steps."""
     return min(LOOKS, max(FEWEST, steps // STEPS_PER_LOOK), steps)
+
+
+def lowering(steps: float) -> float:
+    """The factor on all opacities before a phase in which so many steps see a Gaussian, in the mean: what is not needed fades the more surely the
+    smaller it is, but opacities need steps to rise again."""
+    return max(FAINTEST, sqrt(min(1.0, RISING / max(steps, 1e-9))))
 
 
 def _rates(phase: Phase, steps: int) -> Rates:
