@@ -14,7 +14,8 @@ from method_charts import curve_chart, pareto_chart
 from method_scenes import GENERATED
 from time_report import in_time
 
-DEFAULT, BEST = "removal", 3  # the default method; others that are named beside it
+DEFAULT = "removal"  # the default method
+BEST = 3  # how many of the other methods are named beside it
 BASE, RIVAL, PAPER = "3DGS", "MaskGS alpha", "SVR-GS"
 PAPER_RUNS = (BASE, RIVAL, PAPER, "Scenario A", "Scenario B")  # the columns of the paper's tables
 FIGURES = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame")
@@ -99,7 +100,7 @@ def pruning(rows: list[dict], charts: Path) -> str:
         pareto_chart(curves, (before["count"], before["psnr"]), case(first), charts / f"{name}.svg")
         pictures.append(f"![{case(first)}](results/{name}.svg)\n")
         lines += standings(those)
-    head = ["scene: Gaussians and PSNR before", "as many further steps", "kept", DEFAULT, "the best of the others", ""]
+    head = ["scene: Gaussians and PSNR before", "as many further steps", "kept", DEFAULT, "the best of the others", "others measured"]
     return table(head, lines) + "\n" + "\n".join(pictures)
 
 
@@ -111,7 +112,7 @@ def standings(rows: list[dict]) -> Iterable[list[str]]:
         best = [f"{psnr_of(row)} `{row['method']}`" for row in others[:BEST]]
         ours = [psnr_of(row) for row in those if row["method"] == DEFAULT]
         place = f"{case(rows[0])}: {before['count']:,}, {before['psnr']:.2f} dB"
-        yield [place, *(further or [""]), f"{100 * share:g} %", *(ours or [""]), ", ".join(best), f"of {len(others)}"]
+        yield [place, *(further or [""]), f"{100 * share:g} %", *(ours or [""]), ", ".join(best), str(len(others))]
 
 
 def few(rows: list[dict], charts: Path) -> str:

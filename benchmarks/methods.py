@@ -80,6 +80,7 @@ def pareto() -> dict[str, list[str]]:
 REMOVAL = "from svrgs_addon.finetune.methods import removal; "
 ABLATION = {  # name of the run: Python code that changes the program before it runs
     "removal": "",
+    "opacities not lowered": REMOVAL + "removal.lowering = lambda steps: 1.0",
     "8 looks": REMOVAL + "removal.LOOKS = 8",
     "position rate of the other methods": REMOVAL + "removal.POSITION_RATE = 5e-6",
     "opacity rate of the other methods": REMOVAL + "removal.OPACITY_RATE = 0.05",

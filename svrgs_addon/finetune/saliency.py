@@ -43,7 +43,7 @@ def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rast
 
 
 def views_that_see(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """(N,) int64: the number of views in which the removal of each Gaussian would change a pixel."""
+    """The number of views in which the removal of each Gaussian would change a pixel, (N,) int64. Views are rendered at half their size."""
     views = np.zeros(scene.count, np.int64)
     for view in _reduced(cameras):
         rasterizer.forward(scene, view, options, outputs=())

@@ -1,7 +1,7 @@
 """Iterative removal: the default method `removal`, and `saliency` (docs/methods.md, "`removal`, the default").
 
 Budget: the target, or the number of Gaussians with a saliency above lambda_F. In LOOKS looks, spread evenly over the phase, the Gaussians
-that rank lowest are removed. The first looks remove most, because they remove what is not needed; the last ones remove few. The looks
+that rank lowest are removed. The first looks remove most, because what goes first is needed least; the last ones remove few. The looks
 measure the ranking again, because only one of two Gaussians that can replace each other may go. Between the looks and in the recovery the
 others are trained, with the position rate that 3DGS begins with: the few that stay must move to where the others were, and grow. A short run
 takes larger steps, else they would not get there, and so does one that keeps few Gaussians, which must reach farther; otherwise large steps
@@ -33,7 +33,8 @@ LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
 STEPS_PER_LOOK = 36  # a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few steps
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
 MANY = 0.25  # share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to settings.LARGEST
-FAINTEST, RISING = 0.1, 13  # least factor on all opacities before the phase; steps that see a Gaussian, with fewer of which nothing is lowered
+FAINTEST = 0.1  # least factor by which opacities are lowered before the phase
+RISING = 13  # steps; if a Gaussian is seen in no more steps of the phase than this, nothing is lowered
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
 
 
@@ -85,10 +86,12 @@ class Removal(Method):
         return int(stays.sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
-        """Lowers all opacities before the first step, except of what no view sees. Not with an allowed drop: a look could not tell it from a loss."""
+        """Before the first step, lowers the opacities of the Gaussians that a view sees. Not with an allowed drop: the first looks would measure the
+        lowered opacities as a loss of PSNR."""
         if number == 1 and not run.settings.max_drop:
             seen = views_that_see(run.model, run.training_cameras, run.rasterizer, run.score_options)
-            lower_opacity(run.model, np.where(seen, lowering(phase.steps * seen.mean() / len(run.training_cameras)), 1.0))
+            steps = phase.steps * seen.mean() / len(run.training_cameras)
+            lower_opacity(run.model, np.where(seen, lowering(steps), 1.0))
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         """A look after the first step of each of number_of_looks() equal parts of the phase."""
@@ -127,8 +130,8 @@ def number_of_looks(steps: int) -> int:
 
 
 def lowering(steps: float) -> float:
-    """The factor on all opacities before a phase in which so many steps see a Gaussian, in the mean: what is not needed fades the more surely the
-    smaller it is, but opacities need steps to rise again."""
+    """The factor on opacities before the phase, FAINTEST to 1. steps: the number of steps of the phase that see a Gaussian, in the mean. More steps can
+    raise opacities further again, so with more steps the factor is smaller."""
     return max(FAINTEST, sqrt(min(1.0, RISING / max(steps, 1e-9))))
 
 
