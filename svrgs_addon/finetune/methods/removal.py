@@ -34,7 +34,7 @@ STEPS_PER_LOOK = 36  # a look takes as long as 20 to 40 steps: with more looks i
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
 MANY = 0.25  # share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to settings.LARGEST
 FAINTEST = 0.1  # least factor by which opacities are lowered before the phase
-RISING = 13  # steps; if a Gaussian is seen in no more steps of the phase than this, nothing is lowered
+RISING = 60  # steps; if a Gaussian is seen in no more steps of the phase than this, nothing is lowered
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
 
 
