@@ -80,7 +80,9 @@ def pareto() -> dict[str, list[str]]:
 REMOVAL = "from svrgs_addon.finetune.methods import removal; "
 ABLATION = {  # name of the run: Python code that changes the program before it runs
     "removal": "",
-    "opacities not lowered": REMOVAL + "removal.lowering = lambda steps: 1.0",
+    "opacities not lowered": REMOVAL + "removal.lowering = lambda steps: (1.0, 1.0)",
+    "odds of opacities not lowered": REMOVAL + "removal.LEAST_ODDS = 1.0",
+    "opacity rate the same in the whole phase": REMOVAL + "removal.SOONER = 1",
     "8 looks": REMOVAL + "removal.LOOKS = 8",
     "position rate of the other methods": REMOVAL + "removal.POSITION_RATE = 5e-6",
     "opacity rate of the other methods": REMOVAL + "removal.OPACITY_RATE = 0.05",

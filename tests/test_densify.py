@@ -134,9 +134,14 @@ def test_opacities_are_reset_to_a_hundredth_at_most():
         assert (model.moments[name] == (0 if moved else 1)).all()
 
 
-def test_each_opacity_is_lowered_by_its_factor():
+def test_opacities_and_then_their_odds_are_lowered_by_their_factors():
     model = gaussians([0.1] * 5)
     model.opacity_logits[:] = [logit(0.9), logit(0.02), 60.0, -60.0, 3.0]
-    densify.lower_opacity(model, np.array([0.3, 0.5, 0.25, 0.3, 1.0]))
-    np.testing.assert_allclose(model.opacity_logits, [logit(0.27), logit(0.01), logit(0.25), -60 + np.log(0.3), 3.0], rtol=1e-6)
+    rows = np.array([True, True, True, True, False])
+    densify.lower_opacity(model, rows, 0.5, 0.1)
+    lowered = [logit(0.45), logit(0.01), logit(0.5), -60 + np.log(0.5)]
+    np.testing.assert_allclose(model.opacity_logits, [*(np.log(0.1) + lowered), 3.0], rtol=1e-6)
     assert (model.moments["opacity_logits"] == 0).all() and (model.moments["means"] == 1).all()
+    before = model.opacity_logits.copy()
+    densify.lower_opacity(model, rows, 1.0, 1.0)
+    np.testing.assert_allclose(model.opacity_logits, before, rtol=1e-6)

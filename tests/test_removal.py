@@ -84,7 +84,7 @@ def test_a_lambda_above_every_saliency_is_refused_at_once():
 def test_those_of_lowest_removal_error_go_first(monkeypatch):
     monkeypatch.setattr(settings, "USUAL_STEPS", 1)
     monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
-    monkeypatch.setattr(removal, "lowering", lambda steps: 1.0)
+    monkeypatch.setattr(removal, "lowering", lambda steps: (1.0, 1.0))
     run = run_of(replace(prune_settings("removal", 32, 0), target=15))
     run.advance()  # one step, and the first look
     left = set(run.model.origin)
@@ -163,9 +163,12 @@ def test_nothing_but_the_image_loss_acts_on_those_that_stay():
     run.close()
 
 
-@pytest.mark.parametrize(("steps", "factor"), [(0, 1), (5, 1), (60, 1), (240, 0.5), (960, 0.25), (6_000, 0.1), (100_000, 0.1)])
-def test_the_more_steps_can_raise_opacities_the_lower_they_begin(steps, factor):
-    assert removal.lowering(steps) == pytest.approx(factor)
+@pytest.mark.parametrize(
+    ("steps", "factor", "odds"),
+    [(0, 1, 1), (30, 1, 0.1**0.5), (60, 1, 0.1), (240, 0.5, 0.1), (960, 0.25, 0.1), (6_000, 0.1, 0.1), (100_000, 0.1, 0.1)],
+)
+def test_the_more_steps_can_raise_opacities_the_lower_they_begin(steps, factor, odds):
+    assert removal.lowering(steps) == pytest.approx((factor, odds))
 
 
 def test_opacities_are_lowered_before_the_first_step_but_not_of_what_no_view_sees():
@@ -177,10 +180,34 @@ def test_opacities_are_lowered_before_the_first_step_but_not_of_what_no_view_see
     run._prepare(*run.phase())
     before, after = (1 / (1 + np.exp(-values.astype(float))) for values in (scene.opacity_logits, run.model.opacity_logits))
     run.close()
-    factor = removal.lowering(240 * seen.mean() / len(run.training_cameras))
-    assert 0.4 < factor < 0.7
-    np.testing.assert_allclose(after[3:], factor * before[3:], rtol=1e-5)
+    factor, odds = removal.lowering(240 * seen.mean() / len(run.training_cameras))
+    assert 0.4 < factor < 0.7 and odds == 0.1
+    lower = factor * before[3:]
+    np.testing.assert_allclose(after[3:] / (1 - after[3:]), odds * lower / (1 - lower), rtol=1e-5)
     np.testing.assert_array_equal(run.model.opacity_logits[:3], scene.opacity_logits[:3])
+
+
+@pytest.mark.parametrize(("steps", "soon"), [(8_000, 150), (200, 100)])
+def test_lowered_opacities_may_rise_faster_at_first(steps, soon):
+    run = run_of(replace(prune_settings("removal", steps, 0), target=15))
+    phase, _ = run.phase()
+    last = phase.rates.at(1, 1.0)["opacity_logits"]
+    for lowered, factors in ((True, [8 - 7 / soon, 4.5, 1, 1]), (False, [1, 1, 1, 1])):
+        run.method.lowered = lowered
+        found = [run.method.rates(run, phase, number)["opacity_logits"] / last for number in (1, soon // 2, soon, steps)]
+        assert found == pytest.approx(factors)
+    run.close()
+
+
+@pytest.mark.parametrize(("opaque", "more", "lowered"), [(3, {"target": 15}, True), (2, {"target": 15}, False), (3, {"max_drop": 1.0}, False)])
+def test_nothing_is_lowered_with_an_allowed_drop_nor_where_few_gaussians_are_opaque(opaque, more, lowered):
+    scene, data = scene_and_data()
+    scene.opacity_logits[:] = np.where(np.arange(COUNT) < opaque, 2.2, 2.1)  # opacities 0.900 and 0.891
+    run = Run(Model.of(scene), data, replace(prune_settings("removal", 32, 0), **more), NativeEngine())
+    run._prepare(*run.phase())
+    run.close()
+    assert run.method.lowered == run.method.state()["lowered"] == lowered
+    assert (run.model.opacity_logits == scene.opacity_logits).all() != lowered
 
 
 def test_only_the_first_step_lowers_opacities():

@@ -79,10 +79,11 @@ def reset_opacity(model: Model):
     model.moments["opacity_logits"][:] = 0
 
 
-def lower_opacity(model: Model, factor: np.ndarray):
-    """Multiplies each opacity by its factor (N,) in (0, 1]; the moments of the logits become 0. With o = 1 / (1 + exp(-l)) the new logit is
-    log(factor o / (1 - factor o)) = log factor - log(exp(-l) + 1 - factor)."""
+def lower_opacity(model: Model, rows: np.ndarray, factor: float, odds: float):
+    """Lowers the opacities o of the rows (N,) bool: o becomes factor o, then its odds o / (1 - o) are multiplied by `odds`, both in (0, 1]. The moments
+    of all logits become 0. With o = 1 / (1 + exp(-l)) the new logit is log factor - log(exp(-l) + 1 - factor) + log odds."""
     logits = model.opacity_logits.astype(np.float64)
     with np.errstate(divide="ignore"):  # log(1 - factor) of a factor of 1, which leaves a logit as it is
-        model.values["opacity_logits"][:] = np.log(factor) - np.logaddexp(-logits, np.log1p(-factor))
+        lowered = np.log(factor) - np.logaddexp(-logits, np.log1p(-factor)) + np.log(odds)
+    np.copyto(model.values["opacity_logits"], lowered, where=rows, casting="same_kind")
     model.moments["opacity_logits"][:] = 0

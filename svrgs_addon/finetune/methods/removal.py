@@ -8,7 +8,8 @@ takes larger steps, else they would not get there, and so does one that keeps fe
 stretch Gaussians that few views see.
 
 Before the first look all opacities are lowered once; after that nothing but the image loss acts on a Gaussian. What the photographs need, the
-steps raise again; what only fitted a few photographs too closely stays faint, and is removed.
+steps raise again, with larger steps at first; what only fitted a few photographs too closely stays faint, and is removed. A scene whose opacities
+were kept low in training, as MCMC does, is left as it is.
 
 With an allowed drop, each look keeps the fewest Gaussians that hold its share of the drop.
 """
@@ -23,6 +24,7 @@ import numpy as np
 
 from .. import masks
 from ..densify import lower_opacity
+from ..model import Model
 from ..quality import fewest_within
 from ..saliency import removal_errors, saliency, views_that_see
 from ..scores import top
@@ -33,9 +35,11 @@ LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
 STEPS_PER_LOOK = 36  # a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few steps
 SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
 MANY = 0.25  # share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to settings.LARGEST
-FAINTEST = 0.1  # least factor by which opacities are lowered before the phase
-RISING = 60  # steps; if a Gaussian is seen in no more steps of the phase than this, nothing is lowered
+FAINTEST, LEAST_ODDS = 0.1, 0.1  # least factors by which opacities, and then their odds, are lowered before the phase
+OPAQUE, OPAQUE_SHARE = 0.9, 0.05  # if fewer Gaussians than this share are so opaque, opacities were kept low in training: nothing is lowered
+RISING = 60  # steps of the phase that see a Gaussian; with more, opacities are lowered too; with fewer, their odds less
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
+SOONER, SOON = 8, 150  # factor on this rate at first, so that opacities rise again soon; steps in which it falls to 1, at most half the phase
 
 
 @dataclass
@@ -47,6 +51,7 @@ class Removal(Method):
     lambda_f_help: str = field(default="the saliency above which a Gaussian stays", repr=False)
     supports_max_drop: bool = True
     count: int = 0  # state: number of Gaussians before the first look
+    lowered: bool = False  # state: whether opacities were lowered
 
     def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
         """Plain 3DGS, then in the last 8/23 of the iterations removal, then recovery, as in `svrgs prune`."""
@@ -69,6 +74,8 @@ class Removal(Method):
         rates = super().rates(run, phase, number)
         if phase.densify:
             return rates
+        if phase.active and self.lowered:
+            rates = rates | {"opacity_logits": rates["opacity_logits"] * _sooner(phase.steps, number)}
         more, already = sqrt(max(1.0, MANY * self.count / run.model.count)), phase.rates.scale / Rates().scale
         larger = {name: min(more, max(1.0, LARGEST / already)) for name in ("log_scales", "quats", "sh", "sh_rest")}
         larger["means"] = min(more, max(1.0, LARGEST_OF_POSITION / already))
@@ -88,10 +95,12 @@ class Removal(Method):
     def prepare(self, run: RunView, phase: Phase, number: int):
         """Before the first step, lowers the opacities of the Gaussians that a view sees. Not with an allowed drop: the first looks would measure the
         lowered opacities as a loss of PSNR."""
-        if number == 1 and not run.settings.max_drop:
-            seen = views_that_see(run.model, run.training_cameras, run.rasterizer, run.score_options)
-            steps = phase.steps * seen.mean() / len(run.training_cameras)
-            lower_opacity(run.model, np.where(seen, lowering(steps), 1.0))
+        if number == 1:
+            self.lowered = not run.settings.max_drop and _has_opaque(run.model)
+            if self.lowered:
+                seen = views_that_see(run.model, run.training_cameras, run.rasterizer, run.score_options)
+                steps = phase.steps * seen.mean() / len(run.training_cameras)
+                lower_opacity(run.model, seen > 0, *lowering(steps))
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         """A look after the first step of each of number_of_looks() equal parts of the phase."""
@@ -118,10 +127,10 @@ class Removal(Method):
         return [(0.0, 1.0)] * before + [(k / looks, share ** sqrt((k + 1) / looks)) for k in range(looks)]
 
     def state(self) -> dict:
-        return {"count": self.count}
+        return {"count": self.count, "lowered": self.lowered}
 
     def restore(self, state: dict):
-        self.count = state["count"]
+        self.count, self.lowered = state["count"], state.get("lowered", False)
 
 
 def number_of_looks(steps: int) -> int:
@@ -129,10 +138,21 @@ def number_of_looks(steps: int) -> int:
     return min(LOOKS, max(FEWEST, steps // STEPS_PER_LOOK), steps)
 
 
-def lowering(steps: float) -> float:
-    """The factor on opacities before the phase, FAINTEST to 1. steps: the number of steps of the phase that see a Gaussian, in the mean. More steps can
-    raise opacities further again, so with more steps the factor is smaller."""
-    return max(FAINTEST, sqrt(min(1.0, RISING / max(steps, 1e-9))))
+def _has_opaque(model: Model) -> bool:
+    """Whether at least OPAQUE_SHARE of the Gaussians have an opacity above OPAQUE."""
+    return np.mean(model.opacity_logits > np.log(OPAQUE / (1 - OPAQUE))) >= OPAQUE_SHARE
+
+
+def lowering(steps: float) -> tuple[float, float]:
+    """The factors on opacities and on their odds before the phase. steps: the number of steps of the phase that see a Gaussian, in the mean. More
+    steps can raise opacities further again, so with more steps the factors are smaller."""
+    share = max(steps, 1e-9) / RISING
+    return max(FAINTEST, sqrt(min(1.0, 1 / share))), LEAST_ODDS ** min(1.0, share)
+
+
+def _sooner(steps: int, number: int) -> float:
+    """The factor on the rate of opacities in step `number` of a phase of so many steps."""
+    return 1 + (SOONER - 1) * max(0.0, 1 - number / min(SOON, steps / 2))
 
 
 def _rates(phase: Phase, steps: int) -> Rates:
