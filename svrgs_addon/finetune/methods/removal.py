@@ -140,7 +140,7 @@ def number_of_looks(steps: int) -> int:
 
 def _has_opaque(model: Model) -> bool:
     """Whether at least OPAQUE_SHARE of the Gaussians have an opacity above OPAQUE."""
-    return np.mean(model.opacity_logits > np.log(OPAQUE / (1 - OPAQUE))) >= OPAQUE_SHARE
+    return bool(np.mean(model.opacity_logits > np.log(OPAQUE / (1 - OPAQUE))) >= OPAQUE_SHARE)
 
 
 def lowering(steps: float) -> tuple[float, float]:
