@@ -191,17 +191,4 @@ def sweep(rows: list[dict], charts: Path) -> str:
     return table(["scene", "loss", *(run.replace("lambda_F", "λ_F") for run in names)], lines) + "\n" + "\n".join(pictures)
 
 
-def ablation(rows: list[dict], charts: Path) -> str:
-    """The effect of each part of `removal`: PSNR at equal count."""
-    rows = [{**row, "part": row["run"].rpartition(" ")[0], "share": row["run"].rpartition(" ")[2]} for row in rows if row["study"] == "ablation"]
-    columns = groups(rows, "scene", "schedule", "shrink", "share")
-    lines = []
-    for (part,), group in groups(rows, "part").items():
-        found = {(row["scene"], row["schedule"], row["shrink"], row["share"]): row for row in group}
-        lines.append([part, *(psnr_of(found[column]) if column in found else "" for column in columns)])
-    return table(["part", *(f"{case(those[0])}, {float(those[0]['share']):.0%}" for those in columns.values())], lines)
-
-
-PARTS: dict[str, Callable[[list[dict], Path], str]] = {
-    part.__name__: part for part in (commands, pruning, few, in_time, other_figures, points, paper, sweep, ablation)
-}
+PARTS: dict[str, Callable[[list[dict], Path], str]] = {part.__name__: part for part in (commands, pruning, few, in_time, other_figures, points, paper, sweep)}

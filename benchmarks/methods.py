@@ -82,9 +82,8 @@ ABLATION = {  # name of the run: Python code that changes the program before it 
     "removal": "",
     "opacities not lowered": REMOVAL + "removal.lowering = lambda steps: (1.0, 1.0)",
     "odds of opacities not lowered": REMOVAL + "removal.LEAST_ODDS = 1.0",
-    "opacity rate the same in the whole phase": REMOVAL + "removal.SOONER = 1",
+    "opacity rate the same in the whole phase": REMOVAL + "removal.FIRST_RATE = 1",
     "8 looks": REMOVAL + "removal.LOOKS = 8",
-    "position rate of the other methods": REMOVAL + "removal.POSITION_RATE = 5e-6",
     "opacity rate of the other methods": REMOVAL + "removal.OPACITY_RATE = 0.05",
 }
 STUDIES = {

@@ -1,7 +1,7 @@
 """Iterative removal: the default method `removal`, and `saliency` (docs/methods.md, "`removal`, the default").
 
 Budget: the target, or the number of Gaussians with a saliency above lambda_F. In LOOKS looks, spread evenly over the phase, the Gaussians
-that rank lowest are removed. The first looks remove most, because what goes first is needed least; the last ones remove few. The looks
+that rank lowest are removed. The first looks remove most, because these Gaussians are needed least; the last ones remove few. The looks
 measure the ranking again, because only one of two Gaussians that can replace each other may go. Between the looks and in the recovery the
 others are trained, with the position rate that 3DGS begins with: the few that stay must move to where the others were, and grow. A short run
 takes larger steps, else they would not get there, and so does one that keeps few Gaussians, which must reach farther; otherwise large steps
@@ -39,7 +39,7 @@ FAINTEST, LEAST_ODDS = 0.1, 0.1  # least factors by which opacities, and then th
 OPAQUE, OPAQUE_SHARE = 0.9, 0.05  # if fewer Gaussians than this share are so opaque, opacities were kept low in training: nothing is lowered
 RISING = 60  # steps of the phase that see a Gaussian; with more, opacities are lowered too; with fewer, their odds less
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
-SOONER, SOON = 8, 150  # factor on this rate at first, so that opacities rise again soon; steps in which it falls to 1, at most half the phase
+FIRST_RATE, FIRST_STEPS = 8, 150  # factor on this rate at first, so that opacities rise again soon; steps in which it falls to 1, at most half the phase
 
 
 @dataclass
@@ -75,7 +75,7 @@ class Removal(Method):
         if phase.densify:
             return rates
         if phase.active and self.lowered:
-            rates = rates | {"opacity_logits": rates["opacity_logits"] * _sooner(phase.steps, number)}
+            rates = rates | {"opacity_logits": rates["opacity_logits"] * _opacity_rate_factor(phase.steps, number)}
         more, already = sqrt(max(1.0, MANY * self.count / run.model.count)), phase.rates.scale / Rates().scale
         larger = {name: min(more, max(1.0, LARGEST / already)) for name in ("log_scales", "quats", "sh", "sh_rest")}
         larger["means"] = min(more, max(1.0, LARGEST_OF_POSITION / already))
@@ -150,9 +150,9 @@ def lowering(steps: float) -> tuple[float, float]:
     return max(FAINTEST, sqrt(min(1.0, 1 / share))), LEAST_ODDS ** min(1.0, share)
 
 
-def _sooner(steps: int, number: int) -> float:
+def _opacity_rate_factor(steps: int, number: int) -> float:
     """The factor on the rate of opacities in step `number` of a phase of so many steps."""
-    return 1 + (SOONER - 1) * max(0.0, 1 - number / min(SOON, steps / 2))
+    return 1 + (FIRST_RATE - 1) * max(0.0, 1 - number / min(FIRST_STEPS, steps / 2))
 
 
 def _rates(phase: Phase, steps: int) -> Rates:
