@@ -43,14 +43,16 @@ def rendering(count: int, width: int, height: int) -> int:
     return PROJECTED * count + RENDERED_PIXEL * width * height
 
 
-def tuning(count: int, coefficients: int, cameras: Sequence[Camera], kept_photographs: int) -> int:
+def tuning(count: int, coefficients: int, cameras: Sequence[Camera], kept_photographs: int, averaged: int = 0) -> int:
     """Bytes of memory needed to fine-tune and evaluate `count` Gaussians.
 
     coefficients: SH coefficients per channel, K. cameras: all views; the largest one counts. kept_photographs: memory budget of
-    cached photographs in bytes; at most 3 bytes per pixel of all views are counted.
+    cached photographs in bytes; at most 3 bytes per pixel of all views are counted. averaged: number of those that are left when values are
+    averaged; 0 if none are.
     """
     row, moments = _trained_row(coefficients)
-    return int(row + moments + PROJECTED) * count + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + _kept(cameras, kept_photographs)
+    stages = (PROJECTED * count, (PROJECTED + row) * averaged)  # arrays keep the rows of what was removed
+    return int((row + moments) * count + max(stages) + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + _kept(cameras, kept_photographs))
 
 
 def measuring(count: int, cameras: Sequence[Camera], kept_photographs: int, lpips: bool) -> int:
@@ -81,9 +83,11 @@ def growing(count: int, added: int, coefficients: int, cameras: Sequence[Camera]
     return new * added + largest * (count + added) + MEASURED_PIXEL * _pixels(cameras)
 
 
-def checkpoint(count: int, coefficients: int) -> int:
-    """Bytes on disk of a checkpoint of `count` Gaussians. coefficients: SH coefficients per channel."""
-    return (sum(_trained_row(coefficients)) + STATISTICS) * count
+def checkpoint(count: int, coefficients: int, averaged: int = 0) -> int:
+    """Bytes on disk of the largest checkpoint of a run that has `count` Gaussians now. coefficients: SH coefficients per channel. averaged: as
+    for tuning()."""
+    row, moments = _trained_row(coefficients)
+    return max((row + moments + STATISTICS) * count, (2 * row + moments + STATISTICS) * averaged)
 
 
 def _trained_row(coefficients: int) -> tuple[int, int]:

@@ -7,6 +7,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("pycolmap")
@@ -16,7 +17,9 @@ import tiny_dataset
 from plans import prune_settings
 from svrgs_addon.errors import Cancelled, FormatError
 from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.finetune.checkpoint import read_manifest
 from svrgs_addon.jobs import train_and_prune
+from svrgs_addon.memory import checkpoint as checkpoint_bytes
 from svrgs_addon.photographs.dataset import load_dataset
 from tiny_jobs import SETTINGS, TRAINING, checkpoints, prune
 
@@ -75,6 +78,21 @@ def test_resume_with_reduced_photographs_and_views_by_loss(data, tmp_path, itera
         train_and_prune.train(data, settings, StopAt(iteration).options(tmp_path / "o.ply"), 1)
     train_and_prune.train(data, settings, train_and_prune.JobContext(tmp_path / "o.ply", resume=True), 1)
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+
+
+@pytest.mark.parametrize("iteration", [74, 76, 83, 89])
+def test_resume_while_values_are_averaged(tiny, data, tmp_path, iteration):
+    settings = replace(prune_settings("removal", 30, 60), target=12, seed=5)
+    expected = prune(tiny, data, tmp_path / "whole.ply", settings)
+    with pytest.raises(Cancelled):
+        train_and_prune.prune(tiny.splat, data, settings, StopAt(iteration).options(tmp_path / "o.ply"))
+    folder = tmp_path / "o.ply.job" / f"{iteration:07d}"
+    samples = max(0, iteration - 75)
+    assert read_manifest(folder)["averaged"] == samples
+    with np.load(folder / "arrays.npz") as arrays:
+        size, coefficients = sum(array.nbytes for name, array in arrays.items() if not name.startswith("views")), arrays["values.sh"].shape[1]
+    assert 0.95 <= size / checkpoint_bytes(12, coefficients, 12 if samples else 0) <= 1
+    assert prune(tiny, data, tmp_path / "o.ply", settings, resume=True) == expected
 
 
 def test_a_stop_at_the_last_step_finishes(tiny, data, whole, tmp_path):

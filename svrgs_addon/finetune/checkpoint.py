@@ -18,12 +18,13 @@ import numpy as np
 from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write, check_writable
 from ..files.npz import write_arrays
+from .averaging import Average
 from .densify import Statistics
 from .recovery_pruning import RecoveryPruning
 from .run import Curves, Run
 from .strength_controller import StrengthController
 
-SCHEMA = 10
+SCHEMA = 11
 KEPT = 2  # number of checkpoints that are kept
 _PARTS = ("values", "moments")
 
@@ -50,6 +51,7 @@ def save(run: Run, folder: Path, identity: str, time: dict | None = None) -> Pat
 def _write(run: Run, target: Path, identity: str, time: dict | None):
     arrays = {f"{part}.{name}": array for part in _PARTS for name, array in getattr(run.model, part).items()}
     arrays |= {"origin": run.model.origin, "statistics.total": run.statistics.total, "statistics.views": run.statistics.views}
+    arrays |= {f"average.{name}": array for name, array in run.average.values.items()}
     arrays |= {"views.losses": run.views.losses, "views.left_out": run.views.left_out}
     check_writable(target / "arrays.npz", sum(array.nbytes for array in arrays.values()))
     write_arrays(target / "arrays.npz", arrays)
@@ -62,6 +64,7 @@ def _write(run: Run, target: Path, identity: str, time: dict | None):
         "epoch": [run.views.epoch, run.views.position],
         "initial_count": run.initial_count,
         "unordered": run.unordered,
+        "averaged": run.average.samples,
         "target": run.target,
         "method": run.method.state(),
         "controller": asdict(run.controller) if run.controller else None,
@@ -114,9 +117,9 @@ def _delete_if_empty(folder: Path):
 
 def _apply(run: Run, folder: Path, manifest: dict):
     with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
-        for part in _PARTS:
-            loaded = {name.split(".", 1)[1]: arrays[name] for name in arrays if name.startswith(part + ".")}
-            setattr(run.model, part, loaded)
+        parts = {part: {name.split(".", 1)[1]: arrays[name] for name in arrays if name.startswith(part + ".")} for part in (*_PARTS, "average")}
+        run.model.values, run.model.moments = (parts[part] for part in _PARTS)
+        run.average = Average(parts["average"], manifest["averaged"])
         run.model.origin = arrays["origin"]
         run.statistics = Statistics(run.model.count)
         run.statistics.total, run.statistics.views = arrays["statistics.total"], arrays["statistics.views"]

@@ -23,6 +23,7 @@ from ..metrics.evaluate import mean_psnr
 from ..native import Rasterizer, RenderOptions
 from ..photographs.dataset import Dataset
 from . import densify, masks, mcmc
+from .averaging import Average
 from .engine import Step, StepResult
 from .model import Model
 from .nested import nested_order, size_of_step
@@ -67,6 +68,7 @@ class Run:
         self.views = Views(dataset.train_indices, settings.seed, settings.views_by_loss)
         self.initial_count = model.count
         self.unordered = 0  # Gaussians added since the rows were last put in Morton order
+        self.average = Average()
         self.curves = Curves()
         self.loss = math.nan
         self.nonfinite = 0  # rows that were not updated because their gradient was not finite
@@ -106,6 +108,7 @@ class Run:
         self.iteration += 1
         self._density_control(phase, number, step, result)
         self._prune(phase, number)
+        self._average(phase, number)
         self.between_steps = True
         self.seconds[phase.name] = self.seconds.get(phase.name, 0.0) + time.perf_counter() - started
 
@@ -280,6 +283,14 @@ class Run:
         if self.recovery_pruning and not phase.active:
             self._keep(self.recovery_pruning.cut(self, phase, number))
 
+    def _average(self, phase: Phase, number: int):
+        """Adds the values to the average if they count; at the end of the phase the average takes their place."""
+        if phase.samples(number):
+            self.average.add(self.model)
+        if number == phase.steps:
+            self.average.put_into(self.model)
+            self.average = Average()
+
     def _keep(self, keep: np.ndarray | None):
         if keep is None:
             return
@@ -287,6 +298,7 @@ class Run:
         if not keep.all():
             self.model.keep(keep)
             self.statistics = densify.Statistics(self.model.count)
+            self.average = Average()  # it begins again with those that stay
 
 
 def _densifying(phase: Phase, number: int) -> bool:

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 USUAL_STEPS = 12_800  # a run of fewer steps S takes larger ones: sqrt(12 800 / S) times the rates of 3DGS, but at most
 LARGEST, LARGEST_OF_POSITION = 4.0, 2.0
+SAMPLES = 16  # values in an average
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,7 @@ class Phase:
     sh_every: int = 0  # the SH degree rises by 1 every so many steps; 0: all bands from the start
     coarse_until: int = 0  # steps up to this one use reduced photographs
     coarse_factor: int = 2  # reduction of the first steps, per side, a power of 2; it is halved after equal numbers of steps
+    averaged: float = 0.0  # share of the steps, the last ones, over which the values are averaged; the mean is the result (averaging.py)
     label: str = field(default="", repr=False)  # what happens in the phase, as shown to users; not part of a checkpoint's identity
 
     def reduction(self, number: int) -> int:
@@ -114,6 +116,11 @@ class Phase:
         if number > self.coarse_until:
             return 1
         return self.coarse_factor >> (number - 1) * (self.coarse_factor.bit_length() - 1) // self.coarse_until
+
+    def samples(self, number: int) -> bool:
+        """Whether the values after step `number` (from 1) count in the average: about SAMPLES of the averaged steps do, the last one among them."""
+        left, averaged = self.steps - number, round(self.averaged * self.steps)
+        return left < averaged and left % max(1, averaged // SAMPLES) == 0
 
 
 @dataclass(frozen=True)
@@ -146,6 +153,10 @@ class Settings:
     @property
     def total(self) -> int:
         return sum(phase.steps for phase in self.phases)
+
+    def averaged_count(self, count: int) -> int:
+        """The number of Gaussians whose values will be averaged, of `count` in the run; `count` if it is not known how many stay. 0 if none are."""
+        return (self.target or round(self.share * count) or count) if any(phase.averaged for phase in self.phases) else 0
 
     def at(self, iteration: int) -> tuple[Phase, int]:
         """The phase of iteration 0, 1, ... of the run, and the number of the step in this phase (from 1). Raises IndexError after the last one."""

@@ -28,6 +28,7 @@ class DiskRoom:
     def __init__(self, out: Path, checkpoints: Path):
         self._out, self._folders = out, (existing_parent(Path(os.path.realpath(out)).parent), existing_parent(checkpoints.parent))
         self._coefficients, self._row = 1, 0.0  # of the scene: SH coefficients per channel, bytes per Gaussian in a file
+        self._averaged = 0  # Gaussians whose values will be averaged
         self._held: list[HeldSpace] = []
 
     def __enter__(self) -> DiskRoom:
@@ -36,15 +37,17 @@ class DiskRoom:
     def __exit__(self, *_):
         self.release()
 
-    def hold_for(self, scene: Scene, count: int):
-        """Holds room for `count` Gaussians with the columns of the scene. Raises SceneError if there is too little."""
-        self._coefficients, self._row = scene.sh.shape[1], file_size(scene) / max(1, scene.count)
+    def hold_for(self, scene: Scene, count: int, averaged: int):
+        """Holds room for `count` Gaussians with the columns of the scene. averaged: Settings.averaged_count(). Raises SceneError if there is too
+        little."""
+        self._coefficients, self._row, self._averaged = scene.sh.shape[1], file_size(scene) / max(1, scene.count), averaged
         self.hold(count)
 
     def hold(self, count: int):
         """Holds room for `count` Gaussians, in place of what was held. Raises SceneError if there is too little."""
         self.release()
-        sizes = [int(FREE_SPACE_MARGIN * size) for size in (self._row * count, memory.checkpoint(count, self._coefficients))]
+        largest_checkpoint = memory.checkpoint(count, self._coefficients, min(self._averaged, count))
+        sizes = [int(FREE_SPACE_MARGIN * size) for size in (self._row * count, largest_checkpoint)]
         result, checkpoints = self._folders
         needed = {result: sum(sizes)} if result == checkpoints else dict(zip(self._folders, sizes, strict=True))
         refuse_shortage(self._out, needed, PURPOSE)

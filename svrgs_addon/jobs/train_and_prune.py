@@ -49,11 +49,12 @@ def _train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int, room: 
         raise SceneError(CANNOT_REACH.format(plan.method.name))
     refuse_unseen_points(dataset)
     clock = Clock()
-    refuse_excess("training", len(dataset.points), (sh_degree + 1) ** 2, dataset)
+    refuse_excess("training", len(dataset.points), (sh_degree + 1) ** 2, dataset, plan)
     with clock.phase("initialise"):
         growth = plan.phases[0].densify or Densify()
         start = scene_from_points(dataset.points, dataset.point_colors, sh_degree, *growth.INITIAL)
-        room.hold_for(start, max(start.count, plan.target))
+        most = max(start.count, plan.target)
+        room.hold_for(start, most, plan.averaged_count(most))
         model = Model.of(start, copy=False)
     del start  # frees memory as soon as the model has other arrays
     run, scene = fine_tune(model, dataset, plan, job, clock, room)
@@ -81,8 +82,8 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
     with clock.phase("read"):
         source = load_scene(scene_path).scene
         refuse_unseen(source, dataset.cameras, str(scene_path))
-        refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset)
-        room.hold_for(source, source.count)
+        refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset, plan)
+        room.hold_for(source, source.count, plan.averaged_count(source.count))
     with clock.phase("evaluate before"):
         before = measured(source, dataset, job, scene_path)
         note_mismatch(source, dataset)
@@ -151,9 +152,10 @@ def refuse_unseen_points(dataset: Dataset):
         raise SceneError(f"no training view sees any of the {count:,} sparse points more than {near:g} in front of it; run COLMAP again, or scale the model up")
 
 
-def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset):
+def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, plan: Plan):
     """Raises SceneError if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH coefficients per channel."""
-    memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget))
+    averaged = plan.averaged_count(count)
+    memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget, averaged))
 
 
 def note_mismatch(scene: Scene, dataset: Dataset):

@@ -39,6 +39,8 @@ FAINTEST, LEAST_ODDS = 0.1, 0.1  # least factors by which opacities, and then th
 OPAQUE, OPAQUE_SHARE = 0.9, 0.05  # if fewer Gaussians than this share are so opaque, opacities were kept low in training: nothing is lowered
 RISING = 60  # steps of the phase that see a Gaussian; with more, opacities are lowered too; with fewer, their odds less
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
+POSITION_LAST = 5e-5  # learning rate of positions at the end of the recovery
+AVERAGED = 0.25  # share of the recovery, its last steps, over which the values are averaged
 FIRST_RATE, FIRST_STEPS = 8, 150  # factor on this rate at first, so that opacities rise again soon; steps in which it falls to 1, at most half the phase
 
 
@@ -61,7 +63,7 @@ class Removal(Method):
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         looks = [Phase("prune", iterations, Rates(opacity=OPACITY_RATE), active=True, prune_every=0, label=REMOVE)] if iterations else []
-        return [*looks, *super().prune_phases(iterations, recovery, prune_every)]
+        return [*looks, *(replace(phase, averaged=AVERAGED) for phase in super().prune_phases(iterations, recovery, prune_every))]
 
     def paced(self, phases: list[Phase]) -> list[Phase]:
         """Also of the phase and the recovery: they begin with the rates of a training with as many steps."""
@@ -156,9 +158,10 @@ def _opacity_rate_factor(steps: int, number: int) -> float:
 
 
 def _rates(phase: Phase, steps: int) -> Rates:
-    """The rates of the phase or of the recovery, which have so many steps together. In the phase the rate of position does not fall."""
+    """The rates of the phase or of the recovery, which have so many steps together. The rate of position does not fall in the phase, and less than in
+    3DGS in the recovery, because its values are averaged."""
     rates = rates_for(steps, phase.rates)
-    return replace(rates, position_last=rates.position_first) if phase.active else rates
+    return replace(rates, position_last=rates.position_first if phase.active else POSITION_LAST)
 
 
 METHODS = (

@@ -1,0 +1,37 @@
+"""The mean of all values over the last steps of a phase (iterate averaging, Polyak and Juditsky 1992), which becomes the result.
+
+Each step follows one view, so the values keep moving about the best ones. Their mean lies nearer to these than the last of them does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .model import BLOCK_ROWS, PARAMETERS, Model
+
+
+@dataclass
+class Average:
+    """The mean of the values of a model, whose rows must stay the same. values: arrays as in Model, by name, and their dtype."""
+
+    values: dict[str, np.ndarray] = field(default_factory=dict)
+    samples: int = 0
+
+    def add(self, model: Model):
+        """Adds the present values: mean_k = mean_(k-1) + (x_k - mean_(k-1)) / k. It works in blocks of rows, without large temporary arrays."""
+        self.samples += 1
+        if not self.values:
+            self.values = {name: getattr(model, name).copy() for name in PARAMETERS}
+            return
+        for name, mean in self.values.items():
+            array = getattr(model, name)
+            for start in range(0, len(mean), BLOCK_ROWS):
+                rows = slice(start, start + BLOCK_ROWS)
+                mean[rows] += (array[rows] - mean[rows]) / self.samples
+
+    def put_into(self, model: Model):
+        """Gives the model the mean values."""
+        for name, mean in self.values.items():
+            getattr(model, name)[:] = mean
