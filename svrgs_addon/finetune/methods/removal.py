@@ -11,6 +11,8 @@ Before the first look all opacities are lowered once; after that nothing but the
 steps raise again, with larger steps at first; what only fitted a few photographs too closely stays faint, and is removed. A scene whose opacities
 were kept low in training, as MCMC does, is left as it is.
 
+The result is the mean of the values over the last steps, which keep moving about the best ones because the steps are large.
+
 With an allowed drop, each look keeps the fewest Gaussians that hold its share of the drop.
 """
 
