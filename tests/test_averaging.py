@@ -32,7 +32,7 @@ def copied(model: Model) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_it_is_the_mean(monkeypatch, dtype):
-    monkeypatch.setattr(averaging, "BLOCK_ROWS", 7)
+    monkeypatch.setattr(averaging, "ROWS", 7)
     model, rng, average, seen = Model.of(scenes.random_scene(30, 2, 1), dtype), np.random.default_rng(1), Average(), []
     for _ in range(20):
         for name in PARAMETERS:

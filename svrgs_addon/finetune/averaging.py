@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .model import BLOCK_ROWS, PARAMETERS, Model
+from .model import PARAMETERS, Model
+
+ROWS = 8_192  # Gaussians that are worked on at a time, so that they fit into a cache
 
 
 @dataclass
@@ -20,15 +22,15 @@ class Average:
     samples: int = 0
 
     def add(self, model: Model):
-        """Adds the present values: mean_k = mean_(k-1) + (x_k - mean_(k-1)) / k. It works in blocks of rows, without large temporary arrays."""
+        """Adds the present values: mean_k = mean_(k-1) + (x_k - mean_(k-1)) / k. It works in blocks of rows: it is faster, and needs little memory."""
         self.samples += 1
         if not self.values:
             self.values = {name: getattr(model, name).copy() for name in PARAMETERS}
             return
         for name, mean in self.values.items():
             array = getattr(model, name)
-            for start in range(0, len(mean), BLOCK_ROWS):
-                rows = slice(start, start + BLOCK_ROWS)
+            for start in range(0, len(mean), ROWS):
+                rows = slice(start, start + ROWS)
                 mean[rows] += (array[rows] - mean[rows]) / self.samples
 
     def put_into(self, model: Model):
