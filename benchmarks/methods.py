@@ -62,8 +62,8 @@ RIVALS = (
     "opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns",
     "gaussianpop", "popspa", "speedy", "minisplatting", "reduced3dgs", "efficientgs", "rdo",
 )  # fmt: skip
-LIMITS = (10, 30, 60, 120, 300)  # seconds
-IN_TIME = ("removal", "saliency", "gaussianpop", "lightgaussian", "maskgs", "gns")
+LIMITS = (10, 30, 60, 120)  # seconds
+IN_TIME = ("removal", "maskgs", "gns", "speedy")
 OURS = ("svr", "svr-self", "svr-even", "saliency", "removal")
 AS_MANY_STEPS = ["--recovery", "8000"]  # for methods that only recover: 3 000 + 5 000, as many steps as the others
 
