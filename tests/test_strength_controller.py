@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -15,8 +14,9 @@ import tiny_dataset
 from plans import prune_settings
 from svrgs_addon.errors import SceneError
 from svrgs_addon.files.registry import load_scene
-from svrgs_addon.finetune import checkpoint, recovery_pruning, strength_controller
+from svrgs_addon.finetune import checkpoint, recovery_pruning
 from svrgs_addon.finetune.engine import NativeEngine
+from svrgs_addon.finetune.methods import method_named
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.recovery_pruning import RecoveryPruning
 from svrgs_addon.finetune.run import Run
@@ -56,19 +56,22 @@ def test_the_goal_is_reached_whatever_the_scene_is_like(monkeypatch, ease, dead,
     assert plant.q == pytest.approx(1.0, abs=0.08)
 
 
-def test_the_strength_stays_within_limits(monkeypatch):
-    steered, phase = StrengthController(start=1.0), Phase("prune", STEPS, Rates(), active=True)
+@pytest.mark.parametrize(("method", "largest"), [("svr", 10), ("maskgs", 1e4)])
+def test_the_strength_stays_within_limits(monkeypatch, method, largest):
+    settings, phase = Settings((), target=5), Phase("prune", STEPS, Rates(), active=True)
+    steered = controller_for(settings, True, method_named(method).largest_strength)
+    steered.start = 1.0
     monkeypatch.setattr(StrengthController, "progress", lambda self, run, settled: 0.0)
     for number in range(1, STEPS + 1):
         steered.after_step(Plant(1, 0, 1), phase, number)
-    assert steered.strength == pytest.approx(math.exp(strength_controller.LIMIT))
+    assert steered.strength == pytest.approx(largest)
 
 
 @pytest.mark.parametrize(("changes", "steered"), [({}, False), ({"target": 5}, True), ({"share": 0.5}, True), ({"max_drop": 0.5}, True)])
 def test_only_what_is_asked_for_is_steered(changes, steered):
     settings = Settings((), **changes)
-    assert (controller_for(settings, learns_masks=True) is not None) == steered
-    assert controller_for(settings, learns_masks=False) is None
+    assert (controller_for(settings, True, 10.0) is not None) == steered
+    assert controller_for(settings, False, 10.0) is None
 
 
 def steered_run(tiny, data, method: str, steps: int = 1_200, seed: int = 3, **goal) -> Run:

@@ -59,7 +59,7 @@ class Run:
         self.model, self.dataset, self.settings, self.engine = model, dataset, settings, engine
         self.antialiased = antialiased
         self.method = copy(settings.method)
-        self.controller = controller_for(settings, self.method.learns_masks)
+        self.controller = controller_for(settings, self.method.learns_masks, self.method.largest_strength)
         self.recovery_pruning = RecoveryPruning() if settings.max_drop else None
         self.drop: float | None = None  # PSNR lost in dB, set at the end of a run that allows a drop
         self.target = settings.target  # 0: no target, or a share of a number that is not known yet

@@ -24,7 +24,7 @@ HOLD_FROM = 0.85  # share of the phase at which the line reaches 1
 AHEAD = 0.08  # share of the phase after which the wanted slope would reach the line
 GAIN = 0.8  # change of ln(strength) for an error as large as the slope of the line
 SMOOTHING = 0.5  # weight of the newest measured slope in the smoothed one
-LIMIT = math.log(1e4)  # largest |ln(strength)|
+LIMIT = math.log(1e4)  # largest |ln(strength)|, unless the method has a smaller bound
 
 
 @dataclass
@@ -32,6 +32,7 @@ class StrengthController:
     """The controller. Its fields are its whole state; a checkpoint stores them."""
 
     log_strength: float = 0.0
+    largest: float = LIMIT  # of log_strength
     start: float = 0.0  # n_0, or the PSNR in dB at the start
     begun: int = 0  # t_0: step at which the line starts; 0: not yet
     last: float = 0.0  # q at the last update
@@ -67,7 +68,7 @@ class StrengthController:
         length = max(HOLD_FROM * phase.steps - self.begun, ahead)
         line = min((number + ahead - self.begun) / length, 1.0)
         error = ((line - self.last) / ahead - self.slope) * length
-        self.log_strength = min(max(self.log_strength + GAIN * min(max(error, -1.0), 1.0), -LIMIT), LIMIT)
+        self.log_strength = min(max(self.log_strength + GAIN * min(max(error, -1.0), 1.0), -LIMIT), self.largest)
 
     def progress(self, run: RunView, settled: float) -> float:
         """q. For a target, n is a weighted mean: the number that would stay by the masks alone (weight `settled`, which rises from 0 to 1)
@@ -80,7 +81,7 @@ class StrengthController:
         return math.log(self.start / max(count, 1.0)) / math.log(self.start / run.target)
 
 
-def controller_for(settings: Settings, learns_masks: bool) -> StrengthController | None:
+def controller_for(settings: Settings, learns_masks: bool, largest_strength: float) -> StrengthController | None:
     """The controller of a run. None without a target, share or max_drop, and for methods that learn no masks."""
     asked = settings.target or settings.share or settings.max_drop
-    return StrengthController() if learns_masks and asked else None
+    return StrengthController(largest=math.log(largest_strength)) if learns_masks and asked else None

@@ -38,6 +38,7 @@ class Method:
     share: float = 0.0  # share of the Gaussians to keep without a target
     prunes: bool = True
     learns_masks: bool = False
+    largest_strength: float = 1e4  # bound on the factor that strength_controller.py puts on lambda_F and lambda_m
     ranks: bool = False  # decides by score() alone
     supports_max_drop: bool = False  # --max-drop is allowed
     first_cut: bool = False  # `svrgs prune` starts by removing Gaussians whose alpha T is small in every view

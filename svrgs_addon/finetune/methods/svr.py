@@ -17,6 +17,7 @@ class SVR(Masked):
     """The method. mask_kind chooses F and its gradient."""
 
     mask_kind: str = "svr"
+    largest_strength: float = 10.0  # with more, the image loss no longer says which masks stay
     lambda_f: float = 1e-4
     lambda_f_help: str = field(default=WEIGHT, repr=False)
 
