@@ -95,7 +95,7 @@ def pruning(rows: list[dict], charts: Path) -> str:
     lines, pictures = [], []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         first, before = those[0], those[0]["before"]
-        name = f"pareto-{first['scene']}-{first['schedule']:g}-{first['start']}"
+        name = f"pareto-{first['scene']}-{first['schedule']:g}-{first['start']}-{first['trained']:g}"
         curves = {method: sorted((row["count"], row["psnr"]) for row in group) for (method,), group in groups(those, "method").items()}
         pareto_chart(curves, (before["count"], before["psnr"]), case(first), charts / f"{name}.svg")
         pictures.append(f"![{case(first)}](results/{name}.svg)\n")
