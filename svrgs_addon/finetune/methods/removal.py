@@ -41,9 +41,9 @@ FAINTEST, LEAST_ODDS = 0.1, 0.1  # least factors by which opacities, and then th
 OPAQUE, OPAQUE_SHARE = 0.9, 0.05  # if fewer Gaussians than this share are so opaque, opacities were kept low in training: nothing is lowered
 RISING = 60  # steps of the phase that see a Gaussian; with more, opacities are lowered too; with fewer, their odds less
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
+FIRST_RATE, FIRST_STEPS = 8, 150  # factor on this rate at first, so that opacities rise again soon; steps in which it falls to 1, at most half the phase
 POSITION_LAST = 5e-5  # learning rate of positions at the end of the recovery
 AVERAGED = 0.25  # share of the recovery, its last steps, over which the values are averaged
-FIRST_RATE, FIRST_STEPS = 8, 150  # factor on this rate at first, so that opacities rise again soon; steps in which it falls to 1, at most half the phase
 
 
 @dataclass
