@@ -91,7 +91,7 @@ def test_resume_while_values_are_averaged(tiny, data, tmp_path, iteration):
     assert read_manifest(folder)["averaged"] == samples
     with np.load(folder / "arrays.npz") as arrays:
         size, coefficients = sum(array.nbytes for name, array in arrays.items() if not name.startswith("views")), arrays["values.sh"].shape[1]
-    assert 0.95 <= size / checkpoint_bytes(12, coefficients, 12 if samples else 0) <= 1
+    assert 0.9 <= size / checkpoint_bytes(12, coefficients, 12 if samples else 0) <= 1  # the estimate has room for existence logits
     assert prune(tiny, data, tmp_path / "o.ply", settings, resume=True) == expected
 
 
