@@ -46,8 +46,8 @@ Their splats were trained again for the forecast, with the same command, which g
 {fit}
 ## Light, Balanced and Small
 
-The goals of the panel, with the default method. Forecast and run have the same file. demo, lund and brighton were trained for 3 000 steps
-(`svrgs train --schedule 0.1`).
+The goals of the panel, with the default method. Forecast and run have the same file. The scenes were trained for 3 000 steps
+(`svrgs train --schedule 0.1`), with photographs of a half, snowmiku of a quarter.
 
 {strengths}
 ## Other numbers of steps
