@@ -95,7 +95,7 @@ def pruning(rows: list[dict], charts: Path) -> str:
     lines, pictures = [], []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         first, before = those[0], those[0]["before"]
-        name = f"pareto-{first['scene']}-{first['schedule']:g}-{first['start']}-{first['trained']:g}"
+        name = f"pareto-{first['scene']}-{first['shrink']}-{first['schedule']:g}-{first['start']}-{first['trained']:g}"
         curves = {method: sorted((row["count"], row["psnr"]) for row in group) for (method,), group in groups(those, "method").items()}
         pareto_chart(curves, (before["count"], before["psnr"]), case(first), charts / f"{name}.svg")
         pictures.append(f"![{case(first)}](results/{name}.svg)\n")
@@ -182,10 +182,10 @@ def sweep(rows: list[dict], charts: Path) -> str:
     lines, pictures = [], []
     sweeps = [row for row in rows if row["run"].startswith("lambda_F")]
     names = sorted({row["run"] for row in sweeps}, key=lambda run: float(run.split()[1]))
-    for (scene, schedule, _, loss), those in by_loss(sweeps, LOSSES).items():
+    for (scene, schedule, shrink, loss), those in by_loss(sweeps, LOSSES).items():
         found = {row["run"]: row for row in those}
         lines.append([case(those[0]), loss, *(counted(found[run]) if run in found else "" for run in names)])
-        name = f"lambda-{scene}-{schedule:g}-{loss}"
+        name = f"lambda-{scene}-{shrink}-{schedule:g}-{loss}"
         curve_chart([(run.replace("lambda_F", "λ_F"), found[run]["curves"]) for run in names if run in found], case(those[0]), charts / f"{name}.svg")
         pictures.append(f"![{case(those[0])}, {loss} loss](results/{name}.svg)\n")
     return table(["scene", "loss", *(run.replace("lambda_F", "λ_F") for run in names)], lines) + "\n" + "\n".join(pictures)

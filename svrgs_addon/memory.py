@@ -51,8 +51,8 @@ def tuning(count: int, coefficients: int, cameras: Sequence[Camera], kept_photog
     averaged; 0 if none are.
     """
     row, moments = _trained_row(coefficients)
-    stages = (PROJECTED * count, (PROJECTED + row) * averaged)  # arrays keep the rows of what was removed
-    return int((row + moments) * count + max(stages) + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + _kept(cameras, kept_photographs))
+    besides = max(PROJECTED * count, (PROJECTED + row) * averaged)  # at first, and at the end; removed rows stay allocated
+    return int((row + moments) * count + besides + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + _kept(cameras, kept_photographs))
 
 
 def measuring(count: int, cameras: Sequence[Camera], kept_photographs: int, lpips: bool) -> int:

@@ -1,4 +1,4 @@
-"""The mean of the values over the last steps of a phase: what it is, which steps count, where it begins again, what it needs."""
+"""The mean of the values over the last steps of a phase: its value, the steps that count, removed Gaussians, memory and disk."""
 
 from __future__ import annotations
 

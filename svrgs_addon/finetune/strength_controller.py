@@ -32,7 +32,7 @@ class StrengthController:
     """The controller. Its fields are its whole state; a checkpoint stores them."""
 
     log_strength: float = 0.0
-    largest: float = LIMIT  # of log_strength
+    largest: float = LIMIT  # upper bound of log_strength
     start: float = 0.0  # n_0, or the PSNR in dB at the start
     begun: int = 0  # t_0: step at which the line starts; 0: not yet
     last: float = 0.0  # q at the last update
