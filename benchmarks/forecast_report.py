@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from statistics import median
 
-from svrgs_addon.jobs.quality_forecast import HALVED, psnr_after
+from svrgs_addon.finetune.quality import HALVED, psnr_after
 
 FITTED = ("demo", "lund")  # the scenes on which the numbers are fitted; the other two test them
 PAGE = """# How near the foreseen quality comes

@@ -8,10 +8,11 @@ import pytest
 from plans import prune_settings
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import scores
+from svrgs_addon.finetune.quality import HALVED, psnr_after, psnr_removed
 from svrgs_addon.jobs import quality_forecast
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.jobs.quality_forecast import HALVED, LEAST_STEPS, forecast, psnr_after, spread
+from svrgs_addon.jobs.quality_forecast import LEAST_STEPS, forecast, spread
 from svrgs_addon.jobs.run_job import prune_scene
 from svrgs_addon.metrics.evaluate import mean_psnr, render_options
 from svrgs_addon.native import Rasterizer
@@ -66,6 +67,11 @@ def test_a_removal_without_steps_wins_nothing_back():
     errors = [10 ** (-psnr_after(30, 20, steps, 12) / 10) - 1e-3 for steps in (0, 12, 36)]
     assert errors == pytest.approx([9e-3, 9e-3 / 2, 9e-3 / 4]), "half of the added error after 12 steps"
     assert psnr_after(30, 20, 800, 12) < psnr_after(30, 20, 8000, 12) < 30
+
+
+def test_the_law_backwards_gives_the_removal_that_loses_so_much():
+    for steps, after in ((0, 29.0), (800, 29.5), (8000, 27.0)):
+        assert psnr_after(30, psnr_removed(30, after, steps, 10), steps, 10) == pytest.approx(after)
 
 
 def test_a_removal_that_makes_the_views_better_promises_nothing():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -14,10 +15,11 @@ import tiny_dataset
 from plans import prune_settings
 from svrgs_addon.errors import SceneError
 from svrgs_addon.files.registry import load_scene
-from svrgs_addon.finetune import checkpoint, recovery_pruning
+from svrgs_addon.finetune import checkpoint, quality, recovery_pruning
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import method_named
 from svrgs_addon.finetune.model import Model
+from svrgs_addon.finetune.quality import fewest_within
 from svrgs_addon.finetune.recovery_pruning import RecoveryPruning
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates, Settings
@@ -107,7 +109,7 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     assert 0.1 < sorted(drops)[5] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 7, drops
 
 
-@pytest.mark.parametrize(("method", "allowed"), [("removal", 0.5), ("removal", 2.0), ("svr", 0.5), ("svr", 2.0), ("gns", 2.0)])
+@pytest.mark.parametrize(("method", "allowed"), [("removal", 0.2), ("removal", 0.4), ("svr", 0.5), ("svr", 1.0), ("gns", 1.0)])
 def test_what_the_recovery_wins_back_is_spent(tiny, data, tmp_path, method, allowed):
     """One Gaussian of this tiny scene can be worth tenths of a dB."""
     settings = replace(prune_settings(method, 300, 200), max_drop=allowed)
@@ -127,7 +129,7 @@ def test_more_is_cut_where_more_is_won_back():
 
 @pytest.mark.parametrize("stop", [501, 650, 651, 790])
 def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, tmp_path, stop):
-    settings = replace(prune_settings("removal", 500, 300), max_drop=3.0)
+    settings = replace(prune_settings("removal", 500, 300), max_drop=0.2)
     whole, first, second = (Run(Model.of(load_scene(tiny.splat).scene), data, settings, NativeEngine()) for _ in range(3))
     while first.iteration < stop:
         first.advance()
@@ -169,3 +171,26 @@ def test_the_command_line_reaches_the_drop(tiny, svrgs, tmp_path):
     assert result["count"] < tiny_dataset.COUNT and result["target"] is None and result["strength"] > 0
     refused = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.5, *words)
     assert refused.status == 2 and "not allowed with" in refused.err
+
+
+def test_an_allowed_drop_keeps_a_twentieth_at_least_and_needs_photographs_that_show_something(tiny, data):
+    run = Run(Model.of(load_scene(tiny.splat).scene), data, replace(prune_settings("removal", 60, 0), max_drop=1.0), NativeEngine())
+    assert fewest_within(run, np.arange(run.model.count), -10.0).sum() == math.ceil(quality.LEAST * run.model.count)
+    run.recovery_pruning.before_step(run)
+    black = replace(run.settings, max_drop=60.0)
+    with pytest.raises(SceneError, match="photographs that are black or show another scene"):
+        RecoveryPruning().before_step(Run(Model.of(load_scene(tiny.splat).scene), data, black, NativeEngine()))
+
+
+def test_a_drop_is_measured_on_test_views_and_on_training_views_if_there_are_none(data):
+    assert quality.quality_views(data) == data.test_indices and data.test_indices
+    assert quality.quality_views(replace(data, test_indices=[])) == data.train_indices
+    many = quality.quality_views(replace(data, test_indices=list(range(100))))
+    assert len(many) == len(set(many)) == quality.VIEWS and many[0] == 0 and many[-1] >= 93
+
+
+def test_a_drop_counts_from_the_scene_before_its_first_cut(tiny, data, tmp_path):
+    settings = replace(prune_settings("svr", 60, 0), max_drop=6.0, min_contribution=0.2)
+    result = train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply"))
+    assert result["first_cut"] > 20
+    assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)

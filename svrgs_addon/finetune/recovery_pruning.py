@@ -9,19 +9,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from .masks import refuse_emptying
 from .quality import fewest_within
 from .run_view import Keep, RunView
 from .saliency import removal_errors
 from .settings import Phase
 
-CUTS = (0.25, 0.5, 0.75, 0.9)  # shares of the recovery's steps
-RECOVERED, DECAY = 0.65, 0.93  # share of a cut's loss that is won back: assumed for the first cut, at most for later ones; factor per cut
-DEEPEST = 1.5  # dB that a cut may go below the allowed PSNR
+CUTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)  # shares of the recovery's steps
+RECOVERED, DECAY = 0.75, 0.93  # share of a cut's loss that is won back: assumed for the first cut, at most for later ones; factor per cut
+DEEPEST = 2.0  # dB that a cut may go below the allowed PSNR
 
 
 @dataclass
 class RecoveryPruning:
-    """Decides the cuts. Its state is three PSNRs in dB on a few training views (RunView.psnr): before the first step of the run,
+    """Decides the cuts. Its state is three PSNRs in dB on a few views (RunView.psnr): before the run and its first cut,
     before the last cut, after the last cut."""
 
     start: float = 0.0
@@ -29,9 +32,13 @@ class RecoveryPruning:
     after_cut: float = 0.0
 
     def before_step(self, run: RunView):
-        """Measures the PSNR before the first step of the run."""
-        if not self.start:
-            self.start = run.psnr(None)
+        """Before the first step of the run it measures the PSNR, unless that of the scene before a first cut is known. Raises SceneError if a scene
+        without Gaussians holds the allowed drop."""
+        if run.iteration:
+            return
+        self.start, nobody = self.start or run.psnr(None), np.zeros(run.model.count, bool)
+        if run.psnr(nobody) >= self.start - run.settings.max_drop:
+            refuse_emptying(nobody, run.initial_count)
 
     def cut(self, run: RunView, phase: Phase, number: int) -> Keep:
         """(N,) bool: the Gaussians that stay after step `number` of the recovery. None: all, because no cut is due or no dB are to spare."""

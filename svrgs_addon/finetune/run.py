@@ -194,8 +194,8 @@ class Run:
         return self.engine.rasterizer
 
     def psnr(self, kept: np.ndarray | None) -> float:
-        views = quality_views(self.dataset.train_indices)
-        return mean_psnr(self.model, self.dataset, views, self.rasterizer, self.score_options, None if kept is None else kept.astype(np.uint8))
+        views, masks_of_kept = quality_views(self.dataset), None if kept is None else kept.astype(np.uint8)
+        return mean_psnr(self.model, self.dataset, views, self.rasterizer, self.score_options, masks_of_kept)
 
     def current_mask(self) -> np.ndarray | None:
         return self.method.current_mask(self.model)

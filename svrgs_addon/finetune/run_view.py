@@ -36,7 +36,7 @@ class RunView(Protocol):
 
     @property
     def psnr_before(self) -> float:
-        """PSNR in dB on a few training views before the first step. 0 if the settings allow no drop: then it is not measured."""
+        """PSNR in dB on a few views (quality_views) before the first step. 0 if the settings allow no drop: then it is not measured."""
 
     @property
     def training_cameras(self) -> list[Camera]:
@@ -51,7 +51,7 @@ class RunView(Protocol):
         """Options for scores: all SH bands, no spatial mask."""
 
     def psnr(self, kept: Keep) -> float:
-        """PSNR in dB on a few training views, rendered with the Gaussians `kept` (N,) bool; None: with all."""
+        """PSNR in dB on a few views (quality_views), rendered with the Gaussians `kept` (N,) bool; None: with all."""
 
     def current_mask(self) -> Keep:
         """(N,) bool: the Gaussians that would stay if the method decided now and had no target."""

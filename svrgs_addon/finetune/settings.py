@@ -142,7 +142,7 @@ class Settings:
     target: int = 0  # Gaussians to keep when the method decides; 0: no target
     share: float = 0.0  # instead of a target: share of the Gaussians that exist when densification has ended
     nested: float = 0.0  # share of the Gaussians down to which smaller numbers are trained too (nested.py); 0: none
-    max_drop: float = 0.0  # instead of a target: PSNR in dB that may be lost at the end, on a few training views
+    max_drop: float = 0.0  # instead of a target: PSNR in dB that may be lost at the end, on a few views (quality.py)
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property

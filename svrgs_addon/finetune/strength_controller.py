@@ -47,7 +47,7 @@ class StrengthController:
     def before_step(self, run: RunView):
         """Called before each step of an active phase. At the first one it measures n_0 or the PSNR."""
         if not self.start and (run.target or run.settings.max_drop):
-            self.start = run.psnr(None) if run.settings.max_drop else run.expected_count()
+            self.start = run.psnr_before if run.settings.max_drop else run.expected_count()
 
     def after_step(self, run: RunView, phase: Phase, number: int):
         """Updates the strength after step `number` of the phase."""

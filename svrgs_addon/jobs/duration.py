@@ -26,7 +26,7 @@ from ..finetune.methods import method_named
 from ..finetune.model import Model
 from ..finetune.nested import SIZES
 from ..finetune.plan import Plan, prune_plan
-from ..finetune.quality import quality_views
+from ..finetune.quality import VIEWS
 from ..finetune.recovery_pruning import CUTS
 from ..finetune.run import Run
 from ..finetune.saliency import removal_errors
@@ -111,9 +111,9 @@ class Pace:
         """Seconds of holding a loss of quality: PSNRs on a few views, and the looks of the recovery."""
         if not plan.max_drop:
             return 0.0
-        decisions = sum(len(plan.method.looks(plan, phase.steps, share)) or 1 for phase in plan.phases if phase.active)
+        decisions = sum(phase.active for phase in plan.phases)
         psnrs = BISECTION * (decisions + len(CUTS) * share**STEP_POWER) + UPDATES * plan.method.learns_masks
-        return len(quality_views(list(range(self.train_views)))) * self.drawn * psnrs + len(CUTS) * self.look * share**LOOK_POWER
+        return min(VIEWS, self.test_views) * self.drawn * psnrs + len(CUTS) * self.look * share**LOOK_POWER
 
     def _reading(self, steps: int) -> float:
         """Seconds of reading photographs beside the steps."""

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..finetune import scores
-from ..finetune.methods.removal import Removal
+from ..finetune.methods.removal import Removal, floor_of_drop
 from ..finetune.plan import Plan
+from ..finetune.quality import quality_views
 from ..finetune.saliency import saliency
 from ..metrics.evaluate import mean_psnr, render_options
 from ..native import Rasterizer
@@ -55,7 +56,7 @@ def seen_by_some(scene: Scene, dataset: Dataset, plan: Plan) -> Seen:
 def expected_count(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> int:
     """Roughly how many Gaussians stay, at least 1. With an allowed drop an upper bound."""
     if plan.max_drop:
-        return max(1, int(_fewest_within(scene, dataset, seen.peaks, plan.max_drop).sum()))
+        return max(1, int(_fewest_within(scene, dataset, expected_order(plan, scene, dataset, seen), plan).sum()))
     if plan.target:
         return plan.target
     kept = seen.peaks >= plan.min_contribution
@@ -68,7 +69,7 @@ def expected_count(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> in
 
 def expected_order(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> np.ndarray:
     """The Gaussians that are expected to stay are highest in it, (N,): removal error for the methods that rank by it, else the largest alpha T."""
-    return _from_some(plan.method.ranking, scene, dataset) if isinstance(plan.method, Removal) and not plan.max_drop else seen.peaks
+    return _from_some(plan.method.ranking, scene, dataset) if isinstance(plan.method, Removal) else seen.peaks
 
 
 def _from_some(ranking: Callable, scene: Scene, dataset: Dataset) -> np.ndarray:
@@ -87,14 +88,15 @@ def _reduced(dataset: Dataset, index: int):
     return camera.reduced(max(1, max(camera.width, camera.height) // SIDE))
 
 
-def _fewest_within(scene: Scene, dataset: Dataset, peaks: np.ndarray, drop: float) -> np.ndarray:
-    """(N,) bool: the fewest Gaussians of largest alpha T (N,) that lose at most `drop` dB on two views, without learning. A job keeps fewer."""
+def _fewest_within(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan) -> np.ndarray:
+    """(N,) bool: the fewest Gaussians that are highest in `order` (N,) and hold the allowed drop on two views: without learning, or for `removal`
+    and `saliency` by the law of finetune/quality.py. A job keeps fewer."""
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
-    train = _views(dataset)
-    views, end = train[:: max(1, len(train) // DROP_VIEWS)][:DROP_VIEWS], time.monotonic() + VIEW_SECONDS
+    views, end = spread(quality_views(dataset))[:DROP_VIEWS], time.monotonic() + VIEW_SECONDS
     psnr_of = lambda kept: mean_psnr(scene, dataset, views, rasterizer, options, kept)  # noqa: E731
-    floor, few, enough = psnr_of(None) - drop, 0, scene.count
+    before, few, enough = psnr_of(None), 0, scene.count
+    floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_drop
     while enough - few > max(1, scene.count // 100) and time.monotonic() < end:
         middle = (few + enough) // 2
-        few, enough = (few, middle) if psnr_of(scores.top(peaks, middle).astype(np.uint8)) >= floor else (middle, enough)
-    return scores.top(peaks, enough)
+        few, enough = (few, middle) if psnr_of(scores.top(order, middle).astype(np.uint8)) >= floor else (middle, enough)
+    return scores.top(order, enough)

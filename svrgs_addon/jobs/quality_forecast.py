@@ -1,14 +1,7 @@
 """The quality that is foreseen after pruning: PSNR on some test views, within about a second.
 
 The views are rendered twice: with all Gaussians, and with only those that are expected to stay. The second pictures are those of a
-removal without any learning: their squared error is larger by what the removed Gaussians showed. In a run, the Gaussians that stay
-take over nearly all of that. The law, in mean squared errors:
-
-    after = now + left * (removed - now),      left = 1 / (1 + steps / HALVED)
-
-HALVED, the only fitted number of a method, is the number of steps that win back half of the added error. steps: all steps of the run.
-Without a removal the forecast is the PSNR of now, and it is never higher: that further steps may still train the scene, and that fewer
-Gaussians may fit few photographs less closely, is left out. benchmarks/forecast.py fits and tests it; docs/forecast.md says how near it is.
+removal without any learning. How much of that a run wins back is the law of finetune/quality.py.
 """
 
 from __future__ import annotations
@@ -22,6 +15,7 @@ import numpy as np
 
 from ..finetune import scores
 from ..finetune.plan import Plan
+from ..finetune.quality import HALVED, psnr_after
 from ..finetune.views import as_real
 from ..metrics.evaluate import render_options, rounded_to_8_bits
 from ..metrics.psnr import psnr
@@ -29,7 +23,6 @@ from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..scene import Scene
 
-HALVED = {"removal": 10.0, "svr": 59.0, "maskgs": 5.6}  # by name of the method; others are not foreseen
 SECONDS, LEAST = 0.8, 2  # time limit of rendering views, without the last one; views that are rendered in any case
 SIDE = 1024  # longer side of a view in pixels; a view of less than twice this size is not reduced
 LEAST_STEPS = 800  # steps of a run below which nothing was measured
@@ -59,17 +52,6 @@ def is_foreseen(plan: Plan) -> bool:
     """Whether the quality is foreseen. It is not for methods without a fitted number; with an allowed drop, which is the quality; for a run
     without steps in which the method prunes, or with fewer than LEAST_STEPS steps."""
     return plan.method.name in HALVED and not plan.max_drop and plan.prunes and plan.total >= LEAST_STEPS
-
-
-def psnr_after(before: float, removed: float, steps: int, halved: float) -> float:
-    """The law above, in dB. before, removed: PSNRs of now, and after the removal without any learning. steps: those of the run."""
-    now, added = squared_error(before), max(0.0, squared_error(removed) - squared_error(before))
-    return -10 * math.log10(now + added / (1 + steps / halved))
-
-
-def squared_error(psnr_db: float) -> float:
-    """The mean squared error, colours in 0..1, of a PSNR in dB."""
-    return 10 ** (-psnr_db / 10)
 
 
 def spread(views: list[int]) -> list[int]:

@@ -20,6 +20,7 @@ from ..finetune import checkpoint, loop, masks, scores
 from ..finetune.engine import NativeEngine
 from ..finetune.model import Model, scene_from_points
 from ..finetune.plan import Plan
+from ..finetune.quality import quality_views
 from ..finetune.run import Run
 from ..finetune.settings import Densify
 from ..metrics.evaluate import any_in_view, evaluate, mean_psnr, refuse_unseen, render_options
@@ -89,10 +90,11 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         note_mismatch(source, dataset)
         pictures = report_pictures(source, dataset) if job.report else []
     with clock.phase("first cut"):
+        held = psnr_to_hold(source, dataset, plan)
         model = Model.of(first_cut(source, dataset, plan), copy=False)
         cut = source.count - model.count
     del source  # frees memory for the optimiser
-    run, scene = fine_tune(model, dataset, plan, job, clock, room)
+    run, scene = fine_tune(model, dataset, plan, job, clock, room, held)
     with clock.phase("evaluate after"):
         after = measured(scene, dataset, job)
         levels = written_levels(scene, dataset, job)
@@ -165,6 +167,11 @@ def note_mismatch(scene: Scene, dataset: Dataset):
         dataset.notes = (*dataset.notes, sentence)
 
 
+def psnr_to_hold(scene: Scene, dataset: Dataset, plan: Plan) -> float:
+    """PSNR in dB from which an allowed drop counts, on the views of finetune/quality.py. 0 if none is allowed."""
+    return mean_psnr(scene, dataset, quality_views(dataset), Rasterizer(), render_options(scene, plan.background)) if plan.max_drop else 0.0
+
+
 def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
     """The scene after the first removal and the first cut (docs/methods.md, "What all methods share"). Raises SceneError if almost nothing stays.
 
@@ -197,12 +204,15 @@ def make_engine(name: str):
     return TorchEngine()
 
 
-def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock: Clock, room: DiskRoom) -> tuple[Run, Scene]:
+def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock: Clock, room: DiskRoom, held: float = 0.0) -> tuple[Run, Scene]:
     """Runs all phases with checkpoints, writes job.out and deletes the checkpoints. The seconds of each phase are added to the clock.
 
+    held: psnr_to_hold() of the scene before the first cut.
     Returns the run and the scene, which takes over the arrays of the model. Raises SplatError; Cancelled after a checkpoint.
     """
     run = Run(model, dataset, plan, make_engine(job.engine), model.metadata["antialiased"])
+    if run.recovery_pruning:
+        run.recovery_pruning.start = held
     identity = run_identity(model, dataset, plan, job.engine)
     if job.resume:
         checkpoint.restore(run, job.folder, identity)
@@ -295,7 +305,7 @@ def run_facts(run: Run, job: JobContext, clock: Clock) -> dict:
         "method": plan.method.name,
         "lambda_f": plan.lambda_f if run.method.uses_lambda_f(plan) else None,
         "lambda_m": plan.lambda_m or None,
-        "target": run.target or None,
+        "target": None if plan.max_drop else run.target or None,
         "reached": run.controller.reached if run.controller else None,
         "drop": run.drop,
         "strength": run.strength,

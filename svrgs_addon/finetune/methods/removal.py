@@ -13,7 +13,8 @@ were kept low in training, as MCMC does, is left as it is.
 
 The result is the mean of the values over the last steps, which keep moving about the best ones because the steps are large.
 
-With an allowed drop, each look keeps the fewest Gaussians that hold its share of the drop.
+With an allowed drop, the budget is the fewest Gaussians that are foreseen to hold it at the end of the run (quality.py); the recovery removes more
+if it has dB to spare (recovery_pruning.py).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import numpy as np
 from .. import masks
 from ..densify import lower_opacity
 from ..model import Model
-from ..quality import fewest_within
+from ..quality import HALVED, fewest_within, psnr_removed
 from ..saliency import removal_errors, saliency, views_that_see
 from ..scores import top
 from ..settings import LARGEST, LARGEST_OF_POSITION, Densify, Phase, Rates, Settings, rates_for
@@ -42,6 +43,7 @@ OPAQUE, OPAQUE_SHARE = 0.9, 0.05  # if fewer Gaussians than this share are so op
 RISING = 60  # steps of the phase that see a Gaussian; with more, opacities are lowered too; with fewer, their odds less
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
 FIRST_RATE, FIRST_STEPS = 8, 150  # factor on this rate at first, so that opacities rise again soon; steps in which it falls to 1, at most half the phase
+SPENT, FORESEEN_STEPS = 0.75, 800  # budget of an allowed drop: share of the drop that is spent; more steps hardly win back more
 POSITION_LAST = 5e-5  # learning rate of positions at the end of the recovery
 AVERAGED = 0.25  # share of the recovery, its last steps, over which the values are averaged
 
@@ -89,18 +91,23 @@ class Removal(Method):
         return not (settings.target or settings.share or settings.max_drop)
 
     def budget(self, run: RunView) -> int:
-        """The number of Gaussians with a saliency above lambda_F; 0 with an allowed drop. Raises SceneError if almost none has."""
+        """The number of Gaussians with a saliency above lambda_F. Raises SceneError if almost none has. With an allowed drop: the fewest that are
+        foreseen to hold it at the end of the run."""
         if run.settings.max_drop:
-            return 0
+            return self.budget_of_drop(run)
         stays = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options) > run.settings.lambda_f
         masks.refuse_emptying(stays, run.initial_count)
         return int(stays.sum())
 
+    def budget_of_drop(self, run: RunView) -> int:
+        """The fewest Gaussians of highest rank that are foreseen to hold the allowed drop."""
+        rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        return int(fewest_within(run, rank, floor_of_drop(run.psnr_before, run.settings)).sum())
+
     def prepare(self, run: RunView, phase: Phase, number: int):
-        """Before the first step, lowers the opacities of the Gaussians that a view sees. Not with an allowed drop: the first looks would measure the
-        lowered opacities as a loss of PSNR."""
+        """Before the first step, lowers the opacities of the Gaussians that a view sees."""
         if number == 1:
-            self.lowered = not run.settings.max_drop and _has_opaque(run.model)
+            self.lowered = _has_opaque(run.model)
             if self.lowered:
                 seen = views_that_see(run.model, run.training_cameras, run.rasterizer, run.score_options)
                 steps = phase.steps * seen.mean() / len(run.training_cameras)
@@ -118,16 +125,14 @@ class Removal(Method):
     def stays(self, run: RunView, done: float) -> np.ndarray:
         """The Gaussians that stay at a look, (N,) bool. done: share of the looks that have been, this one included."""
         rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
-        if run.settings.max_drop:
-            return fewest_within(run, rank, run.psnr_before - done * run.settings.max_drop)
         return top(rank, round(self.count * (min(run.target, self.count) / self.count) ** sqrt(done)))
 
     def score(self, scene, cameras, rasterizer, options) -> np.ndarray:
         return self.ranking(scene, cameras, rasterizer, options)
 
     def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
-        """Also the lowering takes a look at all views, and the budget one that costs twice as much."""
-        looks, before = number_of_looks(steps), (not settings.max_drop) + 2 * self.uses_lambda_f(settings)
+        """Also the lowering takes a look at all views, and so does the budget of an allowed drop; that of lambda_F costs twice as much."""
+        looks, before = number_of_looks(steps), 1 + bool(settings.max_drop) + 2 * self.uses_lambda_f(settings)
         return [(0.0, 1.0)] * before + [(k / looks, share ** sqrt((k + 1) / looks)) for k in range(looks)]
 
     def state(self) -> dict:
@@ -140,6 +145,12 @@ class Removal(Method):
 def number_of_looks(steps: int) -> int:
     """The number of looks in a phase of so many steps: LOOKS, in a short phase one in STEPS_PER_LOOK steps, but FEWEST if there are as many steps."""
     return min(LOOKS, max(FEWEST, steps // STEPS_PER_LOOK), steps)
+
+
+def floor_of_drop(before: float, settings: Settings) -> float:
+    """The PSNR in dB that a removal may leave without any learning, so that the run is foreseen to spend SPENT of the allowed drop. before: PSNR
+    of now."""
+    return psnr_removed(before, before - SPENT * settings.max_drop, min(settings.total, FORESEEN_STEPS), HALVED["removal"])
 
 
 def _has_opaque(model: Model) -> bool:
