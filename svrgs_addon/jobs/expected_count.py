@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
+from statistics import fmean
 from typing import NamedTuple
 
 import numpy as np
 
+from ..camera import Camera
 from ..finetune import scores
 from ..finetune.methods.removal import Removal, floor_of_drop
 from ..finetune.plan import Plan
-from ..finetune.quality import quality_views
+from ..finetune.quality import LEAST, quality_views
 from ..finetune.saliency import saliency
-from ..metrics.evaluate import mean_psnr, render_options
+from ..finetune.views import as_real
+from ..metrics.evaluate import render_options, rounded_to_8_bits
+from ..metrics.psnr import psnr
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..scene import Scene
@@ -21,7 +26,7 @@ from .quality_forecast import spread
 
 VIEW_SECONDS = 0.8  # time limit of rendering views, without reading files
 VIEWS = 8  # training views that are rendered
-DROP_VIEWS = 2  # views on which PSNR is measured, if a drop is allowed
+DROP_VIEWS, DROP_SECONDS = 2, 0.15  # if a drop is allowed: fewest views on which PSNR is measured; time limit of measuring it once
 SIDE = 512  # longer side of a reduced view, pixels
 RANKING_VIEWS = 24  # training views for what ranks the Gaussians: removal error, saliency, or the largest alpha T. Fewer leave too many Gaussians unseen
 # For methods that learn masks, a Gaussian is predicted as removed if its mean alpha T over its pixels is below
@@ -84,19 +89,39 @@ def _views(dataset: Dataset) -> list[int]:
 
 
 def _reduced(dataset: Dataset, index: int):
-    camera = dataset.cameras[index]
-    return camera.reduced(max(1, max(camera.width, camera.height) // SIDE))
+    return dataset.cameras[index].reduced(_reduction(dataset, index))
+
+
+def _reduction(dataset: Dataset, index: int) -> int:
+    """By how much the sides of a view are reduced."""
+    return max(1, max(dataset.cameras[index].width, dataset.cameras[index].height) // SIDE)
 
 
 def _fewest_within(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan) -> np.ndarray:
-    """(N,) bool: the fewest Gaussians that are highest in `order` (N,) and hold the allowed drop on two views: without learning, or for `removal`
+    """(N,) bool: the fewest Gaussians that are highest in `order` (N,) and hold the allowed drop on some views: without learning, or for `removal`
     and `saliency` by the law of finetune/quality.py. A job keeps fewer."""
-    rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
-    views, end = spread(quality_views(dataset))[:DROP_VIEWS], time.monotonic() + VIEW_SECONDS
-    psnr_of = lambda kept: mean_psnr(scene, dataset, views, rasterizer, options, kept)  # noqa: E731
-    before, few, enough = psnr_of(None), 0, scene.count
+    before, psnr_of = _psnr_on_some(scene, dataset)
+    few, enough = math.ceil(LEAST * scene.count) - 1, scene.count
     floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_drop
-    while enough - few > max(1, scene.count // 100) and time.monotonic() < end:
+    while enough - few > max(1, scene.count // 100):
         middle = (few + enough) // 2
         few, enough = (few, middle) if psnr_of(scores.top(order, middle).astype(np.uint8)) >= floor else (middle, enough)
     return scores.top(order, enough)
+
+
+def _psnr_on_some(scene: Scene, dataset: Dataset) -> tuple[float, Callable[[np.ndarray | None], float]]:
+    """The PSNR in dB of the scene, and the function that measures it with a mask (N,) uint8: on as many reduced views as DROP_SECONDS allow."""
+    rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
+
+    def psnr_of_view(camera: Camera, photo: np.ndarray, mask: np.ndarray | None) -> float:
+        return psnr(rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"]), photo)
+
+    views, found, seconds = [], [], 0.0
+    for index in spread(quality_views(dataset)):
+        views.append((_reduced(dataset, index), as_real(dataset.image(index), np.dtype(np.float32), _reduction(dataset, index))))
+        started = time.monotonic()
+        found.append(psnr_of_view(*views[-1], None))
+        seconds += time.monotonic() - started
+        if len(views) >= DROP_VIEWS and seconds > DROP_SECONDS:
+            break
+    return fmean(found), lambda mask: fmean(psnr_of_view(*view, mask) for view in views)
