@@ -124,3 +124,13 @@ def test_it_is_near_what_a_short_run_reaches(trained, tiny, tmp_path):
     assert found["psnr_removed"] < found["psnr_before"] - 2
     assert found["psnr_after"] == pytest.approx(reached["psnr"], abs=4)
     assert abs(found["psnr_after"] - reached["psnr"]) < reached["psnr"] - found["psnr_removed"]
+
+
+def test_an_allowed_drop_keeps_no_more_than_foreseen(trained, tiny, tmp_path):
+    kept = []
+    for drop in (0.3, 3.0):
+        options = PruneOptions(scene=trained, colmap=tiny.folder, method="removal", max_drop=drop, iterations=300, recovery=500, quiet=True, out=tmp_path / "o.ply")
+        found, reached = estimate(options), prune_scene(options)
+        assert found["at_most"] and reached["count"] <= found["kept"] < found["count"]
+        kept.append(found["kept"])
+    assert kept[1] < kept[0] / 1.5
