@@ -129,7 +129,9 @@ def test_it_is_near_what_a_short_run_reaches(trained, tiny, tmp_path):
 def test_an_allowed_drop_keeps_no_more_than_foreseen(trained, tiny, tmp_path):
     kept = []
     for drop in (0.3, 3.0):
-        options = PruneOptions(scene=trained, colmap=tiny.folder, method="removal", max_drop=drop, iterations=300, recovery=500, quiet=True, out=tmp_path / "o.ply")
+        options = PruneOptions(
+            scene=trained, colmap=tiny.folder, method="removal", max_drop=drop, iterations=300, recovery=500, quiet=True, out=tmp_path / "o.ply"
+        )
         found, reached = estimate(options), prune_scene(options)
         assert found["at_most"] and reached["count"] <= found["kept"] < found["count"]
         kept.append(found["kept"])

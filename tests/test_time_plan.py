@@ -30,7 +30,7 @@ from svrgs_addon.jobs.options import PruneOptions, TrainOptions
 from svrgs_addon.jobs.run_job import prune_scene, train_scene
 from svrgs_addon.jobs.time_plan import GRID, LEAST, MOST, fitted
 
-SLOW = Pace(count=250, step=0.1, look=0.5, drawn=0.02, point=0.04, measured=0.1, photograph=0.01, train_views=10, test_views=2, uncached=0.0)
+SLOW = Pace(count=250, step=0.1, power=0.4, look=0.5, drawn=0.02, point=0.04, measured=0.1, photograph=0.01, train_views=10, test_views=2, uncached=0.0)
 PRUNING = [name for name, method in METHODS.items() if method.prunes]
 SCHEDULES = (0.01, 0.02, 0.05, 0.1, 0.3, 1.0)
 

@@ -15,7 +15,7 @@ from ..errors import FormatError, SceneError
 from ..finetune import checkpoint
 from ..finetune.plan import Plan, at_schedule
 
-MARGIN, TRAINING_MARGIN = 0.08, 0.2  # share of the time that is left free, because steps are not foreseen exactly
+MARGIN, TRAINING_MARGIN = 0.1, 0.2  # share of the time that is left free, because steps are not foreseen exactly
 LEAST, MOST = 0.01, 1.0  # schedules that are chosen: 80 of the 8 000 steps of `svrgs prune`, and all of them
 GRID = 10_000  # a schedule is a multiple of 1/GRID
 
