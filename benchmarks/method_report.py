@@ -54,13 +54,26 @@ def groups(rows: Iterable[dict], *names: str) -> dict[tuple, list[dict]]:
 
 
 def averaged(rows: Iterable[dict]) -> list[dict]:
-    """One row per run: the mean figures of its seeds, curves and `before` of the first seed, and `spread`, half the range of PSNR."""
+    """One row per run: the mean figures of its seeds, curves of the first seed, and `spread`, half the range of PSNR."""
     means = []
     for group in groups(rows, "study", "scene", "run", "schedule", "trained", "start", "shrink").values():
         psnr = [row["psnr"] for row in group]
         figures = {name: mean(group, name) for name in FIGURES} | {"count": round(mean(group, "count"))}
-        means.append({**group[0], **figures, "spread": (max(psnr) - min(psnr)) / 2, "seeds": len(group)})
+        means.append({**group[0], **figures, "before": before_of(group), "spread": half_range(psnr), "seeds": len(group)})
     return means
+
+
+def before_of(rows: list[dict]) -> dict | None:
+    """Of the scenes that were pruned, one a seed: mean count and PSNR, and half the range of PSNR. None if nothing was pruned."""
+    scenes = [row["before"] for row in rows if row.get("before")]
+    if not scenes:
+        return None
+    psnr = [scene["psnr"] for scene in scenes]
+    return {**scenes[0], "count": round(fmean(scene["count"] for scene in scenes)), "psnr": fmean(psnr), "spread": half_range(psnr), "seeds": len(set(psnr))}
+
+
+def half_range(values: list[float]) -> float:
+    return (max(values) - min(values)) / 2
 
 
 def mean(rows: list[dict], name: str) -> float | None:
@@ -94,7 +107,7 @@ def pruning(rows: list[dict], charts: Path) -> str:
     """The default and the best of the others at equal counts: one table of all scenes, and a chart with every method for each."""
     lines, pictures = [], []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
-        first, before = those[0], those[0]["before"]
+        first, before = those[0], max(those, key=lambda row: row["seeds"])["before"]
         name = f"pareto-{first['scene']}-{first['shrink']}-{first['schedule']:g}-{first['start']}-{first['trained']:g}"
         curves = {method: sorted((row["count"], row["psnr"]) for row in group) for (method,), group in groups(those, "method").items()}
         pareto_chart(curves, (before["count"], before["psnr"]), case(first), charts / f"{name}.svg")
@@ -106,12 +119,12 @@ def pruning(rows: list[dict], charts: Path) -> str:
 
 def standings(rows: list[dict]) -> Iterable[list[str]]:
     """One scene: a line per share with the default, the best others, and how many others there are."""
-    before, further = rows[0]["before"], [psnr_of(row) for row in rows if row["share"] == 1]
+    before, further = max(rows, key=lambda row: row["seeds"])["before"], [psnr_of(row) for row in rows if row["share"] == 1]
     for (share,), those in sorted(groups((row for row in rows if row["share"] < 1), "share").items(), reverse=True):
         others = sorted((row for row in those if row["method"] != DEFAULT), key=lambda row: -row["psnr"])
         best = [f"{psnr_of(row)} `{row['method']}`" for row in others[:BEST]]
         ours = [psnr_of(row) for row in those if row["method"] == DEFAULT]
-        place = f"{case(rows[0])}: {before['count']:,}, {before['psnr']:.2f} dB"
+        place = f"{case(rows[0])}: {before['count']:,}, {psnr_of(before)} dB"
         yield [place, *(further or [""]), f"{100 * share:g} %", *(ours or [""]), ", ".join(best), str(len(others))]
 
 
