@@ -64,8 +64,9 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     count: IntProperty(name="Keep", min=1, default=100_000, description="Number of Gaussians to keep")
     size: FloatProperty(name="Size in MB", min=0.001, soft_max=500, default=20, precision=1, description="Size of the pruned file in megabytes")
     drop: FloatProperty(
-        name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2, description="PSNR in dB that may be lost, measured on a few of the photographs"
-    )
+        name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2,
+        description="PSNR in dB that may be lost, measured on some of the photographs that no step trains on. At least 5 % of the Gaussians stay",
+    )  # fmt: skip
     use_time: limited_time_property()
     time: time_property(default=60)
     method: method_property(update=former_methods.method_chosen)

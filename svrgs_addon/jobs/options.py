@@ -125,7 +125,7 @@ class PruneOptions(TuningOptions):
         default_help=f"{MIN_CONTRIBUTION} for methods that learn masks, else 0", in_job=True,
     )  # fmt: skip
     max_drop: float = option(
-        DECIBELS, 0.0, "keep as few Gaussians as possible and lose about this much PSNR, in dB, on a few test views", metavar="DB",
+        DECIBELS, 0.0, "keep as few Gaussians as possible, but at least 5 %%, and lose at most about this much PSNR, in dB, on a few test views", metavar="DB",
         default_help="no such limit", size=True, in_job=True,
     )  # fmt: skip
     nested: float | None = option(
