@@ -54,6 +54,15 @@ def test_sizes_fall_by_the_same_ratio_to_the_smallest():
     assert smaller_sizes(1, SMALLEST) == [1] * SIZES
 
 
+def test_an_allowed_drop_is_not_spent_in_a_nested_recovery():
+    """Its smaller sizes are parts of what the recovery begins with."""
+    for nested in (SMALLEST, 0.0):
+        run = until(run_of(replace(SETTINGS, target=0, max_drop=1.0, nested=nested)), 16)
+        begun = run.model.count
+        to_the_end(run)
+        assert (run.model.count == begun) == bool(nested)
+
+
 def test_the_most_important_come_first():
     """Of each size, the first rows are those of highest removal error, measured with the next larger size."""
     run = until(run_of(), 16)

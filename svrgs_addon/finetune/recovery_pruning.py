@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .masks import refuse_emptying
+from ..errors import SceneError
 from .quality import fewest_within
 from .run_view import Keep, RunView
 from .saliency import removal_errors
@@ -38,7 +38,10 @@ class RecoveryPruning:
             return
         self.start, nobody = self.start or run.psnr(None), np.zeros(run.model.count, bool)
         if run.psnr(nobody) >= self.start - run.settings.max_drop:
-            refuse_emptying(nobody, run.initial_count)
+            raise SceneError(
+                f"pruning would leave no Gaussian: even an empty scene loses less than the {run.settings.max_drop:g} dB allowed; allow less, "
+                "and check that the photographs are not black and show this scene"
+            )
 
     def cut(self, run: RunView, phase: Phase, number: int) -> Keep:
         """(N,) bool: the Gaussians that stay after step `number` of the recovery. None: all, because no cut is due or no dB are to spare."""

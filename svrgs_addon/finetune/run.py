@@ -280,7 +280,7 @@ class Run:
             self._keep(self.method.after_step(self, phase, number))
         if phase.active and last:
             self._keep(self.method.final_mask(self))
-        if self.recovery_pruning and not phase.active:
+        if self.recovery_pruning and not phase.active and not self.settings.nested:  # a nested order is of the Gaussians before the recovery
             self._keep(self.recovery_pruning.cut(self, phase, number))
 
     def _average(self, phase: Phase, number: int):

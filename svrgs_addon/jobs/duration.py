@@ -116,9 +116,9 @@ class Pace:
         """Seconds of holding a loss of quality: PSNRs on a few views, and the looks of the recovery."""
         if not plan.max_drop:
             return 0.0
-        decisions = sum(phase.active for phase in plan.phases)
-        psnrs = BISECTION * (decisions + len(CUTS) * share**self.power) + UPDATES * plan.method.learns_masks
-        return min(VIEWS, self.test_views) * self.drawn * psnrs + len(CUTS) * self.look * share**LOOK_POWER
+        decisions, cuts = sum(phase.active for phase in plan.phases), 0 if plan.nested else len(CUTS)
+        psnrs = BISECTION * (decisions + cuts * share**self.power) + UPDATES * plan.method.learns_masks
+        return min(VIEWS, self.test_views) * self.drawn * psnrs + cuts * self.look * share**LOOK_POWER
 
     def _reading(self, steps: int) -> float:
         """Seconds of reading photographs beside the steps."""
