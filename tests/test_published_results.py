@@ -12,6 +12,7 @@ ROWS = Path(__file__).resolve().parents[1] / "docs" / "results" / "rows.jsonl"
 SHARES, SCHEDULES, SCENES = ("0.25", "0.1", "0.05", "0.02"), (0.1, 0.4, 1.0), 3
 DEFAULT, RIVALS = "removal", ("maskgs", "gns")
 MOST = 0.1  # dB by which the default, or a longer schedule, may be behind
+AHEAD = 0.2  # dB
 
 
 @pytest.fixture(scope="module")
@@ -47,3 +48,19 @@ def test_longer_schedule_is_nowhere_worse(psnr):
         for longer in (other for other in SCHEDULES if method == DEFAULT and other > schedule):
             worse[case[0], share, schedule, longer] = behind(psnr[case, share, longer, method], seeds)
     assert not {place: loss for place, loss in worse.items() if loss > MOST}
+
+
+def test_default_is_ahead_on_scenes_trained_to_their_end_with_three_seeds():
+    """Study `pareto`: of every method of other papers by AHEAD, at each share, and above as many further steps without pruning."""
+    found: dict[tuple, dict] = defaultdict(lambda: defaultdict(dict))
+    for row in map(json.loads, ROWS.read_text().splitlines()):
+        if row["study"] == "pareto" and "error" not in row and (row["trained"], row["start"]) == (1.0, "3DGS"):
+            found[row["scene"], row["shrink"]][row["run"]][row["seed"]] = row["psnr"]
+    cases = [runs for runs in found.values() if len(runs[f"{DEFAULT} 0.5"]) >= 3]
+    assert len(cases) >= 2
+    for runs in cases:
+        for share in ("0.5", "0.25", "0.1", "0.05"):
+            ours = runs[f"{DEFAULT} {share}"]
+            rivals = {run: other for run, other in runs.items() if run.endswith(f" {share}") and not run.startswith((DEFAULT, "saliency"))}
+            assert len(rivals) > 10 and not {run for run, other in rivals.items() if behind(ours, other) > -AHEAD}
+            assert behind(ours, runs["3dgs"]) < 0
