@@ -19,7 +19,7 @@ squared errors:
     after = now + left · (removed − now),      left = 1 / (1 + steps / H)
 
 H is the number of steps that win back half of the error that the removal adds. It is the only fitted number, one for each method. All steps
-of a run count. Code: `svrgs_addon/jobs/quality_forecast.py`.
+of a run count. Code: `svrgs_addon/finetune/quality.py`.
 
 - **Never above now.** Runs often end above the PSNR they began with, most often with `removal`: their steps train the scene further,
   and fewer Gaussians fit few photographs less closely. How much that gives differs from scene to scene and from method to method, so it is

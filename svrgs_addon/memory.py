@@ -51,7 +51,7 @@ def tuning(count: int, coefficients: int, cameras: Sequence[Camera], kept_photog
     averaged; 0 if none are.
     """
     row, moments = _trained_row(coefficients)
-    besides = max(PROJECTED * count, (PROJECTED + row) * averaged)  # at first, and at the end; removed rows stay allocated
+    besides = max(PROJECTED * count, (PROJECTED + row) * averaged)  # the first steps, the averaged ones; the memory of removed rows is not freed
     return int((row + moments) * count + besides + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + _kept(cameras, kept_photographs))
 
 

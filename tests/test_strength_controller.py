@@ -111,7 +111,7 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
 
 @pytest.mark.parametrize(("method", "allowed"), [("removal", 0.2), ("removal", 0.4), ("svr", 0.5), ("svr", 1.0), ("gns", 1.0)])
 def test_what_the_recovery_wins_back_is_spent(tiny, data, tmp_path, method, allowed):
-    """One Gaussian of this tiny scene can be worth tenths of a dB."""
+    """One Gaussian of this tiny scene can be worth tenths of a dB. With `removal` a twentieth of them, the least that stays, loses about 0.3 dB."""
     settings = replace(prune_settings(method, 300, 200), max_drop=allowed)
     result = train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply"))
     assert allowed - 0.7 < result["drop"] < allowed + 0.4
