@@ -18,8 +18,8 @@ setup: $(VENV)/.ready native
 $(VENV)/.ready: requirements.txt requirements-dev.txt pyproject.toml tools/setup.sh
 	@tools/setup.sh $(VENV) "$(PYTHON)"
 	@touch $@
-native:
-	@$(MAKE) -qs -C native 2>/dev/null || { echo "compiling the native core"; $(MAKE) -s -C native; }
+native: $(VENV)/.ready
+	@tools/build_native.sh $(VENV)
 wheels: $(VENV)/.ready
 	@$(PY) tools/fetch_wheels.py
 
@@ -44,5 +44,4 @@ fuzz:
 zip: setup wheels
 	@$(PY) tools/build_extension.py
 clean:
-	@$(MAKE) -s -C native clean
-	rm -rf build dist $(VENV)
+	rm -rf build dist $(VENV) svrgs_addon/libsvrgs.so

@@ -193,7 +193,7 @@ def moved(scene, camera: Camera, offset) -> tuple[SimpleNamespace, Camera]:
     """The same view in a world whose origin lies elsewhere."""
     far, viewmat = typed(scene, np.float64), camera.viewmat.copy()
     far.means += offset
-    viewmat[:3, 3] -= viewmat[:3, :3] @ offset
+    viewmat[:3, 3] = viewmat[:3, 3] - viewmat[:3, :3].astype(np.longdouble) @ offset  # rounded once, on every processor
     return far, replace(camera, viewmat=viewmat)
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from svrgs_addon.bench import variants
+
 ROOT = Path(__file__).resolve().parents[1]
 CORPUS = sorted((ROOT / "tests/fuzz/corpus").iterdir())
 CXX = os.environ.get("CXX", "g++")
@@ -17,10 +19,17 @@ CXX = os.environ.get("CXX", "g++")
 
 def runtime() -> str:
     """The thread sanitizer's library; empty where the compiler or the library is missing."""
-    if not shutil.which(CXX) or not shutil.which("make") or platform.system() != "Linux":
+    if variants.missing_tools() or platform.system() != "Linux":
         return ""
     found = subprocess.run([CXX, "-print-file-name=libtsan.so"], capture_output=True, text=True).stdout.strip()
     return found if os.path.isabs(found) else ""
+
+
+def compiled(folder: Path, target: str, flags: str) -> subprocess.CompletedProcess:
+    """Builds a target of native/CMakeLists.txt with these flags."""
+    configure = [variants.cmake(), "-S", ROOT / "native", "-B", folder, f"-DCMAKE_CXX_FLAGS_RELEASE={flags}", f"-DCMAKE_CXX_COMPILER={CXX}"]
+    subprocess.run(configure, check=True, capture_output=True)
+    return subprocess.run([variants.cmake(), "--build", folder, "--target", target, "--parallel", "2"], capture_output=True, text=True)
 
 
 def program(out: Path, library: Path, *words: str):
@@ -32,18 +41,16 @@ def program(out: Path, library: Path, *words: str):
 
 @pytest.mark.skipif(not runtime(), reason="the compiler has no thread sanitizer")
 def test_no_data_races(tmp_path):
-    library = ROOT / "build" / "sanitize" / "libsvrgs-tsan.so"  # kept: built anew only after a change
-    library.parent.mkdir(parents=True, exist_ok=True)
-    make = ["make", "-C", ROOT / "native", "BUILD=build/tsan", f"OUT={library}", "EXTRA=-O1 -g -fsanitize=thread", f"CXX={CXX}"]
-    subprocess.run(make, check=True, capture_output=True)
-    program(tmp_path / "threads", library, "threads.cc", "-fsanitize=thread")
+    folder = ROOT / "build" / "sanitize" / "tsan"  # kept: built anew only after a change
+    assert compiled(folder, "svrgs-debug", "-O1 -fsanitize=thread").returncode == 0
+    program(tmp_path / "threads", folder / "libsvrgs-debug.so", "threads.cc", "-fsanitize=thread")
     done = subprocess.run([tmp_path / "threads"], env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"}, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "clean\n"), done.stderr[-3000:]
 
 
-@pytest.mark.skipif(not shutil.which(CXX) or not shutil.which("make"), reason="there is no compiler")
-def test_no_warnings():
-    done = subprocess.run(["make", "-C", ROOT / "native", "check", f"CXX={CXX}"], capture_output=True, text=True)
+@pytest.mark.skipif(variants.missing_tools() != "", reason="there is no compiler")
+def test_no_warnings(tmp_path):
+    done = compiled(tmp_path, "objects", "-O3 -Werror -fsyntax-only")
     assert done.returncode == 0, done.stderr[-3000:]
 
 

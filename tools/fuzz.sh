@@ -8,9 +8,11 @@ out=$PWD/build/sanitize
 flags=(-O1 -g "-fsanitize=address,undefined" -fno-sanitize-recover=all)
 mkdir -p "$out/corpus"
 
-make --no-print-directory -C native CXX="$clang" BUILD=build/fuzz OUT="$out/libsvrgs-fuzz.so" LINK="-shared -pthread" \
-    EXTRA="${flags[*]} -fsanitize=fuzzer-no-link"
-"$clang" -std=c++20 "${flags[@]}" -fsanitize=fuzzer -pthread -Inative/include tests/sanitizers/fuzz.cc "$out/libsvrgs-fuzz.so" \
-    "-Wl,-rpath,$out" -o "$out/fuzz"
+cmake=$(command -v .venv/bin/cmake || command -v cmake)
+"$cmake" -S native -B "$out/fuzzed" "-DCMAKE_CXX_COMPILER=$clang" "-DCMAKE_CXX_FLAGS_RELEASE=${flags[*]} -fsanitize=fuzzer-no-link" \
+    -DCMAKE_SHARED_LINKER_FLAGS=-Wl,-z,undefs
+"$cmake" --build "$out/fuzzed" --target svrgs-debug --parallel
+"$clang" -std=c++20 "${flags[@]}" -fsanitize=fuzzer -pthread -Inative/include tests/sanitizers/fuzz.cc "$out/fuzzed/libsvrgs-debug.so" \
+    "-Wl,-rpath,$out/fuzzed" -o "$out/fuzz"
 "$out/fuzz" "-max_total_time=${FUZZ_SECONDS:-300}" -max_len=8192 -len_control=0 -print_final_stats=1 "-artifact_prefix=$out/" \
     "$out/corpus" tests/fuzz/corpus

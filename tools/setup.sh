@@ -43,7 +43,7 @@ python=$venv/bin/python
 echo "installing the packages of requirements-dev.txt into $venv (some minutes)"
 pip=("$python" -m pip install -qq --disable-pip-version-check) # -qq: errors only
 "${pip[@]}" -r requirements-dev.txt
-"${pip[@]}" --no-deps --editable .
+"${pip[@]}" --no-deps --editable . -C wheel.cmake=false -C editable.mode=inplace # the native core is built by tools/build_native.sh
 
 if ! "$python" -c "import importlib.util, sys; sys.exit(importlib.util.find_spec('bpy') is None)"; then
     echo "there is no Blender module (bpy) for $("$python" --version), only for 3.11 and 3.13:" \

@@ -31,7 +31,7 @@ typedef void real; /* float or double, by the context's level */
 enum svrgs_status { SVRGS_OK = 0, SVRGS_INVALID = 1, SVRGS_NO_MEMORY = 2, SVRGS_CANCELLED = 3, SVRGS_TOO_LARGE = 4 };
 
 /* SIMD levels, each a separate compilation of the same kernels. SCALAR is the reference for the others. */
-enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4, SVRGS_LEVELS };
+enum svrgs_level { SVRGS_SCALAR = 0, SVRGS_BASELINE = 1, SVRGS_AVX2 = 2, SVRGS_AVX512 = 3, SVRGS_DOUBLE = 4, SVRGS_NEON = 5, SVRGS_LEVELS };
 
 /* How the spatial mask F and its gradient are computed. The gradient of F reaches the masks M only. SVR: paper Eq. 5 and 9. SELF: F as in
    SVR, the gradient from the self term alone, 1 - alpha_i T_i. A, B: the paper's scenarios. EVEN: F and dF/dM as in SVR, but a Gaussian's

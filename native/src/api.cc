@@ -12,6 +12,7 @@
 #include "machine_speed.h"
 #include "panorama.h"
 #include "pool.h"
+#include "processor.h"
 #include "triangles.h"
 
 struct svrgs_context {
@@ -47,32 +48,28 @@ int32_t guarded(F&& f) {
   }
 }
 
-bool supported(int32_t level) {
+// The kernels of a level; NULL if this build or processor does not have it.
+const svrgs::Kernels* kernels_of(int32_t level) {
   switch (level) {
-    case SVRGS_SCALAR:
-    case SVRGS_BASELINE:
-    case SVRGS_DOUBLE: return true;
-#if defined(__x86_64__)
-    case SVRGS_AVX2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-    case SVRGS_AVX512:
-      return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
-             __builtin_cpu_supports("avx512vl") && supported(SVRGS_AVX2);
+    case SVRGS_SCALAR: return &svrgs::scalar_kernels;
+    case SVRGS_DOUBLE: return &svrgs::double_kernels;
+#if defined(__aarch64__)
+    case SVRGS_NEON: return &svrgs::neon_kernels;
+#else
+    case SVRGS_BASELINE: return &svrgs::baseline_kernels;
 #endif
-    default: return false;
+#if defined(__x86_64__)
+    case SVRGS_AVX2: return svrgs::has_avx2() ? &svrgs::avx2_kernels : nullptr;
+    case SVRGS_AVX512: return svrgs::has_avx512() ? &svrgs::avx512_kernels : nullptr;
+#endif
+    default: return nullptr;
   }
 }
 
 const svrgs::Kernels& kernels(int32_t level) {
-  require(supported(level), "this processor or build does not have the requested SIMD level");
-  switch (level) {
-    case SVRGS_SCALAR: return svrgs::scalar_kernels;
-    case SVRGS_BASELINE: return svrgs::baseline_kernels;
-#if defined(__x86_64__)
-    case SVRGS_AVX2: return svrgs::avx2_kernels;
-    case SVRGS_AVX512: return svrgs::avx512_kernels;
-#endif
-    default: return svrgs::double_kernels;
-  }
+  const svrgs::Kernels* found = kernels_of(level);
+  require(found, "this processor or build does not have the requested SIMD level");
+  return *found;
 }
 
 void check(const svrgs_scene& s) {
@@ -122,7 +119,7 @@ void check_view(const svrgs::Context& context, const svrgs_image_grads& in) {
 }
 
 // In the order of the enums' values.
-constexpr const char* kLevelNames[] = {"scalar", "baseline", "avx2", "avx512", "float64"};
+constexpr const char* kLevelNames[] = {"scalar", "baseline", "avx2", "avx512", "float64", "neon"};
 constexpr const char* kMaskKindNames[] = {"none", "svr", "self", "a", "b", "even"};
 constexpr const char* kSkipNames[] = {"exact_tiles", "block_tests", "opacity_bounds", "termination"};
 constexpr const char* kStageNames[] = {"project", "tiles", "sort", "blend", "raster_grads", "parameter_grads", "loss", "adam"};
@@ -162,13 +159,13 @@ void svrgs_get_thresholds(svrgs_thresholds* out) {
   if (out) *out = {kNear, kFar, kBlur, kFrustumMargin, kAlphaCut, kAlphaMax, kStop, kCompensationFloor, kTile, kBlockWidth, kBlockHeight};
 }
 
-int32_t svrgs_level_supported(int32_t level) { return supported(level); }
+int32_t svrgs_level_supported(int32_t level) { return kernels_of(level) != nullptr; }
 void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::max(threads, 0)); }
 int32_t svrgs_threads(void) { return svrgs::threads(); }
 
 int32_t svrgs_best_level(void) {
-  for (const int32_t level : {SVRGS_AVX512, SVRGS_AVX2})
-    if (supported(level)) return level;
+  for (const int32_t level : {SVRGS_AVX512, SVRGS_AVX2, SVRGS_NEON})
+    if (kernels_of(level)) return level;
   return SVRGS_BASELINE;
 }
 

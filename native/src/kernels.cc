@@ -1,5 +1,5 @@
-// Compiled once per SIMD level (native/Makefile). SVRGS_LEVEL and SVRGS_TABLE_NAME name the level, SVRGS_LANES and SVRGS_REAL define its
-// vectors, SVRGS_HAVE_AVX2 and SVRGS_HAVE_AVX512 its instructions. All kernels are in the level's own namespace. Do not use standard
+// Compiled once per SIMD level (native/CMakeLists.txt). SVRGS_LEVEL and SVRGS_TABLE_NAME name the level, SVRGS_LANES and SVRGS_REAL define its
+// vectors, SVRGS_HAVE_AVX2, SVRGS_HAVE_AVX512 and SVRGS_HAVE_NEON its instructions. All kernels are in the level's own namespace. Do not use standard
 // containers here: the linker could take a copy of their code that was compiled for another level.
 #include <algorithm>
 #include <cmath>
@@ -9,6 +9,8 @@
 #include <utility>
 #if defined(SVRGS_HAVE_AVX2)
 #include <immintrin.h>
+#elif defined(SVRGS_HAVE_NEON)
+#include <arm_neon.h>
 #endif
 
 #include "kernels.h"

@@ -52,6 +52,6 @@ struct LossArguments {
   double *tile_l1, *tile_ssim;
 };
 
-extern const Kernels scalar_kernels, baseline_kernels, avx2_kernels, avx512_kernels, double_kernels;
+extern const Kernels scalar_kernels, baseline_kernels, avx2_kernels, avx512_kernels, neon_kernels, double_kernels;
 
 }  // namespace svrgs

@@ -20,7 +20,7 @@ import numpy as np
 from ..native import moments_like
 from ..scene import SH_COEFFICIENTS
 
-LANES = {"scalar": 1, "baseline": 4, "avx2": 8, "avx512": 16, "float64": 1}  # W of each SIMD level
+LANES = {"scalar": 1, "baseline": 4, "avx2": 8, "avx512": 16, "float64": 1, "neon": 4}  # W of each SIMD level
 BLOCK_PIXELS = 16
 
 # Slots per block that is hit, and per (Gaussian, tile) pair that hits a pixel.

@@ -1,7 +1,11 @@
-// Calls each costly entry point of the core once on the case written by __init__.py, and has callgrind dump what that took.
-// Usage: driver CASE LEVEL. CASE: four int32 (Gaussians, SH coefficients, width, height), 20 doubles (viewmat, fx fy cx cy),
+// Calls each costly entry point of the core once on the case written by __init__.py, and has callgrind dump what that took; or, compiled
+// with COUNTED_BY_QEMU, marks each call for qemu_counter.c and prints its name. Usage: driver CASE LEVEL. CASE: four int32 (Gaussians, SH coefficients, width, height), 20 doubles (viewmat, fx fy cx cy),
 // then the scene's five float arrays and a byte mask for each Gaussian.
+#if defined(COUNTED_BY_QEMU)
+#include <unistd.h>
+#else
 #include <valgrind/callgrind.h>
+#endif
 
 #include <cstdio>
 #include <cstdlib>
@@ -52,11 +56,22 @@ Case read_case(const char* path) {
   return c;
 }
 
+#if defined(COUNTED_BY_QEMU)
+void begin() { require(write(-1, nullptr, 0) < 0); }
+void end(const char* name) {
+  begin();
+  std::puts(name);
+}
+#else
+void begin() { CALLGRIND_ZERO_STATS; }
+void end(const char* name) { CALLGRIND_DUMP_STATS_AT(name); }
+#endif
+
 template <class Call>
 void measure(const char* name, Call call) {
-  CALLGRIND_ZERO_STATS;
+  begin();
   const int32_t status = call();
-  CALLGRIND_DUMP_STATS_AT(name);
+  end(name);
   require(status == SVRGS_OK);
 }
 

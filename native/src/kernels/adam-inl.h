@@ -146,7 +146,7 @@ inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uin
   int64_t bad = 0;
   for (int64_t r = begin, next; r < end; r = next) {
     const uint32_t base = ids[r] / W * W, rows = rows_from(base, ids + r, end - r);
-    next = r + __builtin_popcount(rows);
+    next = r + lane_count(rows);
     V g[width], zero = broadcast(0);
     const R* packed = grad + r * width;  // the named rows' gradients
     if (base + kNarrowAhead <= ids[end - 1]) prefetch_row(t, (base + int64_t{kNarrowAhead}) * width, W * width);
@@ -154,7 +154,7 @@ inline int64_t adam_in_place(const AdamRates& a, const AdamTensors& t, const uin
     for (int k = 0; k < width; ++k) {
       const uint32_t set = bits(lanes_of_rows<width>(rows, k));
       g[k] = spread(set, packed), zero += g[k] * R(0);
-      packed += __builtin_popcount(set);
+      packed += lane_count(set);
     }
     if (base == own.first / W * W || base == own.last / W * W || any_nan(zero)) {
       bad += adam_narrow<width>(a, t, ids + r, grad + r * width, static_cast<int>(next - r), width);

@@ -71,16 +71,42 @@ inline V spread(uint32_t set, const R* packed) {
 
 #if !defined(SVRGS_HAVE_AVX512)
 using Bytes = std::conditional_t<W == 8, uint64_t, uint32_t>;
-struct SetBits {  // the positions of the set bits of every W bits, a byte each
+struct SetBits {  // the positions of the set bits of every W bits, a byte each; how many they are
   Bytes positions[1 << W] = {};
+  uint8_t count[1 << W] = {};
   constexpr SetBits() {
     for (int set = 0; set < 1 << W; ++set)
-      for (int i = 0, n = 0; i < W; ++i)
-        if (set >> i & 1) positions[set] |= static_cast<Bytes>(i) << 8 * n++;
+      for (int i = 0; i < W; ++i)
+        if (set >> i & 1) positions[set] |= static_cast<Bytes>(i) << 8 * count[set]++;
   }
 };
 constexpr SetBits kSetBits;
 #endif
+
+#if defined(SVRGS_HAVE_NEON)
+struct SetBytes {  // for every set: the bytes of its lanes, then 255, which the table lookup turns into 0
+  uint8_t bytes[1 << W][16];
+  constexpr SetBytes() : bytes() {
+    for (int set = 0; set < 1 << W; ++set) {
+      int n = 0;
+      for (int byte = 0; byte < 16; ++byte)
+        if (set >> byte / 4 & 1) bytes[set][n++] = static_cast<uint8_t>(byte);
+      while (n < 16) bytes[set][n++] = 255;
+    }
+  }
+};
+alignas(16) constexpr SetBytes kSetBytes;
+inline uint8x16_t to_front(uint32_t set, uint8x16_t lanes) { return vqtbl1q_u8(lanes, vld1q_u8(kSetBytes.bytes[set])); }
+#endif
+
+// The number of lanes in `set`.
+inline int lane_count(uint32_t set) {
+#if defined(SVRGS_HAVE_AVX2)
+  return __builtin_popcount(set);
+#else
+  return kSetBits.count[set];
+#endif
+}
 
 // Appends first + i to the list for each set bit i of `set`. Returns the new count. May write 16 bytes from list + count on.
 inline int append_lanes(uint8_t* list, int count, int first, uint32_t set) {
@@ -96,7 +122,7 @@ inline int append_lanes(uint8_t* list, int count, int first, uint32_t set) {
     __builtin_memcpy(list + count, &bytes, sizeof bytes);
   }
 #endif
-  return count + __builtin_popcount(set);
+  return count + lane_count(set);
 }
 
 // Compresses: writes the lanes of `set` to `to`, contiguously. May write W values, of which only these are defined.
@@ -106,6 +132,8 @@ inline void pack(uint32_t set, V v, R* to) {
 #elif defined(SVRGS_HAVE_AVX2)
   const __m256i from = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(static_cast<long long>(kSetBits.positions[set])));
   store(to, _mm256_permutevar8x32_ps(v, from));
+#elif defined(SVRGS_HAVE_NEON)
+  store(to, (V)to_front(set, (uint8x16_t)v));
 #else
   for (; set; set &= set - 1) *to++ = v[__builtin_ctz(set)];
 #endif
@@ -116,6 +144,8 @@ inline void pack_lanes(uint32_t set, uint32_t first, uint32_t* to) {
 #if defined(SVRGS_HAVE_AVX512)
   const __m512i lanes = _mm512_add_epi32(_mm512_set1_epi32(static_cast<int>(first)), _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
   _mm512_storeu_si512(to, _mm512_maskz_compress_epi32(static_cast<M>(set), lanes));
+#elif defined(SVRGS_HAVE_NEON)
+  vst1q_u32(to, (uint32x4_t)to_front(set, (uint8x16_t)(vdupq_n_u32(first) + uint32x4_t{0, 1, 2, 3})));
 #else
   for (; set; set &= set - 1) *to++ = first + static_cast<uint32_t>(__builtin_ctz(set));
 #endif

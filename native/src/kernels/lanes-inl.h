@@ -3,8 +3,8 @@
 // The files of this folder are parts of kernels.cc, not headers. kernels.cc includes them in order, inside the namespace of a SIMD level,
 // and is compiled once per level. Code for one instruction set can therefore not be linked in place of code for another.
 //
-// native/Makefile defines for each level SVRGS_LANES, SVRGS_REAL (float or double) and, where they may be used, SVRGS_HAVE_AVX2 and
-// SVRGS_HAVE_AVX512. Only lanes and compact contain intrinsics.
+// native/CMakeLists.txt defines for each level SVRGS_LANES, SVRGS_REAL (float or double) and, where they may be used, SVRGS_HAVE_AVX2,
+// SVRGS_HAVE_AVX512 or SVRGS_HAVE_NEON. Only lanes, math and compact contain intrinsics.
 
 using R = SVRGS_REAL;
 constexpr int W = SVRGS_LANES;
@@ -20,6 +20,8 @@ static_assert(kBlockPixels % W == 0 && kPaddedRow % W == 0);
 static_assert(W == 16 && sizeof(R) == 4);
 #elif defined(SVRGS_HAVE_AVX2)
 static_assert(W == 8 && sizeof(R) == 4);
+#elif defined(SVRGS_HAVE_NEON)
+static_assert(W == 4 && sizeof(R) == 4);
 #endif
 
 using D = double __attribute__((vector_size(sizeof(double) * W)));
@@ -42,9 +44,13 @@ inline V load(const R* p) {
 inline void store(R* p, V v) { __builtin_memcpy(p, &v, sizeof v); }
 using Halves = uint16_t __attribute__((vector_size(2 * W)));  // the upper ones of floats
 inline V load(const uint16_t* p) {
+#if defined(SVRGS_HAVE_NEON)
+  return (V)vshll_n_u16(vld1_u16(p), 16);
+#else
   Halves halves;
   __builtin_memcpy(&halves, p, sizeof halves);
   return (V)(__builtin_convertvector(halves, U) << 16);
+#endif
 }
 // load(p + N) for an aligned p and |N| < 16. An unaligned load of 64 bytes costs two loads; this joins two aligned ones instead.
 template <int N>
@@ -96,6 +102,15 @@ inline V max(V a, V b) { return _mm256_max_ps(a, b); }
 inline V select(M m, V yes, V no) { return _mm256_blendv_ps(no, yes, (__m256)m); }
 inline V sqrt(V a) { return _mm256_sqrt_ps(a); }
 inline V rough_reciprocal(V a) { return _mm256_rcp_ps(a); }
+#elif defined(SVRGS_HAVE_NEON)
+inline bool any(M m) { return vget_lane_u64(vreinterpret_u64_u16(vmovn_u32((uint32x4_t)m)), 0) != 0; }
+inline uint32_t bits(M m) { return vaddvq_u32(vandq_u32((uint32x4_t)m, uint32x4_t{1, 2, 4, 8})); }
+inline V fma(V a, V b, V c) { return vfmaq_f32(c, a, b); }
+inline V fnma(V a, V b, V c) { return vfmsq_f32(c, a, b); }
+inline V min(V a, V b) { return vminnmq_f32(a, b); }
+inline V max(V a, V b) { return vmaxnmq_f32(a, b); }
+inline V select(M m, V yes, V no) { return vbslq_f32((uint32x4_t)m, yes, no); }
+inline V sqrt(V a) { return vsqrtq_f32(a); }
 #else
 inline uint32_t bits(M m) {
   uint32_t b = 0;
@@ -109,7 +124,7 @@ inline bool any(M m) {
 }
 inline V fma(V a, V b, V c) { return a * b + c; }
 inline V fnma(V a, V b, V c) { return c - a * b; }
-inline V min(V a, V b) { return a < b ? a : b; }  // b where a is NaN, as the processor's own instruction does
+inline V min(V a, V b) { return a < b ? a : b; }  // b where a is NaN, as at every level
 inline V max(V a, V b) { return a > b ? a : b; }
 inline V select(M m, V yes, V no) { return m ? yes : no; }
 inline V sqrt(V a) {
@@ -117,6 +132,10 @@ inline V sqrt(V a) {
   return a;
 }
 #endif
+#if defined(SVRGS_HAVE_NEON)
+inline R sum(V v) { return vaddvq_f32(v); }
+inline R largest(V v) { return vmaxnmvq_f32(v); }
+#else
 inline R sum(V v) {  // fixed order: ((0 + W/2) + (1 + W/2 + 1)) ..., the same for every run
   for (int half = W / 2; half; half /= 2)
     for (int i = 0; i < half; ++i) v[i] += v[i + half];
@@ -128,13 +147,20 @@ inline R largest(V v) {
   return best;
 }
 #endif
+#endif
 
+#if defined(SVRGS_HAVE_NEON)
+inline bool any_nan(V v) { return any(v != v); }
+#else
 inline bool any_nan(V v) { return bits(at_least(v, v)) != (1ull << W) - 1; }
+#endif
 
 // The mask whose lane i is bit i of `set`.
 inline M lanes_of(uint32_t set) {
 #if defined(SVRGS_HAVE_AVX512)
   return static_cast<M>(set);
+#elif defined(SVRGS_HAVE_NEON)
+  return (M)vtstq_u32(vdupq_n_u32(set), uint32x4_t{1, 2, 4, 8});
 #else
   I bit;
   for (int i = 0; i < W; ++i) bit[i] = IntR(1) << i;
@@ -179,6 +205,10 @@ inline V load_first(const T* p) {
 #elif defined(SVRGS_HAVE_AVX2)
   } else if constexpr (std::is_same_v<T, R>) {
     return load_eight<n>(p);
+#elif defined(SVRGS_HAVE_NEON)
+  } else if constexpr (std::is_same_v<T, R>) {
+    const float32x2_t first = n == 1 ? vset_lane_f32(*p, vdup_n_f32(0), 0) : vld1_f32(p);
+    return vcombine_f32(first, n == 3 ? vset_lane_f32(p[2], vdup_n_f32(0), 0) : vdup_n_f32(0));
 #endif
   } else {
     T spare[W] = {};
@@ -196,6 +226,8 @@ inline void sum4(V a, V b, V c, V d, R* out) {
   const __m256 s = _mm256_hadd_ps(_mm256_hadd_ps(fold(a), fold(b)), _mm256_hadd_ps(fold(c), fold(d)));
   _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(s), _mm256_extractf128_ps(s, 1)));
 }
+#elif defined(SVRGS_HAVE_NEON)
+inline void sum4(V a, V b, V c, V d, R* out) { store(out, vpaddq_f32(vpaddq_f32(a, b), vpaddq_f32(c, d))); }
 #else
 inline void sum4(V a, V b, V c, V d, R* out) { out[0] = sum(a), out[1] = sum(b), out[2] = sum(c), out[3] = sum(d); }
 #endif

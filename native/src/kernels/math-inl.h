@@ -12,8 +12,12 @@ inline V reciprocal(V a) {
 
 inline V magnitude(V x) { return max(x, -x); }
 inline V floor(V x) {  // of values that fit into an integer
+#if defined(SVRGS_HAVE_NEON)
+  return vrndmq_f32(x);
+#else
   const V t = __builtin_convertvector(__builtin_convertvector(x, I), V);
   return select(less(x, t), t - R(1), t);
+#endif
 }
 inline V ceil(V x) { return -floor(-x); }
 inline V clamp(V x, V low, V high) { return min(max(x, low), high); }
@@ -39,7 +43,7 @@ inline V exp2(V x) {
     for (int i = 0; i < W; ++i) x[i] = std::exp2(x[i]);
     return x;
   } else {
-    const V magic = broadcast(12582912.0f);  // 1.5 * 2^23: adding it rounds to an integer in the low bits
+    const V magic = broadcast(R(12582912));  // 1.5 * 2^23: adding it rounds to an integer in the low bits
     const V t = x + magic;
     const V f = x - (t - magic);
     const V f2 = f * f;  // pairs of terms side by side: a shorter chain than one term after the other

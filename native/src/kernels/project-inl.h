@@ -99,7 +99,8 @@ inline V load_masks(const Frame& f, int64_t first, int n) {
     __builtin_memcpy(&bytes, f.masks + first, W);  // a load, not a call
   else
     __builtin_memcpy(&bytes, f.masks + first, static_cast<size_t>(n));
-  return -__builtin_convertvector(__builtin_convertvector(bytes != 0, I), V);  // by way of I: else lane by lane
+  const I words = __builtin_convertvector(bytes, I);  // compared as I: bytes compare to a vector of char, which has no sign on arm64
+  return -__builtin_convertvector(words != 0, V);
 }
 
 // Of the n <= W Gaussians from `first` on, adds those that may be visible to the queue.
@@ -122,7 +123,7 @@ inline void enqueue(const Frame& f, const CameraParams& camera, int64_t first, i
   for (int k = 0; k < kNarrowParameters; ++k) pack(set, numbers[k], p.numbers[k] + at);
   if (f.masks) pack(set, load_masks(f, first, n), p.masks + at);
   pack_lanes(set, static_cast<uint32_t>(first), p.ids + at);
-  p.last = at + __builtin_popcount(set);
+  p.last = at + lane_count(set);
 }
 
 // Projects waiting Gaussians while at least `enough` wait, then makes room for the next kCulledAtOnce.

@@ -198,7 +198,7 @@ inline bool next_visit(const Frame& f, TileOrigin o, const TileEntry*& entry, co
 }
 
 // The first block of a tile. Not inlined on SSE, where a block is four vectors: inlining takes registers from the loop (stage 5: +1 to +3 %).
-#if defined(SVRGS_HAVE_AVX2)
+#if defined(SVRGS_HAVE_AVX2) || defined(SVRGS_HAVE_NEON)
 inline
 #else
 [[gnu::noinline]]

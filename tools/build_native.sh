@@ -1,0 +1,13 @@
+#!/usr/bin/env bash
+# Compiles the native core into svrgs_addon/, if its sources have changed: tools/build_native.sh VENV. CXX names the compiler.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+cmake=$1/bin/cmake
+log=build/native.log
+mkdir -p build
+if ! [ -f build/native/CMakeCache.txt ] || ! [ -f svrgs_addon/libsvrgs.so ]; then
+    echo "compiling the native core"
+    rm -rf build/native
+fi
+{ "$cmake" -S native -B build/native "-Dlibrary_folder=$PWD/svrgs_addon" && "$cmake" --build build/native --target svrgs --parallel 2; } >"$log" 2>&1 ||
+    { cat "$log" >&2 && exit 1; }
