@@ -5,6 +5,7 @@ Exit status 0: done. 1: failure of the program or the system. 2: wrong usage or 
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import math
@@ -68,12 +69,20 @@ def log_to_stderr() -> None:
     logging.basicConfig(handlers=[handler], level=logging.WARNING)
 
 
+def use_utf_8() -> None:
+    """stdin and stdout are UTF-8 from here on, whatever the locale says: they are pipes to another process of this product."""
+    for stream in (sys.stdin, sys.stdout):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding="utf-8")
+
+
 def answer(work: Callable[[dict], dict]) -> int:
     """The main function of a child process: it gives work() the JSON object on stdin, and prints its result as JSON on stdout.
 
     An expected error is printed as {"error": sentence}. Returns the exit status.
     """
     log_to_stderr()
+    use_utf_8()
     request, result = json.load(sys.stdin), {}
 
     def run() -> int:

@@ -27,7 +27,7 @@ def build(macro: str, folder: Path) -> Path:
     library = place / "libsvrgs.so"
     place.mkdir()
     command = ["make", f"-j{os.cpu_count()}", "-C", str(SOURCES), f"OUT={library}", f"BUILD={place / 'objects'}", f"EXTRA=-D{macro}"]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace")
     if done.returncode:
         raise NativeError(f"building with -D{macro} failed: {(done.stderr.strip() or done.stdout.strip()).splitlines()[-1]}")
     return library

@@ -47,6 +47,7 @@ from ..files.registry import write_scene
 from ..finetune.methods import FORMER_NAMES
 from ..option_kinds import check_mapping
 from ..scene import Scene
+from ..system.replacing import read_bytes
 from .disk_room import check_room
 from .options import PruneOptions, TrainOptions, refuse_time_and_steps
 
@@ -211,7 +212,7 @@ class JobFolder:
 
     def metrics(self) -> dict[str, np.ndarray]:
         """The columns of metrics.csv by name, float64, NaN for missing values. Incomplete lines are skipped."""
-        with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), open(self / "metrics.csv") as file:
+        with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), open(self / "metrics.csv", encoding="utf-8") as file:
             lines = list(csv.reader(io.StringIO(file.read(LARGEST_JSON))))[1:]
             rows = [row for row in map(_numbers, lines) if len(row) == len(METRICS) and math.isfinite(row[0])]
             return dict(zip(METRICS, np.array(rows, np.float64).reshape(-1, len(METRICS)).T, strict=True))
@@ -229,7 +230,7 @@ class JobFolder:
         return []
 
     def write_json(self, name: str, value: dict):
-        with atomic_write(self / name) as file:
+        with atomic_write(self / name, keep=False) as file:
             file.write(json.dumps(value).encode())
 
     def raise_flag(self):
@@ -298,7 +299,7 @@ class JobFolder:
         try:
             if (self / name).stat().st_size > LARGEST_JSON:
                 return None
-            value = json.loads((self / name).read_bytes())
+            value = json.loads(read_bytes(self / name))
         except (OSError, ValueError, RecursionError):
             return None
         return value if isinstance(value, dict) else None

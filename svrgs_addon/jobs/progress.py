@@ -18,6 +18,7 @@ class Reporter:
         self.quiet = quiet
         self.terminal = sys.stderr.isatty()
         self._next = 0.0
+        self._width = 0  # characters of the last line in the terminal
 
     def say(self, sentence: str):
         """Prints a sentence before the first step."""
@@ -32,7 +33,9 @@ class Reporter:
         self._next = now + (TERMINAL_PAUSE if self.terminal else LOG_PAUSE)
         text = describe(p)
         if self.terminal:
-            print(f"\r{bar(p.iteration / p.total)} {text}\x1b[K", end="\n" if last else "", file=sys.stderr, flush=True)
+            line = f"{bar(p.iteration / p.total)} {text}"  # spaces clear the rest of a longer line: not every console of Windows knows escapes
+            print(f"\r{line:{self._width}}", end="\n" if last else "", file=sys.stderr, flush=True)
+            self._width = len(line)
         else:
             print(text, file=sys.stderr, flush=True)
 

@@ -29,6 +29,7 @@ from ..native import Rasterizer, RenderOptions, thresholds
 from ..photographs.dataset import Dataset
 from ..report.prune_report import report_pictures, write_prune_report
 from ..scene import Scene
+from ..system.memory import peak
 from .context import JobContext
 from .disk_room import DiskRoom
 
@@ -313,7 +314,7 @@ def run_facts(run: Run, job: JobContext, clock: Clock) -> dict:
         "seconds_by_phase": clock.phases,
         "iterations": run.iteration,
         "iterations_per_second": run.iteration / tuned if tuned else None,
-        "peak_memory_bytes": memory.peak(),
+        "peak_memory_bytes": peak(),
         "nonfinite_gradients": run.nonfinite,
         "densifications_held_back": run.held_back,
         "seed": plan.seed,

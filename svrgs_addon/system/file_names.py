@@ -1,0 +1,48 @@
+"""Names of files: those that Windows forbids, and paths too long for it."""
+
+from __future__ import annotations
+
+import ntpath
+import os
+import re
+from pathlib import Path, PureWindowsPath
+
+from . import here
+
+DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]|conin\$|conout\$) *(\..*)?", re.IGNORECASE)
+FORBIDDEN = re.compile(r'[<>:"|?*\x00-\x1f]')
+LONGEST = 247  # characters of the path of a folder on Windows, without the prefix; a file may have 12 more
+PREFIX = "\\\\?\\"
+
+
+def what_is_forbidden(path: str | os.PathLike) -> str:
+    """What the system forbids in the names of an absolute path, as the end of a sentence; '' if nothing.
+
+    Without this check, Windows would write `NUL.ply` to no file, and `a:b.ply` into a hidden stream of the file `a`.
+    """
+    if not here.WINDOWS:
+        return ""
+    for name in PureWindowsPath(path).parts[1:]:
+        if found := FORBIDDEN.search(name):
+            return f"Windows does not allow {found[0]!r} in a name"
+        if DEVICES.fullmatch(name):
+            return f"on Windows, '{name}' is a device and no file"
+        if name[-1] in ". ":
+            return f"Windows does not allow a name that ends with a {'dot' if name[-1] == '.' else 'space'}"
+    return ""
+
+
+def extended(path: Path) -> Path:
+    """The path in the form in which the system opens it. On Windows, a path of more than LONGEST characters gets the prefix that lifts the
+    limit of 260 characters. Such a path must be absolute and without '..'."""
+    if not here.WINDOWS or os.fspath(path).startswith(PREFIX):
+        return path
+    full = ntpath.normpath(ntpath.join(os.getcwd(), path))
+    if len(full) <= LONGEST:
+        return path
+    return Path(PREFIX + ("UNC" + full[1:] if full.startswith("\\\\") else full))
+
+
+def shown(text: str) -> str:
+    """The text of a message, with its paths as the user wrote them: without the prefix of extended()."""
+    return text.replace(PREFIX + "UNC", "\\").replace(PREFIX, "") if here.WINDOWS else text
