@@ -113,9 +113,13 @@ def check_writable(path: str | os.PathLike) -> None:
 def check_space(path: str | os.PathLike, needed_bytes: int) -> None:
     """Raises SceneError if a file of needed_bytes bytes cannot be written into the folder of `path`. As check_writable(), but a file that
     another program has open is no reason: what was worked for is then written under another name."""
+    if forbidden := file_names.what_is_forbidden(path):
+        raise SceneError(f"{path}: cannot be written because {forbidden}; choose another name")
     target = _real(path)
     _check_target(path, target)
-    folder = next(parent for parent in target.parents if os.path.lexists(parent))
+    folder = next((parent for parent in target.parents if os.path.lexists(parent)), None)
+    if folder is None:  # on Windows
+        raise SceneError(f"{path}: cannot be written because there is no drive {target.drive}; choose another folder")
     if not os.path.isdir(folder):
         raise SceneError(f"{path}: cannot be written because {folder} is not a folder")
     try:
@@ -130,8 +134,6 @@ def check_space(path: str | os.PathLike, needed_bytes: int) -> None:
 
 def _check_target(path: str | os.PathLike, target: Path) -> None:
     """Raises SceneError for a folder, a write-protected file, and a name that the file system does not allow."""
-    if forbidden := file_names.what_is_forbidden(target):
-        raise SceneError(f"{path}: cannot be written because {forbidden}; choose another name")
     if os.path.isdir(target):
         raise SceneError(f"{path}: is a folder; give the name of a file")
     try:

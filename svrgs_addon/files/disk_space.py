@@ -62,6 +62,6 @@ def shortage(path: str | os.PathLike, size: int, purpose: str, folder: Path, fre
 
 
 def existing_parent(folder: Path) -> Path:
-    """The folder, or the nearest folder above it that exists."""
+    """The folder, or the nearest folder above it that exists; the folder itself if none does, as on a drive that Windows does not have."""
     folder = Path(os.path.realpath(folder))
-    return next(place for place in (folder, *folder.parents) if place.is_dir())
+    return next((place for place in (folder, *folder.parents) if place.is_dir()), folder)

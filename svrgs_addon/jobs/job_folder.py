@@ -47,6 +47,7 @@ from ..files.registry import write_scene
 from ..finetune.methods import FORMER_NAMES
 from ..option_kinds import check_mapping
 from ..scene import Scene
+from ..system.file_names import extended
 from ..system.replacing import read_bytes
 from .disk_room import check_room
 from .options import PruneOptions, TrainOptions, refuse_time_and_steps
@@ -76,7 +77,7 @@ class JobFolder:
     """The files of one job, below `path`."""
 
     def __init__(self, path: str | Path):
-        self.path = Path(path)
+        self.path = extended(path)
 
     @classmethod
     def create(cls, path: str | Path, scene: Scene, options: dict, name: str = "") -> JobFolder:

@@ -16,28 +16,31 @@ PREFIX = "\\\\?\\"
 
 
 def what_is_forbidden(path: str | os.PathLike) -> str:
-    """What the system forbids in the names of an absolute path, as the end of a sentence; '' if nothing.
+    """What the system forbids in the names of a path as the user wrote it, as the end of a sentence; '' if nothing.
 
     Without this check, Windows would write `NUL.ply` to no file, and `a:b.ply` into a hidden stream of the file `a`.
     """
     if not here.WINDOWS:
         return ""
-    for name in PureWindowsPath(path).parts[1:]:
+    whole = PureWindowsPath(path)
+    for name in whole.parts[bool(whole.anchor) :]:
         if found := FORBIDDEN.search(name):
             return f"Windows does not allow {found[0]!r} in a name"
         if DEVICES.fullmatch(name):
             return f"on Windows, '{name}' is a device and no file"
-        if name[-1] in ". ":
+        if name[-1] in ". " and name != "..":
             return f"Windows does not allow a name that ends with a {'dot' if name[-1] == '.' else 'space'}"
     return ""
 
 
-def extended(path: Path) -> Path:
-    """The path in the form in which the system opens it. On Windows, a path of more than LONGEST characters gets the prefix that lifts the
-    limit of 260 characters. Such a path must be absolute and without '..'."""
-    if not here.WINDOWS or os.fspath(path).startswith(PREFIX):
+def extended(path: str | os.PathLike) -> Path:
+    """The path in the form in which the system opens it. On Windows, a path of more than LONGEST characters becomes absolute, without '..',
+    and gets the prefix that lifts the limit of 260 characters."""
+    path = Path(path)
+    text = os.fspath(path)
+    if not here.WINDOWS or text.startswith(PREFIX):
         return path
-    full = ntpath.normpath(ntpath.join(os.getcwd(), path))
+    full = ntpath.normpath(ntpath.join(os.getcwd(), text))
     if len(full) <= LONGEST:
         return path
     return Path(PREFIX + ("UNC" + full[1:] if full.startswith("\\\\") else full))
