@@ -9,7 +9,7 @@ from pathlib import Path, PureWindowsPath
 
 from . import here
 
-DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]|conin\$|conout\$) *(\..*)?", re.IGNORECASE)
+DEVICES = re.compile(r"(con|prn|aux|nul|com[1-9¹²³]|lpt[1-9¹²³]|conin\$|conout\$) *(\..*)?", re.IGNORECASE)
 FORBIDDEN = re.compile(r'[<>:"|?*\x00-\x1f]')
 LONGEST = 247  # characters of the path of a folder on Windows, without the prefix; a file may have 12 more
 PREFIX = "\\\\?\\"
