@@ -80,6 +80,7 @@ def test_a_relative_path_is_measured_from_the_current_folder(windows, monkeypatc
 
 def test_messages_show_the_path_without_the_prefix(windows):
     path = extended(LONG + "\\größe.ply")
+    assert printable(str(FileNotFoundError(2, "missing", str(path)))) == "[Errno 2] missing: " + repr(f"{LONG}\\größe.ply")
     assert str(FormatError(f"{path}: is incomplete")) == printable(f"{path}: is incomplete") == f"{LONG}\\größe.ply: is incomplete"
     share = extended("\\\\server\\share\\" + "x" * 300)
     assert plain({"out": str(share), "files": [str(path)]}) == {"out": "\\\\server\\share\\" + "x" * 300, "files": [f"{LONG}\\größe.ply"]}

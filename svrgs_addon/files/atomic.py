@@ -50,7 +50,7 @@ def start_writeback(file: BinaryIO, size: int) -> None:
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike, keep: bool = True) -> Iterator[Path]:
     """As atomic_write, for libraries that write by file name: yields the path of an empty temporary file with the same suffix."""
-    target = _real(path)
+    target = file_names.real(path)  # if path is a symbolic link, its target is replaced
     with _errors_of(path):
         target.parent.mkdir(parents=True, exist_ok=True)
         with _hidden_file_next_to(target) as temporary:
@@ -58,11 +58,6 @@ def atomic_path(path: str | os.PathLike, keep: bool = True) -> Iterator[Path]:
             _sync(temporary, os.O_RDWR)
             _replace(temporary, target, path if keep else None)
     _sync_folder(target.parent)
-
-
-def _real(path: str | os.PathLike) -> Path:
-    """The file that is meant: if path is a symbolic link, its target."""
-    return file_names.extended(Path(os.path.realpath(path)))
 
 
 @contextlib.contextmanager
@@ -81,7 +76,7 @@ def reserved(path: str | os.PathLike) -> Iterator[None]:
     It owns a hidden file next to `path`. Missing folders are created, and removed again if they are still empty. Does nothing on
     file systems without locks. Raises SceneError if the path is reserved.
     """
-    target = _real(path)
+    target = file_names.real(path)
     lock = target.with_name(f"{HIDDEN_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}.lock")
     new_folders = list(itertools.takewhile(lambda folder: not folder.exists(), target.parents))
     try:
@@ -106,7 +101,7 @@ def check_writable(path: str | os.PathLike) -> None:
     files that killed writers left in that folder are removed.
     """
     check_space(path, 0)
-    if not replacing.may_be_replaced(_real(path)):
+    if not replacing.may_be_replaced(file_names.real(path)):
         raise SceneError(f"{path}: is open in another program and cannot be replaced; close it there, or choose another output")
 
 
@@ -115,7 +110,7 @@ def check_space(path: str | os.PathLike, needed_bytes: int) -> None:
     another program has open is no reason: what was worked for is then written under another name."""
     if forbidden := file_names.what_is_forbidden(path):
         raise SceneError(f"{path}: cannot be written because {forbidden}; choose another name")
-    target = _real(path)
+    target = file_names.real(path)
     _check_target(path, target)
     folder = next((parent for parent in target.parents if os.path.lexists(parent)), None)
     if folder is None:  # on Windows

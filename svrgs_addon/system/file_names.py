@@ -46,6 +46,18 @@ def extended(path: str | os.PathLike) -> Path:
     return Path(PREFIX + ("UNC" + full[1:] if full.startswith("\\\\") else full))
 
 
+def real(path: str | os.PathLike) -> Path:
+    """The absolute path without symbolic links, in the form of extended(). Where Windows cannot follow links, as on some drives, they stay."""
+    try:
+        return extended(os.path.realpath(path))
+    except OSError:
+        return extended(os.path.abspath(path))
+
+
 def shown(text: str) -> str:
-    """The text of a message, with its paths as the user wrote them: without the prefix of extended()."""
-    return text.replace(PREFIX + "UNC", "\\").replace(PREFIX, "") if here.WINDOWS else text
+    """The text of a message, with its paths as the user wrote them: without the prefix of extended(). Python's own errors double each backslash."""
+    if here.WINDOWS:
+        for single in ("\\\\", "\\"):
+            prefix = PREFIX.replace("\\", single)
+            text = text.replace(f"{prefix}UNC", single).replace(prefix, "")
+    return text
