@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,7 +19,7 @@ from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.exit_status import plain, printable
 from svrgs_addon.files.atomic import atomic_write, check_writable
 from svrgs_addon.system import here
-from svrgs_addon.system.file_names import extended, shown, what_is_forbidden
+from svrgs_addon.system.file_names import extended, is_link, shown, what_is_forbidden
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = "Ordner mit Größe, ü & 100 %"  # 27 characters
@@ -91,6 +92,17 @@ def test_a_drive_that_is_missing_is_one_sentence(windows, monkeypatch):
     monkeypatch.setattr(os.path, "lexists", lambda _: False)
     with pytest.raises(SceneError, match="there is no drive"):
         check_writable("/q/a.ply")
+
+
+def test_a_junction_of_windows_is_a_link(tmp_path, monkeypatch):
+    (tmp_path / "link").symlink_to(tmp_path)
+    tags = {str(tmp_path / "junction"): 0xA0000003, str(tmp_path / "in the cloud"): 0x9000001A}
+    lstat = os.lstat
+    for name in ("junction", "in the cloud", "folder"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setattr(os, "lstat", lambda path: SimpleNamespace(st_reparse_tag=tags.get(os.fspath(path), 0), st_mode=lstat(path).st_mode))
+    with os.scandir(tmp_path) as entries:
+        assert sorted(entry.name for entry in entries if is_link(entry)) == ["junction", "link"]
 
 
 # --- on this system

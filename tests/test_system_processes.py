@@ -12,6 +12,7 @@ import pytest
 
 from svrgs_addon.jobs.stop_request import StopRequest
 from svrgs_addon.system import here, processes
+from svrgs_addon.system import windows as system_calls
 from svrgs_addon.system.processes import ChildProcess, ProcessGroup, killed_from_outside, stop_signals
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -146,7 +147,7 @@ print("stopped", flush=True)
 """
 
 
-@pytest.mark.skipif(sys.platform != "win32", reason="only Windows has Ctrl-Break")
+@pytest.mark.skipif(sys.platform != "win32" or not system_calls.has_console(), reason="only a console of Windows sends Ctrl-Break")
 def test_ctrl_break_from_the_console_stops_a_process():
     group = subprocess.CREATE_NEW_PROCESS_GROUP
     with subprocess.Popen([sys.executable, "-c", CTRL_BREAK, str(ROOT)], stdout=subprocess.PIPE, text=True, creationflags=group) as process:

@@ -47,7 +47,7 @@ from ..files.registry import write_scene
 from ..finetune.methods import FORMER_NAMES
 from ..option_kinds import check_mapping
 from ..scene import Scene
-from ..system.file_names import extended
+from ..system.file_names import extended, is_link
 from ..system.replacing import read_bytes
 from .disk_room import check_room
 from .options import PruneOptions, TrainOptions, refuse_time_and_steps
@@ -165,7 +165,7 @@ class JobFolder:
     def refuse_links(self):
         """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file elsewhere."""
         for entry in self._entries():
-            if entry.is_symlink():
+            if is_link(entry):
                 raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
 
     def check_scene(self):
@@ -263,8 +263,8 @@ class JobFolder:
         if not (self / "job.json").is_file():
             raise FormatError(f"{self.path}: holds no job")
         for folder in (self / "previews", self / "recovered.ply.job"):
-            if folder.is_symlink():  # the patterns would be searched behind it
-                folder.unlink()
+            if os.path.lexists(folder) and is_link(folder):  # the patterns would be searched behind it
+                folder.unlink() if folder.is_symlink() else folder.rmdir()
         for checkpoint in self._checkpoints():
             shutil.rmtree(checkpoint, ignore_errors=True)
         for pattern in _FILES:
@@ -282,7 +282,7 @@ class JobFolder:
                 yield from entries
 
     def _checkpoints(self) -> Iterator[Path]:
-        return (path for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7) if path.is_dir() and not path.is_symlink())
+        return (path for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7) if path.is_dir() and not is_link(path))
 
     def _array(self, name: str, dtype: type) -> np.ndarray:
         """The array (N,) in NAME.npy, one value per source Gaussian. Raises FormatError if it is missing or has another shape or dtype."""

@@ -1,4 +1,4 @@
-"""Names of files: those that Windows forbids, and paths too long for it."""
+"""Names of files: those that Windows forbids, paths too long for it, and links."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ DEVICES = re.compile(r"(con|prn|aux|nul|com[1-9¹²³]|lpt[1-9¹²³]|conin\$|co
 FORBIDDEN = re.compile(r'[<>:"|?*\x00-\x1f]')
 LONGEST = 247  # characters of the path of a folder on Windows, without the prefix; a file may have 12 more
 PREFIX = "\\\\?\\"
+JUNCTION = 0xA0000003  # tag of a folder of Windows that leads to another one, which anybody may create
 
 
 def what_is_forbidden(path: str | os.PathLike) -> str:
@@ -52,6 +53,11 @@ def real(path: str | os.PathLike) -> Path:
         return extended(os.path.realpath(path))
     except OSError:
         return extended(os.path.abspath(path))
+
+
+def is_link(path: str | os.PathLike) -> bool:
+    """Whether it is a symbolic link, or a junction of Windows. Raises OSError if there is nothing."""
+    return os.path.islink(path) or getattr(os.lstat(path), "st_reparse_tag", 0) == JUNCTION
 
 
 def shown(text: str) -> str:
