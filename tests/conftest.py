@@ -106,4 +106,5 @@ def windows(monkeypatch):
     monkeypatch.setattr(windows, "failure", fake.failure)
     monkeypatch.setattr(windows, "descriptor", fake.descriptor)
     monkeypatch.setattr(os, "replace", fake.replace)
+    monkeypatch.setattr(Path, "read_bytes", lambda path: fake.read_bytes(path))
     yield fake

@@ -14,6 +14,7 @@ import itertools
 import os
 import struct
 from collections.abc import Iterator
+from pathlib import Path
 
 READ, WRITE, DELETE = 1, 2, 4  # of the share mode
 ACCESS = {0x80000000: READ, 0x40000000: WRITE, 0x00010000: DELETE}
@@ -35,7 +36,7 @@ class FakeWindows:
         self.limits: tuple[int, int, int] | None = None  # flags, of the process, of the job; None: the process is in no job
         self.console = 1
         self.jobs: dict[int, dict] = {}
-        self.system_replace = os.replace
+        self.system_replace, self.system_read_bytes = os.replace, Path.read_bytes
 
     # --- files
 
@@ -74,14 +75,21 @@ class FakeWindows:
         return handle
 
     def replace(self, source, target):
-        """os.replace: refused while a file is open for which others may not delete."""
-        if any(not others & DELETE for path in (source, target) for _, _, others in self.users(path)):
-            self.error = SHARING
+        """os.replace: refused while the target is open, or the source so that others may not rename it."""
+        if self.users(target) or any(not others & DELETE for _, _, others in self.users(source)):
+            self.error = DENIED
             raise self.failure(target)
         moved = self.users(source)
         self.system_replace(source, target)
         for user in moved:
             user[0] = os.path.realpath(target)
+
+    def read_bytes(self, path) -> bytes:
+        """Path.read_bytes: refused while a file is open for which others may not read."""
+        if any(not others & READ for _, _, others in self.users(path)):
+            self.error = SHARING
+            raise self.failure(path)
+        return self.system_read_bytes(path)
 
     @contextlib.contextmanager
     def viewer(self, path) -> Iterator[None]:

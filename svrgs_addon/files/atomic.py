@@ -182,18 +182,20 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _replace(temporary: Path, target: Path, path: str | os.PathLike | None) -> None:
-    """Renames the temporary file. If another program keeps the old file open, the new one gets another name, and SceneError says which.
+    """Renames the temporary file. If Windows does not replace the old file, the new one gets another name, and SceneError says which.
 
     path: how the message names the target; None: the new file is not kept, and the OSError is raised.
     """
     try:
         replacing.replace(temporary, target)
     except PermissionError:
-        if path is None or replacing.may_be_replaced(target):
+        if path is None or not here.WINDOWS or not os.path.lexists(target):
             raise
         kept = _free_name(target)
         os.replace(temporary, kept)
-        raise SceneError(f"{path}: is open in another program and was not replaced; the new file is complete and lies next to it as '{kept.name}'") from None
+        raise SceneError(
+            f"{path}: was not replaced, probably because another program has it open; the new file is complete and lies next to it as '{kept.name}'"
+        ) from None
 
 
 def _free_name(target: Path) -> Path:

@@ -42,7 +42,10 @@ def read_bytes(path: Path) -> bytes:
 
 
 def may_be_replaced(path: Path) -> bool:
-    """Whether no program has the file open in a way that keeps it from being replaced. Always true on systems without such a way."""
+    """Whether no program has the file open in a way that keeps it from being replaced. Always true on systems without such a way.
+
+    A program may allow others to rename the file. Whether Windows replaces it then, depends on its version and on the file system.
+    """
     if not here.WINDOWS or not path.exists():
         return True
 

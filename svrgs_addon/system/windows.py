@@ -88,8 +88,8 @@ def descriptor(handle: int) -> int:
     """The file descriptor of a handle. Closing it closes the handle."""
     import msvcrt
 
-    module: Any = msvcrt
-    return module.open_osfhandle(handle, os.O_RDWR)
+    module, flags = vars(msvcrt), vars(os)
+    return module["open_osfhandle"](handle, flags["O_RDWR"] | flags["O_BINARY"])
 
 
 def create_file(path: str | os.PathLike, access: int, share: int, disposition: int, flags: int = 0) -> int:
