@@ -76,13 +76,13 @@ def settings_of(request: dict):
 
 def run_job(request: dict) -> dict:
     """The job's result, with further figures of memory and time."""
-    from svrgs_addon import memory
     from svrgs_addon.jobs import train_and_prune
     from svrgs_addon.photographs.dataset import load_dataset
+    from svrgs_addon.system.memory import peak
 
     native = time_native_calls()
     dataset = load_dataset(Path(request["colmap"]), need_points=request["kind"] == "train")
-    base, counts = memory.peak(), [0]
+    base, counts = peak(), [0]
     options = train_and_prune.JobContext(Path(request["out"]), observe=lambda progress: counts.append(progress.count))
     profile = cProfile.Profile()
     if request["profile"]:

@@ -9,9 +9,7 @@ Blender's own Python: its libraries cannot conflict with those of Blender, and a
 """
 
 import importlib
-import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -35,16 +33,13 @@ def part(name: str):
 
 
 def run(words: list[str]) -> int:
-    packages, library = part("blender.packages"), part("library_path")
+    packages, library, processes = part("blender.packages"), part("library_path"), part("system.processes")
     own, extensions = blender_folders()
     variables = part("blender.subprocess_python").environment(packages.find(own, extensions))
     variables[library.LIBRARY_VARIABLE] = str(library.library_path(folder / "svrgs_addon" for folder in extensions))
-    child = subprocess.Popen([sys.executable, "-m", "svrgs_addon", *words], env=variables)
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # not on Windows, and not under nohup
-        numbers.append(signal.SIGHUP)
-    for number in numbers:
-        signal.signal(number, lambda *_: stop(child))
+    child = processes.ChildProcess([sys.executable, "-m", "svrgs_addon", *words], env=variables)
+    for number in processes.stop_signals():
+        signal.signal(number, lambda *_: child.ask_to_stop())
     return child.wait()
 
 
@@ -59,15 +54,6 @@ def blender_folders() -> tuple[list[Path], list[Path]]:
     own = Path(bpy.utils.resource_path("LOCAL"), "python", "lib", f"python{sys.version_info[0]}.{sys.version_info[1]}", "site-packages")
     extensions = [Path(repo.directory) / "svrgs" for repo in bpy.context.preferences.extensions.repos]
     return [own], [folder for folder in extensions if folder.is_dir()]
-
-
-def stop(child: subprocess.Popen):
-    """Asks the child process to stop cleanly (SIGTERM on POSIX).
-
-    Ctrl-C in a terminal reaches the child directly as well, which is harmless. On Windows, Ctrl-C is the only way.
-    """
-    if os.name == "posix":
-        child.terminate()
 
 
 if __name__ == "__main__":

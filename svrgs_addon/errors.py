@@ -1,8 +1,15 @@
 """The exceptions of the product. Each message is one sentence: it names the file, the fault, and what to do about it."""
 
+from __future__ import annotations
+
+from .system.file_names import shown
+
 
 class SplatError(Exception):
     """Base class of errors that a user can cause and correct. The command line prints the message and exits with status 2."""
+
+    def __str__(self) -> str:
+        return shown(super().__str__())
 
 
 class FormatError(SplatError):

@@ -5,6 +5,7 @@ Exit status 0: done. 1: failure of the program or the system. 2: wrong usage or 
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import math
@@ -14,6 +15,7 @@ from collections.abc import Callable
 
 from .errors import Cancelled, NativeError, SplatError
 from .packages import import_reason
+from .system.file_names import shown
 
 STOPPED = 130
 # Control characters of ASCII and Latin-1, separators of lines and paragraphs, changes of the writing direction.
@@ -50,8 +52,9 @@ def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
 
 
 def printable(text: str) -> str:
-    """The text with control characters replaced by escapes such as \\x1b, so that a name in it cannot command the terminal or add a line."""
-    return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    """The text with control characters replaced by escapes such as \\x1b, so that a name in it cannot command the terminal or add a line.
+    Paths are as the user wrote them."""
+    return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), shown(text))
 
 
 class OneLine(logging.Formatter):
@@ -68,12 +71,20 @@ def log_to_stderr() -> None:
     logging.basicConfig(handlers=[handler], level=logging.WARNING)
 
 
+def use_utf_8() -> None:
+    """stdin and stdout are UTF-8 from here on, whatever the locale says: they are pipes to another process of this product."""
+    for stream in (sys.stdin, sys.stdout):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding="utf-8")
+
+
 def answer(work: Callable[[dict], dict]) -> int:
     """The main function of a child process: it gives work() the JSON object on stdin, and prints its result as JSON on stdout.
 
     An expected error is printed as {"error": sentence}. Returns the exit status.
     """
     log_to_stderr()
+    use_utf_8()
     request, result = json.load(sys.stdin), {}
 
     def run() -> int:
@@ -86,9 +97,12 @@ def answer(work: Callable[[dict], dict]) -> int:
 
 
 def plain(value):
-    """Returns the value in a form that JSON can store. Infinity and NaN become None, tuples become lists; containers are converted recursively."""
+    """Returns the value in a form that JSON can store. Infinity and NaN become None, tuples become lists; containers are converted recursively.
+    Paths in texts are as the user wrote them."""
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
+    if isinstance(value, str):
+        return shown(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value

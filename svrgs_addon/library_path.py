@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
 from .errors import NativeError
+from .system.here import LIBRARY as FILE_NAME
 
 LIBRARY_VARIABLE = "SVRGS_LIBRARY"  # environment variable: path of another build of the library
-FILE_NAME = {"win32": "svrgs.dll", "darwin": "libsvrgs.dylib"}.get(sys.platform, "libsvrgs.so")
 
 
 def library_path(other_folders: Iterable[Path] = ()) -> Path:

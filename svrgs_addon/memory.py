@@ -1,18 +1,16 @@
 """Estimates of the memory that a job needs, and the memory that is available.
 
-A job whose estimate exceeds the available memory is refused before it starts; the message names both numbers. peak() measures
-the memory that was used.
+A job whose estimate exceeds the available memory is refused before it starts; the message names both numbers. What the system says is
+read in system/memory.py.
 """
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Iterator, Sequence
-from pathlib import Path, PurePosixPath
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from .errors import SceneError
+from .system.memory import address_limit, available
 
 if TYPE_CHECKING:  # importing NumPy needs memory
     from .camera import Camera
@@ -28,9 +26,6 @@ RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 100  # bytes per pixel o
 LPIPS_PIXEL = 2000  # bytes per pixel of a view: LPIPS
 COMPARED_PIXEL = 60  # bytes per pixel of each view of which two scenes are shown in a report
 NUMPY_ADDRESSES, PHOTOGRAPH_ADDRESSES = 200_000_000, 800_000_000  # bytes of addresses needed by NumPy; by pycolmap, OpenImageIO and SciPy too
-CGROUP, OWN_CGROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-CGROUP_2 = ("memory.max", "memory.current", "inactive_file")  # files with limit and use, and name of the cached files in memory.stat
-CGROUP_1 = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
 
 
 def reading(file_bytes: int) -> int:
@@ -115,32 +110,9 @@ def refuse_few_addresses(least: int) -> None:
 
     Call it before NumPy and pycolmap are imported: with too few, they fail in ways that a program cannot catch, or never return.
     """
-    limit = _address_limit()
+    limit = address_limit()
     if limit is not None and limit < least:
         raise SceneError(f"this process may use only {size_text(limit)} of memory (ulimit -v), but needs at least {size_text(least)}; raise the limit")
-
-
-def available() -> int | None:
-    """Bytes that this process can still allocate without swapping; None if the system does not report it.
-
-    The limits of containers (cgroups) and of the process (ulimit -v) are included.
-    """
-    limits = [limit for limit in (_system_available(), _cgroup_available(), _addresses_available()) if limit is not None]
-    return min(limits) if limits else None
-
-
-def peak() -> int | None:
-    """Largest resident set size of this process so far in bytes; None if the system does not report it."""
-    try:  # VmHWM counts this program only; on Linux, getrusage starts with the size of the parent process
-        return _proc_bytes("self/status", "VmHWM")
-    except (OSError, ValueError):
-        pass
-    try:
-        import resource
-    except ImportError:
-        return None
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most if sys.platform == "darwin" else most * 1024
 
 
 def _kept(cameras: Sequence[Camera], budget: int) -> int:
@@ -166,71 +138,3 @@ def part_text(part: int, whole: int) -> str:
     number, unit = size_text(whole).split()
     shown = f"{part * float(number) / whole:.1f}" if unit != "bytes" else str(part)
     return f"{shown} of {number} {unit}" if shown != number else f"{size_text(whole - part)} of {number} {unit} are missing"
-
-
-def _system_available() -> int | None:
-    """Available bytes of the whole system; None if it does not report them."""
-    try:
-        return _proc_bytes("meminfo", "MemAvailable")
-    except (OSError, ValueError):  # macOS reports only its total memory, Windows nothing without ctypes
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else None
-
-
-def _proc_bytes(file: str, name: str) -> int:
-    """Bytes in the line `name` of /proc/`file`. Raises OSError or ValueError if there is no such file or line."""
-    text = Path("/proc", file).read_text()
-    return 1024 * int(text.partition(f"{name}:")[2].partition("kB")[0])
-
-
-def _cgroup_available() -> int | None:
-    """Bytes below the nearest limit of the containers (cgroups, version 1 or 2), where cached files count as free; None without a limit."""
-    left = [_below_limit(folder, *names) for folder, names in _cgroups()]
-    return min((value for value in left if value is not None), default=None)
-
-
-def _cgroups() -> Iterator[tuple[Path, tuple[str, str, str]]]:
-    """The folders of the cgroups of this process and of those around them, and the names of their files.
-
-    In a container, the path of the process in /proc may not exist below /sys/fs/cgroup; then only the root, which is the container's, does.
-    """
-    try:
-        lines = [line.split(":", 2) for line in OWN_CGROUPS.read_text().splitlines()]
-    except OSError:
-        lines = []
-    paths = {controllers: path for _, controllers, path in lines}
-    own_2 = paths.get("", "/")
-    own_1 = next((path for controllers, path in paths.items() if "memory" in controllers.split(",")), "/")
-    for root, own, names in ((CGROUP, own_2, CGROUP_2), (CGROUP / "unified", own_2, CGROUP_2), (CGROUP / "memory", own_1, CGROUP_1)):
-        inner = PurePosixPath(own.lstrip("/"))
-        for part in (inner, *inner.parents):
-            if ".." not in part.parts:  # above the root of a namespace
-                yield root / part, names
-
-
-def _below_limit(folder: Path, limit_file: str, use_file: str, cached_name: str) -> int | None:
-    """Bytes that may still be used in one cgroup; None if it has no limit or does not exist."""
-    try:
-        limit, used = (folder / limit_file).read_text().strip(), int((folder / use_file).read_text())
-        facts = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
-        return None if limit == "max" else max(0, int(limit) - used + int(facts.get(cached_name, 0)))
-    except (OSError, ValueError):
-        return None
-
-
-def _address_limit() -> int | None:
-    """Largest number of bytes of addresses of this process (ulimit -v); None without a limit."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    return None if limit == resource.RLIM_INFINITY else limit
-
-
-def _addresses_available() -> int | None:
-    """Bytes of addresses that this process can still have; None without a limit."""
-    limit = _address_limit()
-    try:
-        return None if limit is None else max(0, limit - _proc_bytes("self/status", "VmSize"))
-    except (OSError, ValueError):
-        return None

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import SceneError
+from .system.file_names import extended
 
 MAX_SHOWN = 80  # characters of a word in a message
 
@@ -59,8 +60,8 @@ def _numbers(word: str) -> tuple[float, ...]:
     return tuple(float(part) for part in word.split(","))
 
 
-FLAG, TEXT, PATH = Kind(bool), Kind(str), Kind(Path)
-FILE = Kind(Path, "a file that exists", lambda value: Path(value).is_file())
+FLAG, TEXT, PATH = Kind(bool), Kind(str), Kind(Path, parse=extended)
+FILE = Kind(Path, "a file that exists", lambda value: Path(value).is_file(), parse=extended)
 COUNT = Kind(int, "a whole number of 0 or more", lambda value: value >= 0, minimum=0)
 POSITIVE = Kind(int, "a whole number of 1 or more", lambda value: value > 0, minimum=1)
 SH_DEGREE = Kind(int, "a degree of 0 to 3", choices=(0, 1, 2, 3))
@@ -127,5 +128,5 @@ def check_mapping(cls: type, values: object) -> dict[str, Any]:
             raise SceneError(f"the option '{name}' is not {found.kind.wanted or 'of the right type'}")
         if isinstance(value, str) and ("\0" in value or "\n" in value):
             raise SceneError(f"the option '{name}' holds characters that no path has")
-        checked[name] = value if found.kind.type is not Path else Path(value) if value else None
+        checked[name] = value if found.kind.type is not Path else extended(value) if value else None
     return checked

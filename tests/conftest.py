@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -87,3 +89,22 @@ def jobs():
         if job.running:
             job._process.kill()
             job._process.wait()
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    """A fake_windows.FakeWindows in whose hands this process is; None on Windows, where the system itself is tested."""
+    if sys.platform == "win32":
+        yield None
+        return
+    from fake_windows import FakeWindows
+    from svrgs_addon.system import here, windows
+
+    fake = FakeWindows()
+    monkeypatch.setattr(here, "WINDOWS", True)
+    monkeypatch.setattr(windows, "kernel32", lambda: fake)
+    monkeypatch.setattr(windows, "failure", fake.failure)
+    monkeypatch.setattr(windows, "descriptor", fake.descriptor)
+    monkeypatch.setattr(os, "replace", fake.replace)
+    monkeypatch.setattr(Path, "read_bytes", lambda path: fake.read_bytes(path))
+    yield fake

@@ -91,6 +91,7 @@ def test_stop_while_the_job_is_still_reading(tiny, tmp_path, jobs):
     assert job.state == "stopped" and job.resume_point() == ("Resume starts it from the beginning", {})
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system cannot hold a process")
 def test_a_job_that_gives_no_sign_of_life_is_killed_and_says_from_where_it_goes_on(tiny, tmp_path, jobs, monkeypatch):
     monkeypatch.setattr("svrgs_addon.jobs.job_process.NO_REACTION", 1.0)
     job = Job(create(tmp_path / "job", tiny, **LONG))
@@ -197,7 +198,7 @@ def test_a_killed_job_is_interrupted_and_goes_on_to_the_same_bytes(undisturbed, 
     jobs.append(job)
     job.start()
     follow(job, at_work)
-    os.kill(job._process.pid, signal.SIGKILL)
+    subprocess.Popen.kill(job._process)  # the process alone, as another program would
     follow(job)
     assert job.state == "interrupted" and "killed" in job.facts["text"]
     again = Job(JobFolder(job.folder.path))  # as after the file was opened again
@@ -217,7 +218,7 @@ def test_a_job_whose_parent_dies_saves_a_checkpoint_and_ends(tiny, tmp_path):
         "print('working', flush=True)\ntime.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", code, str(folder.path)], cwd=ROOT, stdout=subprocess.PIPE) as parent:
-        assert parent.stdout.readline() == b"working\n"
+        assert parent.stdout.readline().strip() == b"working"
         child = folder.state()["pid"]
         parent.kill()
     end = time.monotonic() + 10

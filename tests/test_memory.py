@@ -23,6 +23,7 @@ from svrgs_addon.files.ply import write_ply
 from svrgs_addon.finetune.settings import Densify, Phase, Rates
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.photographs.dataset import Dataset, load_dataset
+from svrgs_addon.system import memory as readings
 
 REFUSED = r"needs about [\d.]+ [kMG]B of memory, but only [\d.]+ [kMG]B are available"
 
@@ -84,7 +85,7 @@ def test_what_is_available():
 
 
 def test_a_containers_limit_counts(monkeypatch, tmp_path):
-    monkeypatch.setattr(memory, "CGROUP", tmp_path)
+    monkeypatch.setattr(readings, "CGROUP", tmp_path)
     before = memory.available()
     (tmp_path / "memory.max").write_text("3000000\n")
     (tmp_path / "memory.current").write_text("2500000\n")
@@ -97,8 +98,8 @@ def test_a_containers_limit_counts(monkeypatch, tmp_path):
 @pytest.fixture
 def cgroups(monkeypatch, tmp_path):
     """A function that writes the files of cgroups: the lines of /proc/self/cgroup, and {path below /sys/fs/cgroup: text}."""
-    monkeypatch.setattr(memory, "CGROUP", tmp_path / "cgroup")
-    monkeypatch.setattr(memory, "OWN_CGROUPS", tmp_path / "own")
+    monkeypatch.setattr(readings, "CGROUP", tmp_path / "cgroup")
+    monkeypatch.setattr(readings, "OWN_CGROUPS", tmp_path / "own")
 
     def write(own: str, **files: str):
         (tmp_path / "own").write_text(own)
@@ -180,19 +181,20 @@ def test_sizes_have_sensible_units(value, text):
 def test_a_childs_peak_is_its_own():
     """However much the process holds that starts it."""
     held = np.ones(150_000_000, np.uint8)
-    code = "import numpy as np; from svrgs_addon import memory; array = np.ones(20_000_000, np.uint8); del array; print(memory.peak())"
+    code = "import numpy as np; from svrgs_addon.system.memory import peak; array = np.ones(20_000_000, np.uint8); del array; print(peak())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 20_000_000 < int(done.stdout) < 100_000_000 < held.nbytes
 
 
 METRICS = """
 import numpy as np
-from svrgs_addon import memory, metrics, native
+from svrgs_addon import metrics, native
+from svrgs_addon.system.memory import peak, proc_bytes
 native.set_threads(2)
 a, b = np.random.default_rng(0).random((2, 1500, 2000, 3), np.float32)
-start = memory._proc_bytes("self/status", "VmRSS")
+start = proc_bytes("self/status", "VmRSS")
 metrics.psnr(a, b), metrics.ssim(a, b), metrics.flip(a, b)
-print((memory.peak() - start) / 1500 / 2000)
+print((peak() - start) / 1500 / 2000)
 """
 
 
@@ -255,21 +257,22 @@ from svrgs_addon.bench.trial import Trial
 from svrgs_addon.finetune import densify
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.files.registry import load_scene
-camera, start = orbit_camera(640, 480), memory.peak()
+from svrgs_addon.system.memory import peak, proc_bytes
+camera, start = orbit_camera(640, 480), peak()
 scene = load_scene(sys.argv[1]).scene
-read = memory.peak() - start
+read = peak() - start
 native.Rasterizer().forward(scene, camera)
-drawn = memory.peak() - start
+drawn = peak() - start
 trial = Trial(Case("room", scene, camera))
 for array in trial.model.moments.values():
     array += 0
 trial.step()
-tuned = memory.peak() - start
+tuned = peak() - start
 model, statistics = trial.model, densify.Statistics(scene.count)
 statistics.total[::2] = 1
-before = memory._proc_bytes("self/status", "VmRSS")
+before = proc_bytes("self/status", "VmRSS")
 densify.densify(model, statistics, Densify(), 1.0, np.random.default_rng(0))
-grown = memory.peak() - before
+grown = peak() - before
 count, file_bytes = scene.count, int(sys.argv[2])
 print(read / memory.reading(file_bytes), drawn / (memory.reading(file_bytes) + memory.rendering(count, 640, 480)),
       tuned / (memory.reading(file_bytes) + memory.tuning(count, 16, [camera], 0)),

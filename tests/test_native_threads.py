@@ -74,7 +74,8 @@ def test_renderers_work_side_by_side():
 def test_fewer_threads_where_the_system_gives_no_more():
     """In a process of its own whose address space holds few stacks."""
     code = (
-        "import resource\nfrom svrgs_addon import memory, native\nnative.threads()\nlimit = memory._proc_bytes('self/status', 'VmSize') + (100 << 20)\n"
+        "import resource\nfrom svrgs_addon import native\nfrom svrgs_addon.system.memory import proc_bytes\n"
+        "native.threads()\nlimit = proc_bytes('self/status', 'VmSize') + (100 << 20)\n"
         "resource.setrlimit(resource.RLIMIT_AS, (limit, limit))\nnative.set_threads(32)\nassert 1 <= native.threads() < 32, native.threads()\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)

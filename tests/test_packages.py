@@ -115,7 +115,7 @@ def test_a_cache_that_cannot_be_written_is_named(root, tmp_path):
     [
         ([], "run 'make wheels' in .*root, or install the extension in this Blender, or run .* -m pip install OpenImageIO pycolmap"),
         ([f"cp310-cp310-{PLATFORM}", f"cp39-cp39-{PLATFORM}"], r"root/wheels are for Python 3\.9, 3\.10: use a Blender with one of these, or run"),
-        ([f"{TAG}-{TAG}-manylinux_2_28_other"], "root/wheels are not for linux"),
+        ([f"{TAG}-{TAG}-manylinux_2_28_other"], "root/wheels are not for Linux"),
     ],
 )
 def test_what_is_missing_is_said_with_the_versions_that_fit(root, tags, sentence):

@@ -15,7 +15,7 @@ import pytest
 
 from ply_cases import ARRAYS, STANDARD, assert_same, make_scene, ply_bytes, read_bytes
 from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.files.atomic import atomic_write, check_writable
+from svrgs_addon.files.atomic import atomic_write, check_space, check_writable
 from svrgs_addon.files.ply import read_ply, read_ply_parts, write_ply
 from svrgs_addon.files.repair import clamp_extremes, drop_nonfinite
 
@@ -270,9 +270,9 @@ def test_check_writable_says_what_is_wrong(tmp_path, monkeypatch):
         with pytest.raises(SceneError, match=message):
             check_writable(path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=30_000))
-    check_writable(tmp_path / "a.ply", needed_bytes=27_000)
+    check_space(tmp_path / "a.ply", 27_000)
     with pytest.raises(SceneError, match=r"a.ply: needs 30.8 kB, but only 30.0 kB are free; free disk space or choose another folder"):
-        check_writable(tmp_path / "a.ply", needed_bytes=28_000)
+        check_space(tmp_path / "a.ply", 28_000)
 
 
 def test_check_writable_without_permission(tmp_path, monkeypatch):

@@ -14,10 +14,9 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from svrgs_addon.errors import SceneError
-from svrgs_addon.files.atomic import HAS_LOCKS, reserved
+from svrgs_addon.files.atomic import reserved
 
 ROOT = Path(__file__).resolve().parents[1]
-pytestmark = pytest.mark.skipif(not HAS_LOCKS, reason="this system has no file locks")
 
 
 def test_a_reserved_path_is_refused_until_it_is_free(tmp_path):

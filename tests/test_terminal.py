@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
@@ -19,6 +20,8 @@ pytest.importorskip("OpenImageIO")
 import tiny_dataset
 from colmap_model import write_colmap
 from svrgs_addon.exit_status import printable
+from svrgs_addon.finetune.loop import Progress
+from svrgs_addon.jobs.progress import Reporter
 
 ROOT = Path(__file__).resolve().parents[1]
 NAME = os.fsdecode(b"caf\xe9")  # Latin-1: not UTF-8
@@ -150,3 +153,21 @@ def test_ctrl_c_while_modules_are_imported(tiny, module):
     words = [sys.executable, "-c", INTERRUPTED, module, "render", tiny.splat, "--colmap", tiny.folder, "--out", tiny.folder / "none"]
     done = subprocess.run(list(map(str, words)), cwd=ROOT, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "svrgs: interrupted\n")
+
+
+# --- progress
+
+
+@pytest.mark.parametrize("columns, bars", [(120, True), (80, False), (30, False)])
+def test_a_progress_line_fits_into_the_terminal_and_replaces_the_last_one(monkeypatch, columns, bars):
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    report = Reporter()
+    for iteration, count in ((99, 1_000_000), (100, 5)):
+        report._next = 0.0
+        report(Progress(iteration, 100, "prune", "pruning", count, 0.5, 10.0, 7.0))
+    first, second = terminal.getvalue().removeprefix("\r").rstrip("\n").split("\r")
+    assert len(first) == len(second) < columns and ("[" in first) == bars and first.strip().startswith(("[", "prune 99/100"))
+    assert second.rstrip() != second or columns == 30, "spaces clear the rest of the longer line"

@@ -17,6 +17,8 @@ import numpy as np
 from .. import native
 from ..blender import subprocess_python
 from ..errors import NativeError
+from ..exit_status import use_utf_8
+from ..system.processes import ChildProcess
 from .cases import Case, room_case
 from .timing import seconds
 from .trial import Trial
@@ -31,7 +33,7 @@ class Child:
             variables[native.LIBRARY_VARIABLE] = str(library)
         facts = [case.facts[name] for name in ("count", "sh_degree", "width", "height")]
         command = [sys.executable, "-m", "svrgs_addon.bench.child", *map(str, (native.threads(), *facts))]
-        process = subprocess.Popen(command, text=True, env=variables, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        process = ChildProcess(command, encoding="utf-8", env=variables, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert process.stdin is not None and process.stdout is not None
         self._process, self._requests, self._answers = process, process.stdin, process.stdout
 
@@ -64,6 +66,7 @@ class Child:
 
 
 def main(words: list[str]):
+    use_utf_8()
     threads, *facts = map(int, words)
     native.set_threads(threads)
     case = room_case(*facts)

@@ -21,11 +21,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ..errors import SceneError
+from ..system import here, replacing
 
 PACKAGES = ("numpy", "OpenImageIO", "pycolmap")
 ROOT = Path(__file__).resolve().parents[2]  # the checkout, or the installed extension
 UNFINISHED = ".unpack-"  # begins the names of folders in the cache that are being filled
-SYSTEMS = {"linux": "manylinux", "win32": "win", "darwin": "macosx"}  # in the names of wheels
 
 
 def importable() -> dict[str, Path]:
@@ -73,7 +73,7 @@ def _this_python() -> str:
 def _fits_platform(wheel: Path) -> bool:
     """The version of the C library is not compared: Blender needs at least as new a one."""
     tags = wheel.stem.rsplit("-", 1)[1].split(".")
-    return any(tag.startswith(SYSTEMS.get(sys.platform, "none")) and tag.endswith(f"_{platform.machine().lower()}") for tag in tags)
+    return any(tag.startswith(here.WHEEL) and tag.endswith(f"_{platform.machine().lower()}") for tag in tags)
 
 
 def _what_to_do(missing: list[str], wheels: list[Path]) -> str:
@@ -86,7 +86,7 @@ def _what_to_do(missing: list[str], wheels: list[Path]) -> str:
         return f"{lacks}: run 'make wheels' in {ROOT}, or install the extension in this Blender, or run {install}"
     pythons = set.intersection(*({_python(wheel) for wheel in wheels if _package(wheel) == name and _fits_platform(wheel)} for name in missing))
     if not pythons:
-        return f"{lacks}, and the wheels in {wheels[0].parent} are not for {sys.platform} {platform.machine()}: run {install}"
+        return f"{lacks}, and the wheels in {wheels[0].parent} are not for {platform.system()} {platform.machine()}: run {install}"
     versions = ", ".join(sorted((f"{tag[2]}.{tag[3:]}" for tag in pythons), key=lambda version: int(version[2:])))
     return f"{lacks}, and the wheels in {wheels[0].parent} are for Python {versions}: use a Blender with one of these, or run {install}"
 
@@ -135,7 +135,7 @@ def _remove_abandoned(cache: Path):
 
 def _rename(made: Path, folder: Path):
     try:
-        made.rename(folder)
+        replacing.patiently(lambda: made.rename(folder))  # a virus scanner reads what was just unpacked
     except OSError:
         if not folder.is_dir():  # else another process was quicker, with the same files
             raise

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from ..system.processes import ChildProcess
 from .packages import ROOT, importable
 
 Tell = Callable[..., None]
@@ -28,10 +29,13 @@ def run(words: list[str], module: str = "svrgs_addon", request: dict | None = No
     """
     command, asked = [sys.executable, "-m", module, *words], json.dumps(request) if request is not None else ""
     if not capture:
-        return subprocess.run(command, env=environment(), text=True, input=asked).returncode, {}
-    last = ""
-    with tempfile.TemporaryFile("w+", errors="replace") as errors:
-        with subprocess.Popen(command, env=environment(), text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors) as child:
+        with ChildProcess(command, env=environment(), encoding="utf-8", stdin=subprocess.PIPE) as child:
+            child.communicate(asked)
+        return child.returncode, {}
+    last, pipe = "", subprocess.PIPE
+    variables = environment() | {"PYTHONIOENCODING": "utf-8"}  # of the three streams, which are read here and nowhere else
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
+        with ChildProcess(command, env=variables, encoding="utf-8", errors="replace", stdin=pipe, stdout=pipe, stderr=errors) as child:
             assert child.stdin is not None and child.stdout is not None
             with contextlib.suppress(OSError):  # it ended without reading
                 child.stdin.write(asked)

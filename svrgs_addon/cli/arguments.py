@@ -10,7 +10,6 @@ import shutil
 import textwrap
 from collections.abc import Callable
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 from .. import __version__
@@ -19,6 +18,7 @@ from ..exit_status import printable
 from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions, refuse_time_and_steps
 from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_of
 from ..outputs import PICTURES
+from ..system.file_names import extended
 
 NAME_WIDTH = 24  # characters of the first column of the list of methods
 CHOICES = {"engine": ENGINES}
@@ -124,23 +124,26 @@ def _reader(kind: Kind) -> Callable[[str], Any]:
 def _info(commands):
     command = _command(commands, "info", "Describes a splat file: format, number of Gaussians, degree of the spherical harmonics.")
     _threads(command)
-    command.add_argument("scene", type=Path, help="splat file")
+    command.add_argument("scene", type=extended, help="splat file")
 
 
 def _render(commands):
     command = _command(commands, "render", "Renders a scene from its cameras: colours, spatial mask, depth, alpha.")
     _threads(command)
-    command.add_argument("scene", type=Path, help="splat file")
+    command.add_argument("scene", type=extended, help="splat file")
     cameras = command.add_mutually_exclusive_group(required=True)
-    cameras.add_argument("--colmap", type=Path, metavar="DIR", help="dataset, COLMAP model or transforms.json; photographs are not needed")
+    cameras.add_argument("--colmap", type=extended, metavar="DIR", help="dataset, COLMAP model or transforms.json; photographs are not needed")
     cameras.add_argument(
-        "--cameras", type=Path, metavar="JSON", help='cameras.json of a 3DGS run; in a view with "orthographic": true, fx and fy are pixels per unit of length'
+        "--cameras",
+        type=extended,
+        metavar="JSON",
+        help='cameras.json of a 3DGS run; in a view with "orthographic": true, fx and fy are pixels per unit of length',
     )
     command.add_argument("--views", default="all", help="all, train, test, or names and numbers of views with commas between (default: all)")
     command.add_argument("--outputs", default="rgb", help=f"one or more of {','.join(PICTURES)} (default: rgb)")
     command.add_argument("--format", choices=("png", "exr", "npy"), default="png", help="file format; exr and npy hold exact values (default: png)")
     command.add_argument("--background", type=_reader(COLOUR), default=(0.0, 0.0, 0.0), metavar="R,G,B", help="background colour, 0..1 each (default: black)")
-    command.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the images to")
+    command.add_argument("--out", type=extended, required=True, metavar="DIR", help="folder to write the images to")
 
 
 def _train(commands):
@@ -150,38 +153,40 @@ def _train(commands):
 def _prune(commands):
     command = _command(commands, "prune", "Prunes trained scenes and recovers their quality.")
     command.add_argument(
-        "scenes", type=Path, nargs="+", metavar="SCENE",
+        "scenes", type=extended, nargs="+", metavar="SCENE",
         help="splat file, or folder that holds a splat and its dataset, or folder that holds such folders",
     )  # fmt: skip
     _options(command, PruneOptions, colmap=False)
-    command.add_argument("--out", type=Path, metavar="FILE|DIR", help="file for one scene, folder for several (default: SCENE_pruned.ply next to each scene)")
-    command.add_argument("--report", type=Path, metavar="DIR", help="folder to write an HTML report to; with several scenes, one folder per scene in it")
+    command.add_argument(
+        "--out", type=extended, metavar="FILE|DIR", help="file for one scene, folder for several (default: SCENE_pruned.ply next to each scene)"
+    )
+    command.add_argument("--report", type=extended, metavar="DIR", help="folder to write an HTML report to; with several scenes, one folder per scene in it")
     command.add_argument("--overwrite", action="store_true", help="with several scenes: prune those again whose output exists")
     command.add_argument("--batch", action="store_true", help="treat one scene like several: print one JSON line per scene and skip those whose output exists")
 
 
 def _eval(commands):
     command = _command(commands, "eval", "Measures the quality of a scene on photographs: PSNR, SSIM, LPIPS, FLIP.")
-    command.add_argument("scene", type=Path, help="splat file")
+    command.add_argument("scene", type=extended, help="splat file")
     _options(command, DatasetOptions, leave_out=("image_memory",))  # it reads each photograph once
     command.add_argument("--split", choices=("test", "train", "all"), default="test", help="views to measure on (default: test)")
 
 
 def _compare(commands):
     command = _command(commands, "compare", "Compares two scenes: pictures, differences, spatial masks and figures of quality.")
-    command.add_argument("a", type=Path, metavar="A", help="first splat file")
-    command.add_argument("b", type=Path, metavar="B", help="second splat file")
+    command.add_argument("a", type=extended, metavar="A", help="first splat file")
+    command.add_argument("b", type=extended, metavar="B", help="second splat file")
     _options(command, DatasetOptions)
-    command.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the pictures and the HTML page to")
+    command.add_argument("--out", type=extended, required=True, metavar="DIR", help="folder to write the pictures and the HTML page to")
 
 
 def _bench(commands):
     command = _command(commands, "bench", "Measures run time and numerical error, on generated scenes or a given one.")
     _threads(command)
-    command.add_argument("--scene", type=Path, metavar="FILE", help="splat file to measure instead of the generated scenes")
+    command.add_argument("--scene", type=extended, metavar="FILE", help="splat file to measure instead of the generated scenes")
     cameras = command.add_mutually_exclusive_group()
-    cameras.add_argument("--colmap", type=Path, metavar="DIR", help="with --scene: use the first view of this COLMAP model or transforms.json")
-    cameras.add_argument("--cameras", type=Path, metavar="JSON", help="with --scene: use the first camera of this 3DGS cameras.json")
+    cameras.add_argument("--colmap", type=extended, metavar="DIR", help="with --scene: use the first view of this COLMAP model or transforms.json")
+    cameras.add_argument("--cameras", type=extended, metavar="JSON", help="with --scene: use the first camera of this 3DGS cameras.json")
     command.add_argument("--repeat", type=_reader(POSITIVE), metavar="N", help="number of times that each stage is measured (default: 9)")
     command.add_argument("--quick", action="store_true", help="measure the smallest cases only, 3 times each")
     command.add_argument("--knobs", action="store_true", help="also measure other values of the constants that trade time for error; needs a C++ compiler")
@@ -189,4 +194,4 @@ def _bench(commands):
     command.add_argument("--scaling", action="store_true", help="also measure forward time over image size, up to 4K, and over Gaussians, up to 5 million")
     command.add_argument("--interactive", action="store_true", help="also measure frames per second of a million Gaussians under an orbiting camera")
     command.add_argument("--stress", action="store_true", help="instead: measure errors of extreme scenes, and the drift over 1,000 steps, against float64")
-    command.add_argument("--plots", type=Path, metavar="DIR", help="folder to write charts to; measures knobs and skips (unless --stress is given)")
+    command.add_argument("--plots", type=extended, metavar="DIR", help="folder to write charts to; measures knobs and skips (unless --stress is given)")

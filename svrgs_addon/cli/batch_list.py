@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 from ..errors import SceneError
 from ..files import registry
 from ..jobs.level_files import level_files
+from ..system.file_names import real
 
 PRUNED = "_pruned"  # end of the default name of an output, before its suffix
 OUTPUT = re.compile(rf"{PRUNED}(_[0-9.]+)?$")  # end of the default names of outputs and of their levels of detail
@@ -54,27 +54,27 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
 
 def _refuse_inputs_as_outputs(items: list[Item]) -> None:
     """Raises SceneError if an output of one scene is another scene of the list. (prune() refuses the scene itself.)"""
-    scenes = {os.path.realpath(item.scene): item for item in items}
+    scenes = {real(item.scene): item for item in items}
     for item in items:
         for out in (item.out, *item.levels):
-            other = scenes.get(os.path.realpath(out), item)
+            other = scenes.get(real(out), item)
             if other is not item:
                 raise SceneError(f"{other.scene}: is both a scene to prune and an output of {item.scene}; leave one out, or choose another folder with --out")
 
 
 def _refuse_outputs_of_two(items: list[Item]) -> None:
     """Raises SceneError if a level of detail of one scene would lie where an output of another one does."""
-    owners: dict[str, Item] = {}
+    owners: dict[Path, Item] = {}
     for item in items:
         for out in (item.out, *item.levels):
-            owner = owners.setdefault(os.path.realpath(out), item)
+            owner = owners.setdefault(real(out), item)
             if owner is not item:
                 raise SceneError(f"{out}: would be an output of both {owner.scene} and {item.scene}; prune one of them into another folder")
 
 
 def same_file(a: Path, b: Path) -> bool:
     """Whether both paths lead to the same place, which need not exist. A loop of links leads nowhere."""
-    return os.path.realpath(a) == os.path.realpath(b)
+    return real(a) == real(b)
 
 
 def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:

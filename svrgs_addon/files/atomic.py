@@ -1,7 +1,7 @@
 """Atomic file writes: at any moment, a path holds its old file or the complete new one, never a part of it.
 
-A writer fills a hidden temporary file in the same folder, holds a lock on it, and renames it at the end. A hidden file without a
-lock was left by a writer that was killed.
+A writer fills a hidden temporary file in the same folder, owns it (system/locks.py), and renames it at the end. A hidden file that nobody
+owns was left by a writer that was killed.
 """
 
 from __future__ import annotations
@@ -12,34 +12,28 @@ import itertools
 import os
 import secrets
 import shutil
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import SceneError
 from ..memory import size_text
+from ..system import file_names, here, locks, replacing
 
-try:
-    import fcntl
-except ImportError:  # Windows cannot rename open files, so there is no lock, and files of killed writers are not removed
-    fcntl = None  # type: ignore[assignment]
-
-HAS_LOCKS = os.name == "posix"
 FREE_SPACE_MARGIN = 1.1  # free disk space needed per byte of a file
-REPLACE_ATTEMPTS = 20
-REPLACE_PAUSE_S = 0.05
 HIDDEN_PREFIX = ".svrgs-"  # first characters of the names of temporary files
+LONGEST_SUFFIX = 16  # characters: a longer one is left out of the name of a temporary file, which must not be longer than a name may be
 
 
 @contextlib.contextmanager
-def atomic_write(path: str | os.PathLike) -> Iterator[BinaryIO]:
+def atomic_write(path: str | os.PathLike, keep: bool = True) -> Iterator[BinaryIO]:
     """Context manager that yields a binary file. Its content replaces `path` when the block ends without an error.
 
     Missing parent folders are created. After an error in the block, the old file is unchanged. Raises SceneError if the file
-    cannot be written.
+    cannot be written. If another program has the old file open, so that Windows does not replace it, the new file is kept under another
+    name, which the error says. keep=False: it is not kept, because it will soon be written again.
     """
-    with atomic_path(path) as temporary, open(temporary, "r+b") as file:
+    with atomic_path(path, keep) as temporary, open(temporary, "r+b") as file:
         yield file
 
 
@@ -54,15 +48,15 @@ def start_writeback(file: BinaryIO, size: int) -> None:
 
 
 @contextlib.contextmanager
-def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
+def atomic_path(path: str | os.PathLike, keep: bool = True) -> Iterator[Path]:
     """As atomic_write, for libraries that write by file name: yields the path of an empty temporary file with the same suffix."""
-    target = Path(os.path.realpath(path))  # if path is a symbolic link, its target is replaced
+    target = file_names.real(path)  # if path is a symbolic link, its target is replaced
     with _errors_of(path):
         target.parent.mkdir(parents=True, exist_ok=True)
         with _hidden_file_next_to(target) as temporary:
             yield temporary
             _sync(temporary, os.O_RDWR)
-            _replace(temporary, target)
+            _replace(temporary, target, path if keep else None)
     _sync_folder(target.parent)
 
 
@@ -79,16 +73,20 @@ def _errors_of(path: str | os.PathLike) -> Iterator[None]:
 def reserved(path: str | os.PathLike) -> Iterator[None]:
     """Context manager: while its block runs, no other one of the same path can begin, in this process or another.
 
-    It locks a hidden file next to `path`. Missing folders are created, and removed again if they are still empty. Does nothing on
-    systems without locks. Raises SceneError if the path is reserved.
+    It owns a hidden file next to `path`. Missing folders are created, and removed again if they are still empty. Does nothing on
+    file systems without locks. Raises SceneError if the path is reserved.
     """
-    target = Path(os.path.realpath(path))
+    target = file_names.real(path)
     lock = target.with_name(f"{HIDDEN_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}.lock")
     new_folders = list(itertools.takewhile(lambda folder: not folder.exists(), target.parents))
     try:
         with _errors_of(path):
             target.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(lock, path) if HAS_LOCKS else contextlib.nullcontext():
+        with contextlib.ExitStack() as stack:
+            with _errors_of(path):
+                free = stack.enter_context(locks.exclusive(lock))
+            if not free:
+                raise SceneError(f"{path}: another job is writing this file; wait until it has ended, or choose another output")
             yield
     finally:
         for folder in new_folders:
@@ -96,37 +94,27 @@ def reserved(path: str | os.PathLike) -> Iterator[None]:
                 folder.rmdir()
 
 
-@contextlib.contextmanager
-def _locked(lock: Path, path: str | os.PathLike) -> Iterator[None]:
-    """Holds the lock on a file, which is removed at the end. Raises SceneError, which names `path`, if another process or thread holds it."""
-    while True:
-        with _errors_of(path):
-            file = open(lock, "ab")  # noqa: SIM115 (closed below)
-        with file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise SceneError(f"{path}: another job is writing this file; wait until it has ended, or choose another output") from None
-            except OSError:  # a file system without locks
-                pass
-            if not os.fstat(file.fileno()).st_nlink:  # its holder removed it between open and flock
-                continue
-            try:
-                yield
-            finally:
-                lock.unlink(missing_ok=True)
-            return
-
-
-def check_writable(path: str | os.PathLike, needed_bytes: int = 0) -> None:
-    """Raises SceneError if a file of needed_bytes bytes cannot be written at `path`. Call it before long work starts.
+def check_writable(path: str | os.PathLike) -> None:
+    """Raises SceneError if no file can be written at `path`, or if the file there cannot be replaced. Call it before long work starts.
 
     It creates no file and no folder. If the folder of `path` does not exist yet, the nearest existing parent is checked. Temporary
     files that killed writers left in that folder are removed.
     """
-    target = Path(os.path.realpath(path))
+    check_space(path, 0)
+    if not replacing.may_be_replaced(file_names.real(path)):
+        raise SceneError(f"{path}: is open in another program and cannot be replaced; close it there, or choose another output")
+
+
+def check_space(path: str | os.PathLike, needed_bytes: int) -> None:
+    """Raises SceneError if a file of needed_bytes bytes cannot be written into the folder of `path`. As check_writable(), but a file that
+    another program has open is no reason: what was worked for is then written under another name."""
+    if forbidden := file_names.what_is_forbidden(path):
+        raise SceneError(f"{path}: cannot be written because {forbidden}; choose another name")
+    target = file_names.real(path)
     _check_target(path, target)
-    folder = next(parent for parent in target.parents if os.path.lexists(parent))
+    folder = next((parent for parent in target.parents if os.path.lexists(parent)), None)
+    if folder is None:  # on Windows
+        raise SceneError(f"{path}: cannot be written because there is no drive {target.drive}; choose another folder")
     if not os.path.isdir(folder):
         raise SceneError(f"{path}: cannot be written because {folder} is not a folder")
     try:
@@ -155,40 +143,26 @@ def _check_target(path: str | os.PathLike, target: Path) -> None:
 
 @contextlib.contextmanager
 def _hidden_file_next_to(target: Path) -> Iterator[Path]:
-    """Yields a new empty hidden file that is locked; it is removed at the end if it was not renamed.
+    """Yields a new empty hidden file that this process owns; it is removed at the end if it was not renamed.
 
     It is in the folder of the target, because os.replace is atomic only within one file system.
     """
-    temporary, file = _create_locked(target)
+    suffix = target.suffix if len(target.suffix) <= LONGEST_SUFFIX else ""
+    temporary = file_names.extended(target.with_name(f"{HIDDEN_PREFIX}{secrets.token_hex(8)}{suffix}"))
+    owned = locks.create_owned(temporary)
     try:
         yield temporary
     finally:
-        file.close()
+        owned.close()
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
 
 
-def _create_locked(target: Path) -> tuple[Path, BinaryIO]:
-    """Creates a hidden file in the folder of the target. Returns its path and the open file that holds the lock."""
-    while True:
-        path = target.with_name(f"{HIDDEN_PREFIX}{secrets.token_hex(8)}{target.suffix}")
-        file = open(path, "xb")  # noqa: SIM115 (the lock lasts until it is closed)
-        if not HAS_LOCKS:
-            file.close()
-            return path, file
-        with contextlib.suppress(OSError):  # a file system without locks
-            fcntl.flock(file, fcntl.LOCK_EX)
-        if os.fstat(file.fileno()).st_nlink:  # not 0, so _remove_abandoned of another process did not delete it before it was locked
-            return path, file
-        file.close()
-
-
 def _remove_abandoned(folder: Path) -> None:
-    """Removes hidden files in the folder that no writer has locked. Does nothing on systems without locks."""
-    for path in folder.glob(f"{HIDDEN_PREFIX}*") if HAS_LOCKS else ():
-        with contextlib.suppress(OSError), open(path, "r+b") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            path.unlink()
+    """Removes hidden files in the folder that nobody owns."""
+    for path in folder.glob(f"{HIDDEN_PREFIX}*"):
+        with contextlib.suppress(OSError):
+            locks.remove_abandoned(path)
 
 
 def _sync(path: Path, flags: int) -> None:
@@ -202,17 +176,29 @@ def _sync(path: Path, flags: int) -> None:
 
 def _sync_folder(folder: Path) -> None:
     """Makes the rename durable (POSIX). Errors are ignored, because the new file is complete and some file systems cannot do this."""
-    if os.name == "posix":
+    if not here.WINDOWS:
         with contextlib.suppress(OSError):
             _sync(folder, os.O_RDONLY)
 
 
-def _replace(temporary: Path, target: Path) -> None:
-    """os.replace. On Windows it is repeated, because a virus scanner or viewer can keep the old file open for a moment."""
-    for _ in range(REPLACE_ATTEMPTS if os.name == "nt" else 0):
-        try:
-            os.replace(temporary, target)
-            return
-        except PermissionError:
-            time.sleep(REPLACE_PAUSE_S)
-    os.replace(temporary, target)
+def _replace(temporary: Path, target: Path, path: str | os.PathLike | None) -> None:
+    """Renames the temporary file. If Windows does not replace the old file, the new one gets another name, and SceneError says which.
+
+    path: how the message names the target; None: the new file is not kept, and the OSError is raised.
+    """
+    try:
+        replacing.replace(temporary, target)
+    except PermissionError:
+        if path is None or not here.WINDOWS or not os.path.lexists(target):
+            raise
+        kept = _free_name(target)
+        os.replace(temporary, kept)
+        raise SceneError(
+            f"{path}: was not replaced, probably because another program has it open; the new file is complete and lies next to it as '{kept.name}'"
+        ) from None
+
+
+def _free_name(target: Path) -> Path:
+    """A name for the new file next to the old one, such as 'scene (new).ply'."""
+    names = (f"{target.stem} (new{'' if number == 1 else f' {number}'}){target.suffix}" for number in itertools.count(1))
+    return next(path for path in map(target.with_name, names) if not os.path.lexists(path))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ..errors import SceneError
 from ..memory import size_text
+from ..system.file_names import real
 
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))  # the disk, the largest file, the quota of the user
 CAN_HOLD = hasattr(os, "posix_fallocate")
@@ -62,6 +63,6 @@ def shortage(path: str | os.PathLike, size: int, purpose: str, folder: Path, fre
 
 
 def existing_parent(folder: Path) -> Path:
-    """The folder, or the nearest folder above it that exists."""
-    folder = Path(os.path.realpath(folder))
-    return next(place for place in (folder, *folder.parents) if place.is_dir())
+    """The folder, or the nearest folder above it that exists; the folder itself if none does, as on a drive that Windows does not have."""
+    folder = real(folder)
+    return next((place for place in (folder, *folder.parents) if place.is_dir()), folder)

@@ -19,7 +19,7 @@ import numpy as np
 from .. import memory
 from ..errors import FormatError, SceneError
 from ..scene import SH_COEFFICIENTS, Scene
-from .atomic import atomic_write, check_writable, start_writeback
+from .atomic import atomic_write, check_space, start_writeback
 from .ply_body import MAX_ASCII_BYTES, Body, blocks, empty_arrays, named_columns
 from .ply_header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, is_comment, parse_header
 from .splat_format import SplatFormat
@@ -59,7 +59,7 @@ def write_ply(path: str | os.PathLike, scene: Scene) -> None:
     """
     columns = _file_columns(scene)
     header, dtype = _layout(scene, columns)
-    check_writable(path, len(header) + scene.count * dtype.itemsize)
+    check_space(path, len(header) + scene.count * dtype.itemsize)
     with atomic_write(path) as file:
         file.write(header)
         for rows, part in blocks(scene.count, dtype):

@@ -16,6 +16,7 @@ from .. import memory
 from ..errors import FormatError, SceneError
 from ..native_library import thresholds
 from ..scene import Scene
+from ..system.file_names import extended
 from . import ply
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
@@ -46,7 +47,7 @@ def labels(written: bool = False) -> tuple[str, ...]:
 def format_to_write(path: str | Path) -> SplatFormat:
     """The format for writing a file with this name, by its suffix. Raises SceneError if no format has it."""
     for splat_format in FORMATS:
-        if splat_format.write and _ends_with(Path(path), splat_format):
+        if splat_format.write and _ends_with(extended(path), splat_format):
             return splat_format
     raise SceneError(f"{path}: scenes are written as {' or '.join(suffixes(written=True))}")
 
@@ -56,7 +57,7 @@ def format_to_read(path: str | Path) -> SplatFormat:
 
     Raises SceneError for a missing file or a folder, FormatError for an unknown suffix.
     """
-    path = Path(path)
+    path = extended(path)
     if not path.exists():
         raise SceneError(f"{path}: there is no such file; check the path")
     if path.is_dir():
@@ -79,13 +80,13 @@ def _ends_with(path: Path, splat_format: SplatFormat) -> bool:
 def read_scene(path: str | Path) -> Scene:
     """Reads the scene with values as stored. Raises FormatError, or SceneError if the file is missing or memory does not suffice."""
     splat_format = format_to_read(path)
-    memory.refuse_excess(f"{path}: reading it", memory.reading(Path(path).stat().st_size))
-    return splat_format.read(Path(path))
+    memory.refuse_excess(f"{path}: reading it", memory.reading(extended(path).stat().st_size))
+    return splat_format.read(extended(path))
 
 
 def check_readable(path: str | Path):
     """Checks a file by reading its header and at most a few thousand Gaussians. Raises FormatError, SceneError."""
-    next(format_to_read(path).read_parts(Path(path)))
+    next(format_to_read(path).read_parts(extended(path)))
 
 
 def load_scene(path: str | Path) -> Loaded:
@@ -110,7 +111,7 @@ def write_scene(path: str | Path, scene: Scene):
     """Writes the scene atomically, in the format of the suffix of `path`. Raises SceneError."""
     write = format_to_write(path).write
     assert write is not None
-    write(Path(path), scene)
+    write(extended(path), scene)
 
 
 def file_size(scene: Scene) -> int:
@@ -141,7 +142,7 @@ def describe(path: str | Path) -> dict:
     count = faint = bad = 0
     corners = []
     splat_format = format_to_read(path)
-    for part in splat_format.read_parts(Path(path)):
+    for part in splat_format.read_parts(extended(path)):
         good = ~unusable(part)
         means = np.ascontiguousarray(part.means[good].T)
         if means.size:
@@ -153,7 +154,7 @@ def describe(path: str | Path) -> dict:
         "count": count,
         "sh_degree": part.sh_degree,
         "format": splat_format.name,
-        "bytes": Path(path).stat().st_size,
+        "bytes": extended(path).stat().st_size,
         "invisible": faint,
         "nonfinite": bad,
         "antialiased": part.antialiased,

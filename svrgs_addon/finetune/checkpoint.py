@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError, SceneError
-from ..files.atomic import atomic_write, check_writable
+from ..files.atomic import atomic_write, check_space
 from ..files.npz import write_arrays
 from .averaging import Average
 from .densify import Statistics
@@ -53,7 +53,7 @@ def _write(run: Run, target: Path, identity: str, time: dict | None):
     arrays |= {"origin": run.model.origin, "statistics.total": run.statistics.total, "statistics.views": run.statistics.views}
     arrays |= {f"average.{name}": array for name, array in run.average.values.items()}
     arrays |= {"views.losses": run.views.losses, "views.left_out": run.views.left_out}
-    check_writable(target / "arrays.npz", sum(array.nbytes for array in arrays.values()))
+    check_space(target / "arrays.npz", sum(array.nbytes for array in arrays.values()))
     write_arrays(target / "arrays.npz", arrays)
     manifest = {
         "schema": SCHEMA,

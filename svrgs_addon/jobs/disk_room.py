@@ -6,7 +6,6 @@ What is held is room for the result and for one more checkpoint, with the presen
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from ..files.atomic import FREE_SPACE_MARGIN
 from ..files.disk_space import HeldSpace, existing_parent, refuse_shortage
 from ..files.registry import file_size
 from ..scene import Scene
+from ..system.file_names import real
 
 PURPOSE = "the result and a checkpoint"
 BACKGROUND_FILES = 3  # splat files of a background job: the splat, the recovered Gaussians, the result
@@ -26,7 +26,7 @@ class DiskRoom:
     """Room for a result and a checkpoint. A context manager that releases it at its end. out: the result; checkpoints: their folder."""
 
     def __init__(self, out: Path, checkpoints: Path):
-        self._out, self._folders = out, (existing_parent(Path(os.path.realpath(out)).parent), existing_parent(checkpoints.parent))
+        self._out, self._folders = out, (existing_parent(real(out).parent), existing_parent(checkpoints.parent))
         self._coefficients, self._row = 1, 0.0  # of the scene: SH coefficients per channel, bytes per Gaussian in a file
         self._averaged = 0  # Gaussians whose values will be averaged
         self._held: list[HeldSpace] = []

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 import time
-from pathlib import Path
 
 from .. import native
 from ..exit_status import answer
@@ -17,6 +16,7 @@ from ..finetune.plan import at_schedule
 from ..metrics.evaluate import refuse_unseen
 from ..metrics.explained import mismatch_of
 from ..option_kinds import check_mapping
+from ..system.file_names import extended
 from .context import PROCESS
 from .duration import pace_of
 from .expected_count import expected_count, expected_order, seen_by_some
@@ -72,7 +72,7 @@ def estimate(options: PruneOptions) -> dict:
 
 def _estimate_request(request: dict) -> dict:
     options = check_mapping(PruneOptions, request["options"])
-    return estimate(PruneOptions(**options, scene=Path(request["scene"])))
+    return estimate(PruneOptions(**options, scene=extended(request["scene"])))
 
 
 if __name__ == "__main__":

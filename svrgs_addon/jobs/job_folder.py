@@ -47,6 +47,8 @@ from ..files.registry import write_scene
 from ..finetune.methods import FORMER_NAMES
 from ..option_kinds import check_mapping
 from ..scene import Scene
+from ..system.file_names import extended, is_link
+from ..system.replacing import read_bytes
 from .disk_room import check_room
 from .options import PruneOptions, TrainOptions, refuse_time_and_steps
 
@@ -75,7 +77,7 @@ class JobFolder:
     """The files of one job, below `path`."""
 
     def __init__(self, path: str | Path):
-        self.path = Path(path)
+        self.path = extended(path)
 
     @classmethod
     def create(cls, path: str | Path, scene: Scene, options: dict, name: str = "") -> JobFolder:
@@ -163,7 +165,7 @@ class JobFolder:
     def refuse_links(self):
         """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file elsewhere."""
         for entry in self._entries():
-            if entry.is_symlink():
+            if is_link(entry):
                 raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
 
     def check_scene(self):
@@ -211,7 +213,7 @@ class JobFolder:
 
     def metrics(self) -> dict[str, np.ndarray]:
         """The columns of metrics.csv by name, float64, NaN for missing values. Incomplete lines are skipped."""
-        with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), open(self / "metrics.csv") as file:
+        with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), open(self / "metrics.csv", encoding="utf-8") as file:
             lines = list(csv.reader(io.StringIO(file.read(LARGEST_JSON))))[1:]
             rows = [row for row in map(_numbers, lines) if len(row) == len(METRICS) and math.isfinite(row[0])]
             return dict(zip(METRICS, np.array(rows, np.float64).reshape(-1, len(METRICS)).T, strict=True))
@@ -229,7 +231,7 @@ class JobFolder:
         return []
 
     def write_json(self, name: str, value: dict):
-        with atomic_write(self / name) as file:
+        with atomic_write(self / name, keep=False) as file:
             file.write(json.dumps(value).encode())
 
     def raise_flag(self):
@@ -261,8 +263,8 @@ class JobFolder:
         if not (self / "job.json").is_file():
             raise FormatError(f"{self.path}: holds no job")
         for folder in (self / "previews", self / "recovered.ply.job"):
-            if folder.is_symlink():  # the patterns would be searched behind it
-                folder.unlink()
+            if os.path.lexists(folder) and is_link(folder):  # the patterns would be searched behind it
+                folder.unlink() if folder.is_symlink() else folder.rmdir()
         for checkpoint in self._checkpoints():
             shutil.rmtree(checkpoint, ignore_errors=True)
         for pattern in _FILES:
@@ -280,7 +282,7 @@ class JobFolder:
                 yield from entries
 
     def _checkpoints(self) -> Iterator[Path]:
-        return (path for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7) if path.is_dir() and not path.is_symlink())
+        return (path for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7) if path.is_dir() and not is_link(path))
 
     def _array(self, name: str, dtype: type) -> np.ndarray:
         """The array (N,) in NAME.npy, one value per source Gaussian. Raises FormatError if it is missing or has another shape or dtype."""
@@ -298,7 +300,7 @@ class JobFolder:
         try:
             if (self / name).stat().st_size > LARGEST_JSON:
                 return None
-            value = json.loads((self / name).read_bytes())
+            value = json.loads(read_bytes(self / name))
         except (OSError, ValueError, RecursionError):
             return None
         return value if isinstance(value, dict) else None

@@ -14,6 +14,7 @@ While the result is measured, neither has an effect.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
@@ -23,7 +24,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import Cancelled
+from ..errors import Cancelled, SceneError
 from ..exit_status import guarded
 from .job_folder import HEARTBEAT, PRUNE, STOP, TRAIN, JobFolder
 
@@ -92,7 +93,8 @@ class JobMain:
             time.sleep(POLL_EVERY)
             with self._lock:
                 if time.monotonic() > self._written + HEARTBEAT:
-                    self._write_state()
+                    with contextlib.suppress(SceneError):  # the disk is full, or a program holds the file: this thread must go on
+                        self._write_state()
             if self._stage == "finishing" or self.ending:
                 continue
             asked = "stopped" if (self.folder / STOP).exists() else "interrupted" if self._parent_gone.is_set() else ""

@@ -13,10 +13,10 @@ import json
 import subprocess
 import sys
 import time
-from typing import Any
 
 from ..blender import subprocess_python
 from ..errors import FormatError, SceneError
+from ..system.processes import ProcessGroup, killed_from_outside
 from .job_folder import ENDED, JobFolder, facts_of
 
 START_SECONDS = 60.0  # a process that has sent no message after so many seconds is killed
@@ -35,7 +35,8 @@ class Job:
         self.renamed = ""  # set by start(): a sentence if the method of the job has another name now
         self._why = ""
         self._read_request: dict = {}
-        self._process: subprocess.Popen | None = None
+        self._process: ProcessGroup | None = None
+        self._log_begin = 0  # bytes of log.txt when the process was started
         self._read = 0  # bytes of messages.jsonl that were read
         self._stopping: float | None = None  # time of stop() or kill(), of time.monotonic()
         self._refreshed = time.monotonic()
@@ -127,14 +128,10 @@ class Job:
         self.folder.write_json("state.json", {"state": "starting"})
         self.facts, self.result, self._read, self._stopping = {"state": "starting", "text": "Starting"}, None, 0, None
         self._why = ""
-        group: dict[str, Any] = {"start_new_session": True}
-        if sys.platform == "win32":
-            group = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
         with open(self.folder / "messages.jsonl", "ab") as messages, open(self.folder / "log.txt", "ab") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", MODULE, str(self.folder.path)],
-                stdin=subprocess.PIPE, stdout=messages, stderr=log, env=subprocess_python.environment(), **group,
-            )  # fmt: skip
+            self._log_begin = log.tell()
+            command, variables = [sys.executable, "-m", MODULE, str(self.folder.path)], subprocess_python.environment() | {"PYTHONIOENCODING": "utf-8"}
+            self._process = ProcessGroup(command, stdin=subprocess.PIPE, stdout=messages, stderr=log, env=variables)
         self._started = time.monotonic()
 
     def poll(self) -> list[dict]:
@@ -205,6 +202,11 @@ class Job:
         if message["type"] == "DONE":
             self.result = message.get("result")
 
+    def _log_size(self) -> int:
+        with contextlib.suppress(OSError):
+            return (self.folder / "log.txt").stat().st_size
+        return 0
+
     def _ended(self, status: int):
         self._close_stdin()
         self._process = None
@@ -213,7 +215,7 @@ class Job:
             pass
         elif self._stopping is not None:
             self.facts |= {"state": "stopped", "text": self._why}
-        elif status == -9:
+        elif killed_from_outside(status, silent=self._log_size() == self._log_begin):
             self.facts |= {"state": "interrupted", "text": "the process was killed from outside; if memory ran out, use fewer or smaller photographs"}
         else:
             self.facts |= {"state": "failed", "text": f"the job's process ended early: {log[0] if log else f'exit status {status}'}"}

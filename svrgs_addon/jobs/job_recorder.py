@@ -3,13 +3,13 @@ writes a ranking of the Gaussians."""
 
 from __future__ import annotations
 
-import os
+import contextlib
 from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
-from ..errors import FormatError
+from ..errors import FormatError, SceneError
 from ..exit_status import plain
 from ..files.atomic import atomic_write
 from ..files.images import write_image
@@ -19,6 +19,7 @@ from ..finetune.run import Run
 from ..metrics.evaluate import render_options, rounded_to_8_bits
 from ..native import Rasterizer, RenderOptions
 from ..scene import Scene
+from ..system.replacing import replace as replace_file
 from .context import JobContext
 from .job_folder import METRICS, PRUNE, ROW, TRAIN, JobFolder
 from .ranking import VIEWS as IMPORTANCE_VIEWS
@@ -99,7 +100,7 @@ class JobRecorder:
         self.listener.tell("PREVIEW", path=name)
 
     def _write_metrics(self):
-        with atomic_write(self.folder / "metrics.csv") as file:
+        with contextlib.suppress(SceneError), atomic_write(self.folder / "metrics.csv", keep=False) as file:  # the next one holds these lines too
             file.write(("\n".join(self._metrics) + "\n").encode())
 
 
@@ -107,7 +108,7 @@ class TrainRecorder(JobRecorder):
     """Records a job that trains."""
 
     def finish(self, result: dict) -> dict:
-        os.replace(self.folder / "recovered.ply", self.folder.output)
+        replace_file(self.folder / "recovered.ply", self.folder.output)
         return self._write_result(result | {"out": str(self.folder.output)})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 
@@ -18,6 +19,7 @@ class Reporter:
         self.quiet = quiet
         self.terminal = sys.stderr.isatty()
         self._next = 0.0
+        self._width = 0  # characters of the last line in the terminal
 
     def say(self, sentence: str):
         """Prints a sentence before the first step."""
@@ -32,9 +34,18 @@ class Reporter:
         self._next = now + (TERMINAL_PAUSE if self.terminal else LOG_PAUSE)
         text = describe(p)
         if self.terminal:
-            print(f"\r{bar(p.iteration / p.total)} {text}\x1b[K", end="\n" if last else "", file=sys.stderr, flush=True)
+            line = _fitting(f"{bar(p.iteration / p.total)} {text}", text)
+            padded = f"{line:{self._width}}"  # spaces clear the rest of a longer line: not every console of Windows knows escapes
+            print(f"\r{padded}", end="\n" if last else "", file=sys.stderr, flush=True)
+            self._width = len(line)
         else:
             print(text, file=sys.stderr, flush=True)
+
+
+def _fitting(*lines: str) -> str:
+    """The first line that is narrower than the terminal, else the beginning of the last one: a line that wraps cannot be replaced."""
+    columns = shutil.get_terminal_size().columns
+    return next((line for line in lines if len(line) < columns), lines[-1][: columns - 1])
 
 
 def bar(share: float) -> str:

@@ -1,4 +1,4 @@
-"""A clean stop on Ctrl-C (SIGINT), SIGTERM, or when the terminal is closed (SIGHUP)."""
+"""A clean stop on Ctrl-C and the other signals of system.processes.stop_signals()."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import contextlib
 import os
 import signal
 from collections.abc import Callable
+
+from ..system.processes import stop_signals
 
 
 class StopRequest:
@@ -35,12 +37,6 @@ class StopRequest:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         if not told:
             self._tell()
-
-
-def stop_signals() -> tuple[signal.Signals, ...]:
-    """SIGINT and SIGTERM, and SIGHUP where it is not ignored, as under nohup."""
-    hangup = getattr(signal, "SIGHUP", None)  # there is none on Windows
-    return (signal.SIGINT, signal.SIGTERM) + ((hangup,) if hangup and signal.getsignal(hangup) != signal.SIG_IGN else ())
 
 
 def _announce():

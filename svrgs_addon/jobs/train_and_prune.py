@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
-import os
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -29,6 +28,8 @@ from ..native import Rasterizer, RenderOptions, thresholds
 from ..photographs.dataset import Dataset
 from ..report.prune_report import report_pictures, write_prune_report
 from ..scene import Scene
+from ..system.file_names import real
+from ..system.memory import peak
 from .context import JobContext
 from .disk_room import DiskRoom
 
@@ -69,7 +70,7 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
     Raises SplatError, Cancelled."""
     check_outputs(job)
     for out in (job.out, *job.level_files.values()):
-        if os.path.realpath(out) == os.path.realpath(scene_path):
+        if real(out) == real(scene_path):
             raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
     with contextlib.ExitStack() as outputs:
         for out in (job.out, *job.level_files.values()):
@@ -313,7 +314,7 @@ def run_facts(run: Run, job: JobContext, clock: Clock) -> dict:
         "seconds_by_phase": clock.phases,
         "iterations": run.iteration,
         "iterations_per_second": run.iteration / tuned if tuned else None,
-        "peak_memory_bytes": memory.peak(),
+        "peak_memory_bytes": peak(),
         "nonfinite_gradients": run.nonfinite,
         "densifications_held_back": run.held_back,
         "seed": plan.seed,

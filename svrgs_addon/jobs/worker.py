@@ -7,7 +7,6 @@ result, or {"error": sentence}, as one JSON object to stdout; progress and warni
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from dataclasses import asdict
@@ -16,6 +15,7 @@ from typing import Any
 
 from ..blender.subprocess_python import environment
 from ..exit_status import STOPPED, answer
+from ..system.processes import ChildProcess
 from .options import PruneOptions
 from .stop_request import StopRequest
 
@@ -29,8 +29,8 @@ def run_in_child(options: PruneOptions) -> tuple[int, dict]:
     """
     request = json.dumps({name: str(value) if isinstance(value, Path) else value for name, value in asdict(options).items()})
     command = [sys.executable, "-m", "svrgs_addon.jobs.worker"]
-    with subprocess.Popen(command, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment()) as child:
-        with StopRequest(lambda: _stop(child)) as stop:
+    with ChildProcess(command, encoding="utf-8", stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment()) as child:
+        with StopRequest(child.ask_to_stop) as stop:
             try:
                 output, _ = child.communicate(request)
             except BaseException:  # a second Ctrl-C
@@ -41,12 +41,6 @@ def run_in_child(options: PruneOptions) -> tuple[int, dict]:
         return status, json.loads(output.splitlines()[-1])
     except (IndexError, ValueError):
         return status or 1, {"error": f"the job ended without a result (exit status {child.returncode})"}
-
-
-def _stop(child: subprocess.Popen):
-    """Requests a clean stop of the child. Ctrl-C in a terminal reaches the child too, which does no harm; on Windows it is the only way."""
-    if os.name == "posix":
-        child.terminate()
 
 
 def _prune_request(request: dict) -> dict:

@@ -21,6 +21,7 @@ import numpy as np
 from ..camera import Camera
 from ..errors import SceneError
 from ..files.images import image_size, read_pixels, to_bytes
+from ..system.file_names import extended
 from .cameras_json import load_cameras_json
 from .colmap import View, pinhole_camera, undistort_image
 from .photo_files import photograph, present
@@ -144,7 +145,7 @@ def load_dataset(
     Views whose photograph is missing are left out and logged as a warning. The others stay test or training views as in the whole
     dataset. Raises SceneError, FormatError; SceneError also if fewer than a third of the photographs are there.
     """
-    source = read_source(Path(folder), images, not cameras_only)
+    source = read_source(extended(folder), images, not cameras_only)
     model, notes = source.model, source.notes
     if not model.views:
         raise SceneError(f"{source.location}: has no view with a pose; run COLMAP's mapper again")

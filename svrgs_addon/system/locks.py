@@ -1,0 +1,103 @@
+"""Files that belong to a process until it ends, however it ends. Another process sees that, and removes those whose owner was killed.
+
+POSIX: the owner has locked the file (flock). On file systems without locks, nobody owns a file.
+Windows: the owner has the file open. Opening it for oneself alone then fails. No program there can remove a file between its creation
+and a lock, and a killed process leaves no lock behind.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from . import here, windows
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+PATIENCE_S, PAUSE_S = 0.5, 0.05  # a virus scanner, or another process that looks for abandoned files, holds a file for a moment only
+
+
+def create_owned(path: Path) -> BinaryIO:
+    """Creates a new empty file that this process owns until the returned file is closed. Meanwhile it can be opened, written and renamed.
+
+    Raises FileExistsError if there is one, OSError if it cannot be created.
+    """
+    if here.WINDOWS:
+        return _opened(windows.create_file(path, windows.GENERIC_READ | windows.GENERIC_WRITE, windows.SHARE_ALL, windows.CREATE_NEW))
+    while True:
+        file = open(path, "xb")  # noqa: SIM115 (owned until it is closed)
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        if os.fstat(file.fileno()).st_nlink:  # not 0, so remove_abandoned() of another process did not remove it before it was locked
+            return file
+        file.close()
+
+
+def remove_abandoned(path: Path) -> None:
+    """Removes the file unless a process owns it. Raises OSError if it was not removed."""
+    if here.WINDOWS:
+        os.close(windows.create_file(path, windows.DELETE, windows.SHARE_NOTHING, windows.OPEN_EXISTING, windows.DELETE_ON_CLOSE))
+        return
+    with open(path, "r+b") as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        path.unlink()
+
+
+@contextlib.contextmanager
+def exclusive(path: Path) -> Iterator[bool]:
+    """Context manager: owns the file, which is created if it is missing and removed at the end. Yields False if another one owns it.
+
+    The other one may be a thread of this process. Raises OSError if the file cannot be created.
+    """
+    file = _taken_on_windows(path) if here.WINDOWS else _taken(path)
+    if file is None:
+        yield False
+        return
+    with file:
+        try:
+            yield True
+        finally:
+            if not here.WINDOWS:  # there the system removes it
+                path.unlink(missing_ok=True)
+
+
+def _taken(path: Path) -> BinaryIO | None:
+    """The file, locked; None if another one has locked it."""
+    while True:
+        file = open(path, "ab")  # noqa: SIM115 (owned until it is closed)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            return None
+        except OSError:  # a file system without locks
+            pass
+        if os.fstat(file.fileno()).st_nlink:  # not 0, so its owner did not remove it between open and flock
+            return file
+        file.close()
+
+
+def _taken_on_windows(path: Path) -> BinaryIO | None:
+    """The file, open for this process alone; None if another one has it open for longer than PATIENCE_S."""
+    end = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            access = windows.GENERIC_WRITE | windows.DELETE
+            return _opened(windows.create_file(path, access, windows.SHARE_NOTHING, windows.OPEN_ALWAYS, windows.DELETE_ON_CLOSE))
+        except PermissionError as error:
+            if time.monotonic() > end:
+                if getattr(error, "winerror", 0) == windows.SHARING_VIOLATION:
+                    return None
+                raise
+        time.sleep(PAUSE_S)
+
+
+def _opened(descriptor: int) -> BinaryIO:
+    return open(descriptor, "wb")

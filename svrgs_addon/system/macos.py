@@ -1,0 +1,43 @@
+"""The functions of macOS that Python does not offer, through ctypes. Nothing here is called on another system."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+from typing import Any
+
+_HOST_VM_INFO64 = 4
+
+
+class VirtualMemory(ctypes.Structure):
+    """vm_statistics64: numbers of pages. free includes the speculative ones."""
+
+    _fields_ = [
+        ("free", ctypes.c_uint32), ("active", ctypes.c_uint32), ("inactive", ctypes.c_uint32), ("wired", ctypes.c_uint32),
+        ("events", ctypes.c_uint64 * 9), ("purgeable", ctypes.c_uint32), ("speculative", ctypes.c_uint32), ("compressions", ctypes.c_uint64 * 4),
+        ("compressor", ctypes.c_uint32), ("throttled", ctypes.c_uint32), ("external", ctypes.c_uint32), ("internal", ctypes.c_uint32),
+        ("uncompressed", ctypes.c_uint64),
+    ]  # fmt: skip
+
+
+@functools.cache
+def system_library() -> Any:
+    """The system's library, in which every process finds its functions."""
+    return ctypes.CDLL(None)
+
+
+@functools.cache
+def _host() -> int:
+    """The port of the kernel; each call of mach_host_self() would count as one more user of it."""
+    function = system_library().mach_host_self
+    function.restype = ctypes.c_uint32
+    return function()
+
+
+def available_memory() -> int | None:
+    """Bytes that are free, or hold what can be dropped or written elsewhere (inactive); None if the kernel does not say."""
+    pages, size = VirtualMemory(), ctypes.c_uint32(ctypes.sizeof(VirtualMemory) // 4)
+    if system_library().host_statistics64(ctypes.c_uint32(_host()), _HOST_VM_INFO64, ctypes.byref(pages), ctypes.byref(size)):
+        return None
+    return (pages.free + pages.inactive) * os.sysconf("SC_PAGE_SIZE")
