@@ -3,7 +3,8 @@
 # make demo    renders a scene with Blender, trains it, prunes it, writes a report
 # make test    all tests
 # make lint    style and types;  make format  formats the sources
-# make zip     the Blender extension, dist/svrgs-VERSION.zip
+# make zip     the Blender extension for this platform and this Python, in dist/
+# make package the extension for all platforms and Blenders, wheels for pip, a static extension repository, in dist/
 # make test-blender   the extension's tests in other Blenders too, BLENDERS="4.2.23 ..."
 # make sanitize       native tests under sanitizers;  make fuzz  libFuzzer on the C interface (clang++)
 PYTHON ?= $(shell tools/find_python.sh 3.11 3.12 3.13)
@@ -11,7 +12,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 DEMO := build/demo
 
-.PHONY: setup native wheels demo test test-blender lint format sanitize fuzz zip clean
+.PHONY: setup native wheels demo test test-blender lint format sanitize fuzz zip package clean
 
 setup: $(VENV)/.ready native
 	@$(PY) -m compileall -q svrgs_addon
@@ -43,5 +44,7 @@ fuzz:
 	@tools/fuzz.sh
 zip: setup wheels
 	@$(PY) tools/build_extension.py
+package: setup
+	@tools/package.sh $(VENV)
 clean:
 	rm -rf build dist $(VENV) svrgs_addon/libsvrgs.so

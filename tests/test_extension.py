@@ -7,8 +7,9 @@ The wheels must have been fetched (`make zip`); otherwise most of these tests ar
 
 from __future__ import annotations
 
-import importlib.util
+import functools
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -20,25 +21,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import build_extension
+import platforms
+
 ROOT = Path(__file__).resolve().parents[1]
-MANIFEST = tomllib.loads((ROOT / "blender_manifest.toml").read_text())
+MANIFEST = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
 PYTHONS = [sys.executable, *filter(None, os.environ.get("SVRGS_BLENDER_PYTHONS", "").split(":"))]
+ASK_PYTHON = "import sys; print('python tag: cp%d%d' % sys.version_info[:2])"
 
 
 @pytest.fixture(scope="module")
-def extension_zip(tmp_path_factory) -> Path:
-    spec = importlib.util.find_spec("bpy")
-    if spec is None:
+def extension_zip(tmp_path_factory):
+    """Function that builds and validates the zip for this platform and the Python of a program. It is given the program's words up to the code."""
+    if build_extension.builder() is None:
         pytest.skip("bpy is not installed, and with it Blender's builder of extensions")
-    missing = [wheel for wheel in MANIFEST["wheels"] if not (ROOT / wheel).exists()]
-    if missing:
-        pytest.skip(f"'make zip' has not fetched {missing[0]} yet")
-    (builder,) = Path(spec.origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py")
-    folder = tmp_path_factory.mktemp("dist")
-    for words in (["build", "--source-dir", ROOT, "--output-dir", folder], ["validate", folder / f"svrgs-{MANIFEST['version']}.zip"]):
-        done = subprocess.run([sys.executable, builder, *map(str, words)], capture_output=True, text=True)
-        assert done.returncode == 0, done.stdout + done.stderr
-    return folder / f"svrgs-{MANIFEST['version']}.zip"
+
+    @functools.cache
+    def built(*program: str) -> Path:
+        done = subprocess.run([*program, ASK_PYTHON], capture_output=True, text=True)
+        variant = platforms.variant_for(re.search("python tag: (cp[0-9]+)", done.stdout)[1])
+        try:
+            variant.wheels()
+        except FileNotFoundError as error:
+            pytest.skip(f"'make wheels' has not run yet: {error}")
+        return build_extension.build(variant, ROOT / "svrgs_addon" / variant.library, tmp_path_factory.mktemp("dist"))
+
+    return built
 
 
 @pytest.fixture(scope="module")
@@ -103,24 +111,28 @@ def write_colmap(folder: Path, views: list, points: np.ndarray, distortion: tupl
 
 
 def test_the_zip_holds_the_product_and_nothing_else(extension_zip):
-    with zipfile.ZipFile(extension_zip) as archive:
+    with zipfile.ZipFile(extension_zip(sys.executable, "-c")) as archive:
         names = archive.namelist()
+        manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
     assert {name.split("/")[0] for name in names} == {"__init__.py", "blender_manifest.toml", "LICENSE", "operators", "panels", "svrgs_addon", "wheels"}
-    assert "svrgs_addon/libsvrgs.so" in names and "operators/bridge.py" in names
-    assert sorted(name for name in names if name.startswith("wheels/")) == sorted(wheel[2:] for wheel in MANIFEST["wheels"])
+    assert "svrgs_addon/libsvrgs.so" in names and "operators/bridge.py" in names and not any("__pycache__" in name for name in names)
+    assert sorted(name for name in names if name.startswith("wheels/")) == sorted(wheel[2:] for wheel in manifest["wheels"])
+    assert manifest["platforms"] == [platforms.this_platform()]
 
 
 def test_versions_agree_and_only_files_are_asked_for():
     import svrgs_addon
 
-    assert MANIFEST["version"] == svrgs_addon.__version__
+    assert MANIFEST["version"] == svrgs_addon.__version__ == platforms.VERSION
+    assert f"\nversion: {platforms.VERSION}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"## {platforms.VERSION}" in (ROOT / "CHANGELOG.md").read_text()
     assert list(MANIFEST["permissions"]) == ["files"] and MANIFEST["license"] == ["SPDX:GPL-3.0-or-later"]
     assert MANIFEST["blender_version_min"] == "4.2.0"
 
 
 @pytest.mark.parametrize("python", PYTHONS)
 def test_inside_blender(python, extension_zip, data, tmp_path):
-    environment = {**os.environ, "SVRGS_TEST_ZIP": str(extension_zip), "SVRGS_TEST_DATA": str(data), "BLENDER_USER_RESOURCES": str(tmp_path)}
+    environment = {**os.environ, "SVRGS_TEST_ZIP": str(extension_zip(python, "-c")), "SVRGS_TEST_DATA": str(data), "BLENDER_USER_RESOURCES": str(tmp_path)}
     folder = ROOT / "tests/blender"
     chosen = [str(folder / word) if word.endswith(".py") else word for word in shlex.split(os.environ.get("SVRGS_BLENDER_TESTS", ""))] or [str(folder)]
     words = ["-m", "pytest", "-q", "--durations=8", "-p", "no:cacheprovider", "--rootdir", folder, "-c", os.devnull, *chosen]

@@ -86,7 +86,8 @@ def inputs(tools, tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def blend(tools, inputs, extension_zip) -> Path:  # noqa: F811
     """A .blend whose active object is the splat "scene", made by the Blender in which the extension is now installed."""
-    assert "STATUS Installed" in run(f"blender --command extension install-file -r user_default -e {extension_zip}", tools, inputs)
+    made = extension_zip(shutil.which("blender", path=tools["PATH"]), "-b", "--python-expr")
+    assert "STATUS Installed" in run(f"blender --command extension install-file -r user_default -e {made}", tools, inputs)
     code = "import bpy; bpy.ops.svrgs.import_ply(filepath='scene.ply'); bpy.ops.wm.save_as_mainfile(filepath='FILE.blend')"
     run(f'blender -b --python-expr "{code}"', tools, inputs)
     return inputs / "FILE.blend"

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import runpy
 import subprocess
 import sys
-import tomllib
-from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
 
+import fetch_wheels
+import platforms
+
 ROOT = Path(__file__).resolve().parents[1]
 TOOLS = ROOT / "tools"
-IN_THE_EXTENSION = {"LICENSE", "__init__.py", "blender_manifest.toml", "operators", "panels", "svrgs_addon"}
 
 
 def find_python(*versions: str) -> str:
@@ -33,10 +32,9 @@ def test_find_python_prints_nothing_where_there_is_none():
     assert find_python("9.98", "9.99") == ""
 
 
-def test_pip_options_name_the_wheel():
-    options = runpy.run_path(str(TOOLS / "fetch_wheels.py"))["pip_options"]
-    wheel = "openimageio-3.0.21.0-cp311-cp311-manylinux_2_27_x86_64.manylinux_2_28_x86_64.whl"
-    assert options(wheel) == ["openimageio==3.0.21.0", "--python-version", "311", "--platform", "manylinux_2_28_x86_64"]
+def test_pip_is_asked_for_another_platform_and_python():
+    options = fetch_wheels.pip_options(platforms.Variant("windows-x64", "blender-5.1-or-later"))
+    assert options == ["--python-version", "313", "--implementation", "cp", "--platform", "win_amd64", "pycolmap==4.2.1"]
 
 
 @pytest.mark.parametrize("script", sorted(TOOLS.glob("*.sh")), ids=lambda path: path.name)
@@ -50,14 +48,3 @@ def test_scripts_say_what_they_do_and_stop_at_errors(script):
 def test_makefile_fits_one_screen():
     lines = (ROOT / "Makefile").read_text().splitlines()
     assert len(lines) <= 50 and max(map(len, lines)) <= 120
-
-
-def test_only_the_extension_is_in_its_zip():
-    """By the manifest's patterns: a new file beside these must be excluded, or be added here."""
-    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
-    if listed.returncode:
-        pytest.skip("this is no git checkout")
-    patterns = tomllib.loads((ROOT / "blender_manifest.toml").read_text())["build"]["paths_exclude_pattern"]
-    top = {line.split("/")[0] for line in listed.stdout.splitlines()}
-    kept = {name for name in top if not any(fnmatch(name, pattern.strip("/")) for pattern in patterns)}
-    assert kept == IN_THE_EXTENSION

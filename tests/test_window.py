@@ -57,7 +57,7 @@ def drive(blender, extension_zip, tmp_path):  # noqa: F811
         out.mkdir(parents=True, exist_ok=True)
         with screen() as environment:
             environment["BLENDER_USER_RESOURCES"] = str(tmp_path / "user")
-            install = [*blender, "--command", "extension", "install-file", "-r", "user_default", "-e", str(extension_zip)]
+            install = [*blender, "--command", "extension", "install-file", "-r", "user_default", "-e", str(extension_zip(*blender, "-b", "--python-expr"))]
             done = subprocess.run(install, env=environment, capture_output=True, text=True, timeout=120)
             assert "STATUS Installed" in done.stdout or "STATUS Reinstalled" in done.stdout, done.stdout + done.stderr
             window = ["--window-geometry", "0", "0", *map(str, SIZE), "--enable-event-simulate", "-P", str(WINDOW / script)]

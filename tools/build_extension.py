@@ -1,17 +1,24 @@
-"""Builds the Blender extension, dist/svrgs-VERSION.zip, and checks it: python tools/build_extension.py
+"""Builds zips of the Blender extension in dist/ and checks them: python tools/build_extension.py [--all]
 
-Both are done by Blender's own builder, a script inside the bpy package. It runs without starting Blender.
+Without --all: the one for this platform and this Python, with the native core of this checkout. With --all: every one of
+platforms.toml, with the native cores that tools/build_wheels.py has built, and a static repository of them, dist/repository/.
+Both is done by Blender's own builder, a script inside the bpy package. It runs without starting Blender.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-DIST = ROOT / "dist"
+from platforms import ROOT, TABLE, Variant, variant_for, variants
+
+DIST, STAGE = ROOT / "dist", ROOT / "build/extension"
+PRODUCT = ("__init__.py", "LICENSE", "operators", "panels", "svrgs_addon")
+BUILT_HERE = shutil.ignore_patterns("__pycache__", ".*", "*.so", "*.dll", "*.dylib", "*.new")
 
 
 def builder() -> Path | None:
@@ -22,20 +29,74 @@ def builder() -> Path | None:
     return next(Path(spec.origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
 
 
+def manifest(variant: Variant) -> str:
+    """The manifest of one zip: blender_manifest.toml with its platform, its versions of Blender and its wheels."""
+    text = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
+    versions = [f'blender_version_{end} = "{variant.facts[end]}"' for end in ("min", "max") if end in variant.facts]
+    wheels = [f'  "./wheels/{wheel.name}",' for wheel in variant.wheels()]
+    text = re.sub(r"^blender_version_min = .*$", "\n".join(versions), text, flags=re.MULTILINE)
+    lines = [f'platforms = ["{variant.platform}"]', *(["wheels = [", *wheels, "]"] if wheels else [])]
+    return re.sub(r"^platforms = .*$", "\n".join(lines), text, flags=re.MULTILINE)
+
+
+def stage(variant: Variant, library: Path, folder: Path) -> None:
+    """Fills a new folder with what the zip will hold."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for name in PRODUCT:
+        source = ROOT / name
+        shutil.copytree(source, folder / name, ignore=BUILT_HERE) if source.is_dir() else shutil.copy2(source, folder)
+    shutil.copy2(library, folder / "svrgs_addon" / variant.library)
+    for wheel in variant.wheels():
+        (folder / "wheels").mkdir(exist_ok=True)
+        shutil.copy2(wheel, folder / "wheels")
+    (folder / "blender_manifest.toml").write_text(manifest(variant), encoding="utf-8")
+
+
+def build(variant: Variant, library: Path, folder: Path) -> Path:
+    """Builds the zip of a variant in `folder` and validates it. Returns its path. Raises RuntimeError with what Blender's builder said."""
+    staged, made = STAGE / variant.name, folder / f"{variant.name}.zip"
+    stage(variant, library, staged)
+    folder.mkdir(parents=True, exist_ok=True)
+    _blender_ext("build", "--source-dir", staged, "--output-filepath", made)
+    _blender_ext("validate", made)
+    return made
+
+
+def generate_repository(zips: list[Path], folder: Path) -> None:
+    """A folder that a web server can offer to Blender as it is: the zips, index.json, index.html."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for made in zips:
+        (folder / made.name).hardlink_to(made)
+    _blender_ext("server-generate", "--repo-dir", folder, "--html")
+
+
+def in_repository(variant: Variant) -> bool:
+    """Whether Blender may choose it by itself: with its wheels, or where no wheels exist."""
+    return bool(variant.facts["packages"]) or "wheels" not in TABLE["platform"][variant.platform]
+
+
+def _blender_ext(*words: object) -> None:
+    done = subprocess.run([sys.executable, builder(), *map(str, words)], capture_output=True, encoding="utf-8")
+    if done.returncode:
+        raise RuntimeError(done.stdout + done.stderr)
+
+
 def main() -> int:
-    script = builder()
-    if script is None:
-        print(
-            "the extension's builder is part of the Blender module (bpy), which exists for Python 3.11 and 3.13; "
-            "Blender itself can build it too: blender --command extension build --output-dir dist",
-            file=sys.stderr,
-        )
+    if builder() is None:
+        print("the extension's builder is part of the Blender module (bpy), which exists for Python 3.11 and 3.13", file=sys.stderr)
         return 1
-    DIST.mkdir(exist_ok=True)
-    for old in DIST.glob("*.zip"):
-        old.unlink()
-    status = subprocess.call([sys.executable, script, "build", "--source-dir", ROOT, "--output-dir", DIST])
-    return status or subprocess.call([sys.executable, script, "validate", *DIST.glob("*.zip")])
+    shutil.rmtree(DIST, ignore_errors=True) if "--all" not in sys.argv else None
+    if "--all" in sys.argv:
+        made = {variant: build(variant, variant.built_library, DIST) for variant in variants()}
+        generate_repository([path for variant, path in made.items() if in_repository(variant)], DIST / "repository")
+    else:
+        variant = variant_for(f"cp{sys.version_info[0]}{sys.version_info[1]}")
+        made = {variant: build(variant, ROOT / "svrgs_addon" / variant.library, DIST)}
+    for path in made.values():
+        print(f"{path.stat().st_size / 1e6:6.1f} MB  {path.relative_to(ROOT)}")
+    return 0
 
 
 if __name__ == "__main__":

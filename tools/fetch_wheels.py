@@ -1,36 +1,41 @@
-"""Downloads the wheels that travel in the Blender extension, those named in its manifest, into wheels/: python tools/fetch_wheels.py
+"""Downloads the wheels that travel in the extension into wheels/: python tools/fetch_wheels.py [--all]
 
-Wheels that are there already stay as they are.
+Without --all, those for this platform and all Pythons. Wheels that are there already stay as they are.
 """
 
 from __future__ import annotations
 
 import subprocess
 import sys
-import tomllib
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from platforms import TABLE, WHEELS, Variant, this_platform, variants
 
 
-def pip_options(wheel: str) -> list[str]:
-    """What pip needs to find NAME-VERSION-PYTHON-ABI-PLATFORM[.PLATFORM].whl for a Python other than this one."""
-    name, version, python, _, platforms = wheel.removesuffix(".whl").split("-")
-    return [f"{name}=={version}", "--python-version", python.removeprefix("cp"), "--platform", platforms.split(".")[-1]]
+def pip_options(variant: Variant) -> list[str]:
+    """What pip needs to find the packages of a variant for a platform and a Python other than its own."""
+    options = ["--python-version", variant.facts["python"].removeprefix("cp"), "--implementation", "cp"]
+    for name in TABLE["platform"][variant.platform]["wheels"]:
+        options += ["--platform", name]
+    return [*options, *variant.facts["packages"]]
+
+
+def missing(variant: Variant) -> bool:
+    try:
+        variant.wheels()
+    except FileNotFoundError:
+        return True
+    return False
 
 
 def main() -> int:
-    manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
-    for wheel in map(Path, manifest["wheels"]):
-        if (ROOT / wheel).exists():
+    command = [sys.executable, "-m", "pip", "download", "-qq", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:", "--dest", str(WHEELS)]
+    for variant in variants():
+        if "--all" not in sys.argv and variant.platform != this_platform() or not missing(variant):
             continue
-        print(f"downloading {wheel.name}", flush=True)
-        command = [sys.executable, "-m", "pip", "download", "-qq", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:"]
-        if status := subprocess.call([*command, "--dest", ROOT / wheel.parent, *pip_options(wheel.name)]):
+        print(f"downloading wheels for {variant.platform}, Blender {variant.blender}", flush=True)
+        if status := subprocess.call([*command, *pip_options(variant)]):
             return status
-        if not (ROOT / wheel).exists():
-            print(f"pip downloaded another file than {wheel.name}", file=sys.stderr)
-            return 1
+        variant.wheels()
     return 0
 
 

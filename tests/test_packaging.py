@@ -1,0 +1,120 @@
+"""The zips and wheels of `make package`: which there are, what their manifests say, what those in dist/ hold."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import build_extension
+import platforms
+
+ROOT = Path(__file__).resolve().parents[1]
+DIST = ROOT / "dist"
+NAMES = {
+    "pycolmap==4.2.1": "pycolmap-4.2.1-{0}-{0}-{1}.whl", "openimageio==3.0.21.0": "openimageio-3.0.21.0-{0}-{0}-{1}.whl",
+    "openimageio==3.2.2.0": "openimageio-3.2.2.0-{0}-{0}-{1}.whl",
+}  # fmt: skip
+LIMIT = 60e6  # bytes of a zip
+
+
+@pytest.fixture
+def wheels(tmp_path, monkeypatch) -> Path:
+    """A folder with an empty file for each wheel of the table."""
+    for variant in platforms.variants():
+        for package in variant.facts["packages"]:
+            tag = platforms.TABLE["platform"][variant.platform]["wheels"][-1]
+            (tmp_path / NAMES[package].format(variant.facts["python"], tag)).touch()
+    monkeypatch.setattr(platforms, "WHEELS", tmp_path)
+    return tmp_path
+
+
+def manifest(variant: platforms.Variant) -> dict:
+    return tomllib.loads(build_extension.manifest(variant))
+
+
+def test_every_platform_has_a_zip_for_any_python():
+    without = [variant.platform for variant in platforms.variants() if variant.blender == "any-python"]
+    assert without == list(platforms.TABLE["platform"])
+    assert {variant.platform for variant in platforms.variants() if variant.facts["packages"]} == {"linux-x64", "windows-x64", "macos-arm64"}
+
+
+def test_manifests_differ_in_platform_blenders_and_wheels_alone(wheels):
+    template = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
+    changed = {"platforms", "wheels", "blender_version_min", "blender_version_max"}
+    for variant in platforms.variants():
+        made = manifest(variant)
+        assert {key: made[key] for key in made if key not in changed} == {key: template[key] for key in template if key not in changed}
+        assert made["platforms"] == [variant.platform] and made["blender_version_min"] == variant.facts["min"]
+        assert made.get("blender_version_max") == variant.facts.get("max")
+        assert len(made.get("wheels", [])) == len(variant.facts["packages"])
+        assert all(variant.facts["python"] in wheel and (wheels / Path(wheel).name).exists() for wheel in made.get("wheels", []))
+
+
+def test_no_two_zips_of_the_repository_fit_one_blender():
+    """Of the same platform and Python. Blender reads the Python from the names of the wheels."""
+    found = [(variant.platform, variant.facts.get("python")) for variant in platforms.variants() if build_extension.in_repository(variant)]
+    assert len(found) == len(set(found))
+    assert {platform for platform, _ in found} == set(platforms.TABLE["platform"])
+
+
+def test_a_missing_wheel_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(platforms, "WHEELS", tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"pycolmap 4\.2\.1 for windows-x64, cp313 is not in .*: run tools/fetch_wheels.py --all"):
+        platforms.Variant("windows-x64", "blender-5.1-or-later").wheels()
+
+
+@pytest.mark.parametrize("python", ["cp311", "cp310"])
+def test_a_python_without_wheels_gets_the_zip_without(python, monkeypatch):
+    monkeypatch.setattr(platforms, "this_platform", lambda: "linux-x64")
+    assert platforms.variant_for(python).blender == {"cp311": "blender-4.2-to-5.0", "cp310": "any-python"}[python]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the library has another name")
+def test_what_a_zip_will_hold(tmp_path):
+    variant = platforms.Variant("windows-x64", "any-python")
+    (tmp_path / "built.dll").write_bytes(b"a library")
+    build_extension.stage(variant, tmp_path / "built.dll", tmp_path / "stage")
+    assert {path.name for path in (tmp_path / "stage").iterdir()} == {*build_extension.PRODUCT, "blender_manifest.toml"}
+    assert [path.name for path in (tmp_path / "stage/svrgs_addon").glob("*svrgs.*")] == ["svrgs.dll"]
+    assert not list((tmp_path / "stage").rglob("__pycache__"))
+
+
+# --- what `make package` has made
+
+
+@pytest.fixture(scope="module")
+def packaged() -> dict[platforms.Variant, Path]:
+    made = {variant: DIST / f"{variant.name}.zip" for variant in platforms.variants()}
+    if missing := [path.name for path in made.values() if not path.exists()]:
+        pytest.skip(f"'make package' has not made dist/{missing[0]} yet")
+    return made
+
+
+def contents(archive: Path) -> dict[str, int]:
+    """{name: checksum} of the files in a zip or wheel."""
+    with zipfile.ZipFile(archive) as opened:
+        return {info.filename: info.CRC for info in opened.infolist() if not info.is_dir()}
+
+
+def test_packaged_zips_differ_in_manifest_library_and_wheels_alone(packaged):
+    common = set()
+    for variant, path in packaged.items():
+        assert path.stat().st_size <= LIMIT
+        files = contents(path)
+        own = {"blender_manifest.toml", f"svrgs_addon/{variant.library}", *(name for name in files if name.startswith("wheels/"))}
+        assert own <= set(files)
+        common.add(frozenset((name, crc) for name, crc in files.items() if name not in own))
+    assert len(common) == 1
+
+
+def test_packaged_wheels_hold_the_library_of_the_zip(packaged):
+    for name, facts in platforms.TABLE["platform"].items():
+        wheel = DIST / "wheels" / f"svrgs_addon-{platforms.VERSION}-py3-none-{facts['pip']}.whl"
+        variant = platforms.Variant(name, "any-python")
+        library = f"svrgs_addon/{variant.library}"
+        assert contents(wheel)[library] == contents(packaged[variant])[library]
+        assert [path for path in contents(wheel) if path.endswith((".so", ".dll", ".dylib"))] == [library]

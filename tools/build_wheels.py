@@ -1,0 +1,49 @@
+"""Builds the wheel of every platform in platforms.toml, in dist/wheels/, and with it the native core, in build/platforms/TARGET:
+python tools/build_wheels.py [PLATFORM...]. Needs the packages of requirements-package.txt.
+
+build/platforms/TARGET also gets the library with debug symbols, svrgs-debug.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from platforms import BUILT, ROOT, TABLE, VERSION
+
+OUT = ROOT / "dist/wheels"
+PROGRAMS = Path(sys.executable).parent
+
+
+def build(platform: str) -> Path:
+    """Builds the library and the wheel of a platform. Returns the wheel's path. Raises CalledProcessError if a step fails."""
+    facts = TABLE["platform"][platform]
+    folder = BUILT / facts["target"]
+    environment = os.environ | {"SVRGS_TARGET": facts["target"], "SVRGS_PYTHON": sys.executable, "PATH": f"{PROGRAMS}{os.pathsep}{os.environ['PATH']}"}
+    settings = {"build-dir": folder, "cmake.toolchain-file": ROOT / "native/zig-toolchain.cmake", "cmake.args": "-DCMAKE_COMPILE_WARNING_AS_ERROR=ON"}
+    with tempfile.TemporaryDirectory() as made:
+        command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "-w", made, ROOT]
+        subprocess.run([*command, *(f"-C{name}={value}" for name, value in settings.items())], env=environment, check=True)
+        subprocess.run([PROGRAMS / "cmake", "--build", folder, "--target", "svrgs-debug"], env=environment, check=True, stdout=subprocess.DEVNULL)
+        (wheel,) = Path(made).glob("*.whl")
+        subprocess.run([sys.executable, "-m", "wheel", "tags", "--remove", "--platform-tag", facts["pip"], wheel], check=True, stdout=subprocess.DEVNULL)
+        (wheel,) = Path(made).glob("*.whl")
+        OUT.mkdir(parents=True, exist_ok=True)
+        return Path(shutil.copy2(wheel, OUT / f"svrgs_addon-{VERSION}-py3-none-{facts['pip']}.whl"))
+
+
+def main() -> int:
+    for platform in sys.argv[1:] or TABLE["platform"]:
+        wheel = build(platform)
+        print(f"{wheel.stat().st_size / 1e6:6.1f} MB  {wheel.relative_to(ROOT)}", flush=True)
+        if platform.startswith("linux"):
+            subprocess.run([sys.executable, "-m", "auditwheel", "show", wheel], check=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
