@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
+import subprocess
 import sys
 import tomllib
 import zipfile
@@ -11,6 +14,7 @@ import pytest
 
 import build_extension
 import platforms
+from svrgs_addon.bench import variants
 
 ROOT = Path(__file__).resolve().parents[1]
 DIST = ROOT / "dist"
@@ -81,6 +85,28 @@ def test_what_a_zip_will_hold(tmp_path):
     assert {path.name for path in (tmp_path / "stage").iterdir()} == {*build_extension.PRODUCT, "blender_manifest.toml"}
     assert [path.name for path in (tmp_path / "stage/svrgs_addon").glob("*svrgs.*")] == ["svrgs.dll"]
     assert not list((tmp_path / "stage").rglob("__pycache__"))
+
+
+# --- the wheel for pip
+
+
+def test_an_installed_wheel_needs_no_compiler(tmp_path):
+    """Built here by the compiler of this machine, installed into an empty environment, used from another folder."""
+    if reason := variants.missing_tools() or ("" if importlib.util.find_spec("scikit_build_core") else "scikit-build-core is not installed"):
+        pytest.skip(reason)
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": ""}
+    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path, "-C", f"build-dir={tmp_path}/build", ROOT]
+    subprocess.run(build, env=environment, check=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    assert wheel.name.startswith(f"svrgs_addon-{platforms.VERSION}-py3-none-")
+    python = tmp_path / "env/bin/python"
+    subprocess.run([sys.executable, "-m", "venv", "--system-site-packages", tmp_path / "env"], check=True)
+    subprocess.run([python, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--force-reinstall", wheel], env=environment, check=True)
+    code = "import svrgs_addon, svrgs_addon.native as n; print(svrgs_addon.__version__, svrgs_addon.__file__, n.best_level() in n.supported_levels())"
+    done = subprocess.run([python, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True)
+    version, file, works = done.stdout.split()
+    assert (version, works) == (platforms.VERSION, "True") and Path(file).is_relative_to(tmp_path / "env"), done.stderr
+    assert subprocess.run([tmp_path / "env/bin/svrgs", "--version"], env=environment, cwd=tmp_path, capture_output=True, text=True).stdout.strip() == version
 
 
 # --- what `make package` has made

@@ -17,6 +17,8 @@ from pathlib import Path
 
 import pytest
 
+import platforms
+
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
@@ -115,7 +117,16 @@ def test_command(line, tools, inputs, tmp_path, request):
 
 
 def test_every_command_is_known_here():
-    assert sorted({*RUNS, *NOT_RUN}) == sorted(commands(README))
+    known = {line for line in commands(README) if not line.startswith("pip install ")}
+    assert known == {*RUNS, *NOT_RUN} and len(commands(README)) == len({*commands(README)})
+
+
+def test_wheels_have_the_names_that_make_package_gives_them():
+    """tests/test_packaging.py looks into the wheels, and installs one."""
+    named = [line for line in commands(README) if line.startswith("pip install ")]
+    made = [f"svrgs_addon-{platforms.VERSION}-py3-none-{facts['pip']}.whl" for facts in platforms.TABLE["platform"].values()]
+    assert named and all(line == f'pip install "{wheel}[colmap]"' for line in named for wheel in made if wheel in line)
+    assert all(any(wheel in line for wheel in made) for line in named)
 
 
 def test_every_command_that_is_not_run_exists():
