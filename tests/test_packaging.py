@@ -48,10 +48,10 @@ def test_every_platform_has_a_zip_for_any_python():
 
 def test_manifests_differ_in_platform_blenders_and_wheels_alone(wheels):
     template = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
-    changed = {"platforms", "wheels", "blender_version_min", "blender_version_max"}
+    added = {"version", "platforms", "wheels", "blender_version_min", "blender_version_max"}
     for variant in platforms.variants():
         made = manifest(variant)
-        assert {key: made[key] for key in made if key not in changed} == {key: template[key] for key in template if key not in changed}
+        assert {key: made[key] for key in made if key not in added} == template and made["version"] == platforms.VERSION
         assert made["platforms"] == [variant.platform] and made["blender_version_min"] == variant.facts["min"]
         assert made.get("blender_version_max") == variant.facts.get("max")
         assert len(made.get("wheels", [])) == len(variant.facts["packages"])

@@ -8,13 +8,12 @@ Both is done by Blender's own builder, a script inside the bpy package. It runs 
 from __future__ import annotations
 
 import importlib.util
-import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
-from platforms import ROOT, TABLE, Variant, variant_for, variants
+from platforms import ROOT, TABLE, VERSION, Variant, variant_for, variants
 
 DIST, STAGE = ROOT / "dist", ROOT / "build/extension"
 PRODUCT = ("__init__.py", "LICENSE", "operators", "panels", "svrgs_addon")
@@ -30,13 +29,13 @@ def builder() -> Path | None:
 
 
 def manifest(variant: Variant) -> str:
-    """The manifest of one zip: blender_manifest.toml with its platform, its versions of Blender and its wheels."""
+    """The manifest of one zip: blender_manifest.toml with the version, the versions of Blender, the platform and the wheels."""
+    lines = [f'version = "{VERSION}"', f'platforms = ["{variant.platform}"]']
+    lines += [f'blender_version_{end} = "{variant.facts[end]}"' for end in ("min", "max") if end in variant.facts]
+    if wheels := variant.wheels():
+        lines += ["wheels = [", *(f'  "./wheels/{wheel.name}",' for wheel in wheels), "]"]
     text = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
-    versions = [f'blender_version_{end} = "{variant.facts[end]}"' for end in ("min", "max") if end in variant.facts]
-    wheels = [f'  "./wheels/{wheel.name}",' for wheel in variant.wheels()]
-    text = re.sub(r"^blender_version_min = .*$", "\n".join(versions), text, flags=re.MULTILINE)
-    lines = [f'platforms = ["{variant.platform}"]', *(["wheels = [", *wheels, "]"] if wheels else [])]
-    return re.sub(r"^platforms = .*$", "\n".join(lines), text, flags=re.MULTILINE)
+    return text.replace("\n[permissions]", "\n".join([*lines, "\n[permissions]"]))
 
 
 def stage(variant: Variant, library: Path, folder: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = tomllib.loads((ROOT / "tools/platforms.toml").read_text(encoding="utf-8"))
-VERSION = re.search(r'^version = "(.+)"$', (ROOT / "blender_manifest.toml").read_text(encoding="utf-8"), re.MULTILINE)[1]
+VERSION = re.search(r'^__version__ = "(.+)"$', (ROOT / "svrgs_addon/__init__.py").read_text(encoding="utf-8"), re.MULTILINE)[1]
 WHEELS, BUILT = ROOT / "wheels", ROOT / "build/platforms"  # wheels of packages; native libraries, in a folder for each target
 LIBRARIES = {"linux": "libsvrgs.so", "windows": "svrgs.dll", "macos": "libsvrgs.dylib"}
 MACHINES = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64", "arm64": "arm64"}

@@ -43,7 +43,11 @@ python=$venv/bin/python
 echo "installing the packages of requirements-dev.txt into $venv (some minutes)"
 pip=("$python" -m pip install -qq --disable-pip-version-check) # -qq: errors only
 "${pip[@]}" -r requirements-dev.txt
-"${pip[@]}" --no-deps --editable . -C wheel.cmake=false -C editable.mode=inplace # the native core is built by tools/build_native.sh
+# The checkout is on Python's path, behind the current folder; pip's own way to do this would compile the native core again.
+"$python" -m pip uninstall -qq --yes --disable-pip-version-check svrgs-addon 2>/dev/null
+echo "$PWD" >"$("$python" -c "import sysconfig; print(sysconfig.get_path('purelib'))")/svrgs.pth"
+printf '#!/bin/sh\nexec "%s" -m svrgs_addon "$@"\n' "$(cd "$venv" && pwd)/bin/python" >"$venv/bin/svrgs"
+chmod +x "$venv/bin/svrgs"
 
 if ! "$python" -c "import importlib.util, sys; sys.exit(importlib.util.find_spec('bpy') is None)"; then
     echo "there is no Blender module (bpy) for $("$python" --version), only for 3.11 and 3.13:" \
