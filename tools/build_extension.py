@@ -86,7 +86,8 @@ def main() -> int:
     if builder() is None:
         print("the extension's builder is part of the Blender module (bpy), which exists for Python 3.11 and 3.13", file=sys.stderr)
         return 1
-    shutil.rmtree(DIST, ignore_errors=True) if "--all" not in sys.argv else None
+    for old in DIST.glob("*.zip"):
+        old.unlink()
     if "--all" in sys.argv:
         made = {variant: build(variant, variant.built_library, DIST) for variant in variants()}
         generate_repository([path for variant, path in made.items() if in_repository(variant)], DIST / "repository")
