@@ -112,11 +112,15 @@ def test_an_installed_wheel_needs_no_compiler(tmp_path):
 # --- what `make package` has made
 
 
+def wheel_for_pip(platform: str) -> Path:
+    return DIST / "wheels" / f"svrgs_addon-{platforms.VERSION}-py3-none-{platforms.TABLE['platform'][platform]['pip']}.whl"
+
+
 @pytest.fixture(scope="module")
 def packaged() -> dict[platforms.Variant, Path]:
     made = {variant: DIST / f"{variant.name}.zip" for variant in platforms.variants()}
-    if missing := [path.name for path in made.values() if not path.exists()]:
-        pytest.skip(f"'make package' has not made dist/{missing[0]} yet")
+    if missing := [path for path in (*made.values(), *map(wheel_for_pip, platforms.TABLE["platform"])) if not path.exists()]:
+        pytest.skip(f"'make package' has not made {missing[0].relative_to(ROOT)} yet")
     return made
 
 
@@ -138,8 +142,8 @@ def test_packaged_zips_differ_in_manifest_library_and_wheels_alone(packaged):
 
 
 def test_packaged_wheels_hold_the_library_of_the_zip(packaged):
-    for name, facts in platforms.TABLE["platform"].items():
-        wheel = DIST / "wheels" / f"svrgs_addon-{platforms.VERSION}-py3-none-{facts['pip']}.whl"
+    for name in platforms.TABLE["platform"]:
+        wheel = wheel_for_pip(name)
         variant = platforms.Variant(name, "any-python")
         library = f"svrgs_addon/{variant.library}"
         assert contents(wheel)[library] == contents(packaged[variant])[library]

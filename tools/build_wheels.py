@@ -6,6 +6,7 @@ build/platforms/TARGET also gets the library with debug symbols, svrgs-debug.
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -36,12 +37,25 @@ def build(platform: str) -> Path:
         return Path(shutil.copy2(wheel, OUT / f"svrgs_addon-{VERSION}-py3-none-{facts['pip']}.whl"))
 
 
+def runs_on(wheel: Path, platform: str) -> bool:
+    """Whether auditwheel finds that a wheel for Linux runs on `platform` (manylinux_2_28_x86_64) and every newer one."""
+    shown = subprocess.run([sys.executable, "-m", "auditwheel", "show", "--json", wheel], capture_output=True, text=True, check=True).stdout
+    found = json.loads(shown)["overall_tag"]
+    return _glibc(found) <= _glibc(platform)
+
+
+def _glibc(platform: str) -> tuple[int, int]:
+    major, minor = platform.removeprefix("manylinux_").split("_")[:2]
+    return int(major), int(minor)
+
+
 def main() -> int:
     for platform in sys.argv[1:] or TABLE["platform"]:
         wheel = build(platform)
         print(f"{wheel.stat().st_size / 1e6:6.1f} MB  {wheel.relative_to(ROOT)}", flush=True)
-        if platform.startswith("linux"):
-            subprocess.run([sys.executable, "-m", "auditwheel", "show", wheel], check=True)
+        if platform.startswith("linux") and not runs_on(wheel, TABLE["platform"][platform]["pip"]):
+            print(f"{wheel.name} needs a newer system than its name says: auditwheel show {wheel}", file=sys.stderr)
+            return 1
     return 0
 
 
