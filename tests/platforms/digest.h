@@ -13,21 +13,20 @@
 
 namespace platforms {
 
+constexpr double kWhole = 0, kMillionths = 1e6, kCoarse = 1e4;  // steps of a digest; kCoarse: of floats that differ in their last bit
+
 // FNV-1a over bytes, of one call.
 class Digest {
  public:
-  explicit Digest(bool coarse) : coarse_(coarse) {}
+  explicit Digest(double steps) : steps_(steps) {}
 
-  // Whole bits; of a coarse digest, numbers in steps of a millionth of the largest: they differ by less between libraries of mathematics.
+  // All bits; of a rounded digest, numbers in steps of a share of the largest.
   template <class T>
   Digest& add(const T* from, size_t count) {
-    double largest = 0;
-    if constexpr (std::is_floating_point_v<T>)
-      for (size_t i = 0; coarse_ && i < count; ++i)
-        largest = std::isfinite(from[i]) && std::fabs(double(from[i])) > largest ? std::fabs(double(from[i])) : largest;
+    const double largest = rounded() ? largest_of(from, count) : 0;
     for (size_t i = 0; i < count; ++i) {
       if (largest > 0)
-        add_number(std::isfinite(from[i]) ? std::floor(double(from[i]) / largest * 1e6 + 0.5) : 0);
+        add_number(std::isfinite(double(from[i])) ? std::floor(double(from[i]) / largest * steps_ + 0.5) : 0);
       else
         add_number(from[i]);
     }
@@ -38,16 +37,26 @@ class Digest {
     return add(from.data(), from.size());
   }
 
+  bool rounded() const { return steps_ > 0; }
+
   uint64_t value = 0xcbf29ce484222325ULL;
 
  private:
+  template <class T>
+  static double largest_of(const T* from, size_t count) {  // 0: whole numbers are never rounded
+    double largest = 0;
+    if constexpr (std::is_floating_point_v<T>)
+      for (size_t i = 0; i < count; ++i)
+        if (std::isfinite(from[i])) largest = std::fmax(largest, std::fabs(double(from[i])));
+    return largest;
+  }
   template <class T>
   void add_number(T number) {
     uint8_t bytes[sizeof number];
     std::memcpy(bytes, &number, sizeof number);
     for (const uint8_t byte : bytes) value = (value ^ byte) * 0x100000001b3ULL;
   }
-  bool coarse_;
+  double steps_;  // 0: not rounded
 };
 
 // The lines of one level, in order.
@@ -55,10 +64,10 @@ struct Lines {
   std::string level;
   std::vector<std::string> all;
 
-  void add(const std::string& call, const Digest& digest, bool rounded) {
+  void add(const std::string& call, const Digest& digest) {
     char hex[17];
     std::snprintf(hex, sizeof hex, "%016llx", static_cast<unsigned long long>(digest.value));
-    all.push_back(level + " " + call + (rounded ? " rounded " : " exact ") + hex);
+    all.push_back(level + " " + call + (digest.rounded() ? " rounded " : " exact ") + hex);
   }
   // A call that must be refused.
   void refuse(const std::string& call, int32_t status, int32_t expected) {

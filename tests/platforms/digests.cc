@@ -17,11 +17,11 @@ void loss(Lines& lines, svrgs_context* context) {
   std::vector<T> grad(3 * kPixels);
   double found[2];
   lines.require(svrgs_loss(context, image.data(), target.data(), kHeight, kWidth, 0.8, 0.2, grad.data(), found) == SVRGS_OK, "loss");
-  lines.add("loss", Digest(sizeof(T) == 8).add(grad).add(found, 2), sizeof(T) == 8);
+  lines.add("loss", Digest(sizeof(T) == 8 ? kMillionths : kWhole).add(grad).add(found, 2));
   lines.refuse("loss_size", svrgs_loss(context, image.data(), target.data(), 0, kWidth, 0.8, 0.2, nullptr, found), SVRGS_INVALID);
 }
 
-// Three steps on rows of `width`; the gradient of one row is not finite. of the moments, whole bytes are compared.
+// Three steps on rows of `width`; the gradient of one row is not finite.
 template <class T>
 void adam(Lines& lines, svrgs_context* context, int32_t width, int32_t shared) {
   constexpr bool kDouble = sizeof(T) == 8;
@@ -42,9 +42,9 @@ void adam(Lines& lines, svrgs_context* context, int32_t width, int32_t shared) {
         svrgs_adam(context, &settings, param.data(), moments.data(), grad.data(), some ? ids.data() : nullptr, some ? ids.size() : kRows, width, &nonfinite);
     lines.require(status == SVRGS_OK, name), sum += nonfinite;
   }
-  lines.add(name, Digest(kDouble).add(param).add(&sum, 1), kDouble);
+  lines.add(name, Digest(kDouble ? kMillionths : kWhole).add(param).add(&sum, 1));
   const auto* bytes = reinterpret_cast<const uint8_t*>(moments.data());
-  lines.add(name + "_moments", kDouble ? Digest(true).add(moments) : Digest(false).add(bytes, moments.size() * sizeof(T)), kDouble);
+  lines.add(name + "_moments", kDouble ? Digest(kMillionths).add(moments) : Digest(kWhole).add(bytes, moments.size() * sizeof(T)));
 }
 
 template <class T>
@@ -70,16 +70,16 @@ void without_level(Lines& lines) {
   std::vector<float> slope(kCount);
   std::vector<uint32_t> order(kCount);
   lines.require(svrgs_sample_masks(logits.data(), kCount, 7, 3, masks.data(), slope.data()) == SVRGS_OK, "sample_masks");
-  lines.add("sample_masks", Digest(false).add(masks).add(slope), false);
+  lines.add("sample_masks", Digest(kWhole).add(masks).add(slope));
   const double axis[3] = {0.36, 0.48, 0.8};
   lines.require(svrgs_depth_order(means.data(), kCount, axis, order.data()) == SVRGS_OK, "depth_order");
-  lines.add("depth_order", Digest(false).add(order), false);
+  lines.add("depth_order", Digest(kWhole).add(order));
   lines.refuse("depth_order_axis", svrgs_depth_order(means.data(), kCount, nullptr, order.data()), SVRGS_INVALID);
   Panorama panorama;
   const svrgs_view view = panorama.view();
   const svrgs_panorama picture = panorama.picture();
   lines.require(svrgs_add_view(&view, &picture) == SVRGS_OK, "add_view");
-  lines.add("add_view", Digest(false).add(panorama.sums), false);
+  lines.add("add_view", Digest(kWhole).add(panorama.sums));
   lines.refuse("add_view_of_nothing", svrgs_add_view(nullptr, &picture), SVRGS_INVALID);
 }
 
@@ -92,7 +92,7 @@ void triangles(Lines& lines) {
     const svrgs_camera c = camera(orthographic);
     const std::string name = orthographic ? "draw_triangles_orthographic" : "draw_triangles";
     lines.require(svrgs_draw_triangles(&t, &c, &layers) == SVRGS_OK, name);
-    lines.add(name, Digest(false).add(share).add(depth).add(rgba), false);
+    lines.add(name, Digest(kWhole).add(share).add(depth).add(rgba));
   }
   const svrgs_camera c = camera(0);
   t.texture_count = 1;
@@ -105,10 +105,10 @@ void triangles(Lines& lines) {
 void about(Lines& lines, int32_t level) {
   svrgs_thresholds thresholds;
   svrgs_get_thresholds(&thresholds);
-  lines.add("thresholds", Digest(false).add(&thresholds.near_depth, 8).add(&thresholds.tile, 3), false);
+  lines.add("thresholds", Digest(kWhole).add(&thresholds.near_depth, 8).add(&thresholds.tile, 3));
   std::string names;
   for (int32_t kind = SVRGS_LEVEL_NAMES; kind <= SVRGS_STAGE_NAMES; ++kind)
-    for (int32_t i = 0; svrgs_name(kind, i); ++i) names += std::string(svrgs_name(kind, i)) + " ";
+    for (int32_t i = 0; svrgs_name(kind, i); ++i) names += std::string(names.empty() ? "" : " ") + svrgs_name(kind, i);
   lines.all.push_back(lines.level + " names says " + names);
   lines.all.push_back(lines.level + " interface_version says " + std::to_string(svrgs_interface_version()));
   lines.require(svrgs_level_supported(level) && svrgs_level_supported(svrgs_best_level()) && !svrgs_level_supported(SVRGS_LEVELS), "levels");

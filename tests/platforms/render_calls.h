@@ -22,8 +22,8 @@ class View {
   View(const View&) = delete;
 
   static constexpr bool kDouble = sizeof(T) == 8;  // there exp2 and log2 are those of the C library
-  Digest digest() const { return Digest(kDouble); }
-  void add(const std::string& call, const Digest& d) { lines.add(name + "_" + call, d, kDouble); }
+  Digest digest() const { return Digest(kDouble ? kMillionths : kWhole); }
+  void add(const std::string& call, const Digest& d) { lines.add(name + "_" + call, d); }
 
   int32_t forward() {
     const svrgs_scene s = scene.view();
@@ -58,7 +58,7 @@ class View {
     require(svrgs_removal(context, d_rgb.data(), cost.data()), "removal");
     add("removal", digest().add(cost));
     require(svrgs_slopes(context, slopes.data()), "slopes");
-    add("slopes", digest().add(slopes));
+    add("slopes", Digest(kDouble ? kMillionths : kCoarse).add(slopes));  // exp2 of the C library in float, too
     require(svrgs_dominance(context, dominance.data()), "dominance");
     add("dominance", digest().add(dominance));
   }
