@@ -31,8 +31,9 @@ constexpr double kStop = SVRGS_STOP;             // colours stop before transmit
 constexpr double kFrustumMargin = 0.3;           // share of half the image: x/z, y/z of the Jacobian are clamped this far outside its borders
 constexpr double kCompensationFloor = 0.000025;  // of det(before blur) / det(after blur), antialiased scenes
 
-inline const double kLog2Cut = std::log2(kAlphaCut);
-inline const double kLogitCut = std::log(kAlphaCut / (1 - kAlphaCut)) - 1e-4;  // a margin below; the alpha test decides
+// Not inline: on Windows an inline constant may be set after a constant of another file that needs it.
+const double kLog2Cut = std::log2(kAlphaCut);
+const double kLogitCut = std::log(kAlphaCut / (1 - kAlphaCut)) - 1e-4;  // a margin below; the alpha test decides
 
 constexpr int kTile = SVRGS_TILE;  // pixels per tile side
 constexpr int kBlockPixels = 16;   // a block is 16 lanes
