@@ -130,7 +130,7 @@ inline void enqueue(const Frame& f, const CameraParams& camera, int64_t first, i
 inline void project_waiting(const Frame& f, const CameraParams& camera, int enough, ProjectionQueue& p) {
   for (; p.last - p.first >= enough; p.first += W) project_batch(f, camera, p.first, std::min(W, p.last - p.first), p);
   if (p.last + kCulledAtOnce + W <= kQueueRoom) return;
-  const int waiting = p.last - p.first;  // no more than that is read: the queue may end there
+  const int waiting = std::max(p.last - p.first, 0);  // no more than that is read: the queue may end there
   for (int i = 0; i < waiting; i += W) {
     for (R* numbers : p.numbers) store(numbers + i, load(numbers + i + p.first));
     if (f.masks) store(p.masks + i, load(p.masks + i + p.first));
