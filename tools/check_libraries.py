@@ -55,7 +55,7 @@ def wrong_signature(signature: bytes, path: Path) -> list[str]:
     """Of an ad hoc signature: a directory with a SHA-256 for each page of the file, up to the signature."""
     start = signature.find(bytes.fromhex("fade0c02"))
     if start < 0:
-        return ["is not signed"]
+        return ["has a signature of another kind"]
     directory = signature[start:]
     flags, hashes, _, _, pages, limit, size, kind, _, bits = struct.unpack_from(">3I3I4B", directory, 12)
     signed = path.read_bytes()[:limit]
@@ -73,7 +73,10 @@ def wrong_macho(library: lief.MachO.Binary, path: Path) -> list[str]:
         found.append(f"needs {', '.join(needs)}")
     if not library.has_build_version or library.build_version.minos != MACOS_VERSION:
         found.append("is not for macOS 11.0")
-    return found + wrong_signature(bytes(library.code_signature.content) if library.has_code_signature else b"", path)
+    if library.has_code_signature:
+        return found + wrong_signature(bytes(library.code_signature.content), path)
+    needed = library.header.cpu_type == lief.MachO.Header.CPU_TYPE.ARM64  # Macs on Intel load what is not signed
+    return found + ["is not signed"] * needed
 
 
 def wrong(path: Path) -> list[str]:

@@ -7,4 +7,5 @@ python=$1/bin/python
 rm -rf dist
 "$python" tools/fetch_wheels.py --all
 "$python" tools/build_wheels.py
+"$python" tools/check_libraries.py
 "$python" tools/build_extension.py --all

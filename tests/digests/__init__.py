@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 BUILT = ROOT / "build/platforms"  # the library of a target in a folder each
 RECORD = HERE / "digests.txt"
-RECORDED_LEVELS = ("scalar", "float64", "neon")
+RECORDED_LEVELS = ("scalar", "float64", "baseline", "neon")
 SYSROOT = Path(os.environ.get("SVRGS_ARM64_SYSROOT", "/usr/aarch64-linux-gnu"))  # the C library for arm64 (Debian: libc6-arm64-cross)
 LIBRARIES = {"linux": "libsvrgs.so", "windows": "svrgs.dll"}
 HOST_LEVELS = ("scalar", "float64", "baseline", "avx2", "avx512")
@@ -28,8 +28,8 @@ TARGETS = {  # what runs on Linux for x86-64: the levels, and the program before
     "aarch64-linux-gnu.2.28": (("scalar", "float64", "neon"), ["qemu-aarch64", "-L", str(SYSROOT)]),
     "x86_64-windows-gnu": (HOST_LEVELS, ["wine"]),
 }
-WINE = {"WINEPREFIX": str(ROOT / "build/wine/prefix"), "WINEDEBUG": "-all"}
-HOW_TO_BUILD = "tools/test_platforms.sh"
+WINE = {"WINEPREFIX": str(ROOT / "build/wine"), "WINEDEBUG": "-all"}
+HOW_TO_BUILD = "make package"
 
 
 def missing(target: str) -> str:
@@ -65,6 +65,7 @@ def cross_build(target: str) -> Path:
     library = library_of(target)
     windows = library.suffix == ".dll"
     linked, program = library.with_name("libsvrgs.dll.a") if windows else library, library.with_name("digests.exe" if windows else "digests")
+    Path(WINE["WINEPREFIX"]).mkdir(exist_ok=True)
     rpath = [] if windows else ["-Wl,-rpath,$ORIGIN"]
     done = _zig("c++", "-target", target, "-std=c++20", "-O1", f"-I{ROOT / 'native/include'}", HERE / "digests.cc", linked, *rpath, "-o", program)
     if done.returncode:

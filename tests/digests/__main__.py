@@ -9,6 +9,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from digests import RECORD, RECORDED_LEVELS, TARGETS, build, cross_build, differences, lines, missing, recorded
 from svrgs_addon import native
 

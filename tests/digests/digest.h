@@ -11,7 +11,7 @@
 
 #include "svrgs.h"
 
-namespace platforms {
+namespace digests {
 
 constexpr double kWhole = 0, kMillionths = 1e6, kCoarse = 1e4;  // steps of a digest; kCoarse: of floats that differ in their last bit
 
@@ -83,4 +83,4 @@ struct Lines {
   }
 };
 
-}  // namespace platforms
+}  // namespace digests

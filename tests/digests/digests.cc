@@ -6,7 +6,7 @@
 #include "render_calls.h"
 #include "svrgs.h"
 
-namespace platforms {
+namespace digests {
 namespace {
 
 constexpr size_t kRows = 300;
@@ -144,12 +144,12 @@ int print(const std::string& name, int32_t level) {
 }
 
 }  // namespace
-}  // namespace platforms
+}  // namespace digests
 
 int main(int argc, char** argv) {
   if (argc != 2) return std::fprintf(stderr, "usage: digests LEVEL\n"), 2;
   for (int32_t level = 0; svrgs_name(SVRGS_LEVEL_NAMES, level); ++level)
     if (std::string(argv[1]) == svrgs_name(SVRGS_LEVEL_NAMES, level))
-      return level == SVRGS_DOUBLE ? platforms::print<double>(argv[1], level) : platforms::print<float>(argv[1], level);
+      return level == SVRGS_DOUBLE ? digests::print<double>(argv[1], level) : digests::print<float>(argv[1], level);
   return std::fprintf(stderr, "there is no level %s\n", argv[1]), 2;
 }

@@ -7,7 +7,7 @@
 
 #include "svrgs.h"
 
-namespace platforms {
+namespace digests {
 
 inline uint64_t mix(uint64_t x) {  // the splitmix64 finaliser
   x += 0x9e3779b97f4a7c15ULL;
@@ -89,4 +89,4 @@ struct Panorama {
   svrgs_panorama picture() { return {sums.data(), kColumns, kRows, latitudes.data(), row_weights.data(), longitudes.data(), column_weights.data()}; }
 };
 
-}  // namespace platforms
+}  // namespace digests

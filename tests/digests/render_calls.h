@@ -6,7 +6,7 @@
 #include "digest.h"
 #include "inputs.h"
 
-namespace platforms {
+namespace digests {
 
 template <class T>
 class View {
@@ -84,7 +84,7 @@ class View {
   Lines& lines;
   std::string name;
   Scene<T> scene;
-  svrgs_camera camera = platforms::camera(0);
+  svrgs_camera camera = digests::camera(0);
   svrgs_options options = {};
   svrgs_context* context = nullptr;
 
@@ -166,4 +166,4 @@ void refusals(Lines& lines, int32_t level) {
   lines.refuse("forward_of_nothing", svrgs_forward(v.context, nullptr, nullptr, nullptr, nullptr), SVRGS_INVALID);
 }
 
-}  // namespace platforms
+}  // namespace digests
