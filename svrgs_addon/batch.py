@@ -35,7 +35,9 @@ def part(name: str):
 def run(words: list[str]) -> int:
     packages, library, processes = part("blender.packages"), part("library_path"), part("system.processes")
     own, extensions = blender_folders()
-    variables = part("blender.subprocess_python").environment(packages.find(own, extensions))
+    found = packages.find(own, extensions)
+    variables = part("blender.subprocess_python").environment(found)
+    variables[part("packages").MISSING_VARIABLE] = packages.missing(found, extensions)
     variables[library.LIBRARY_VARIABLE] = str(library.library_path(folder / "svrgs_addon" for folder in extensions))
     child = processes.ChildProcess([sys.executable, "-m", "svrgs_addon", *words], env=variables)
     for number in processes.stop_signals():

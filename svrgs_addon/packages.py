@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 import signal
 import sys
 import threading
@@ -11,6 +12,8 @@ from collections.abc import Iterator
 from types import ModuleType
 
 from .errors import NativeError, SceneError
+
+MISSING_VARIABLE = "SVRGS_MISSING_PACKAGES"  # of the environment: why packages are missing and what to do, a sentence
 
 
 def load(name: str, purpose: str) -> ModuleType:
@@ -24,7 +27,8 @@ def load(name: str, purpose: str) -> ModuleType:
             return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name == package:
-            raise SceneError(f"{purpose} needs the package {package}: run {sys.executable} -m pip install {package}") from None
+            remedy = os.environ.get(MISSING_VARIABLE) or f"run {sys.executable} -m pip install {package}"
+            raise SceneError(f"{purpose} needs the package {package}: {remedy}") from None
         raise NativeError(f"the package {package} cannot be loaded ({import_reason(error)})") from error
     except (ImportError, RuntimeError) as error:  # pycolmap turns an ImportError into a RuntimeError
         raise NativeError(f"the package {package} cannot be loaded ({import_reason(error)})") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ pytest.importorskip("OpenImageIO")
 
 import scenes
 from row_dataset import HEIGHT, OPENCV, PINHOLE, POINTS, WIDTH, make_dataset, photo
+from svrgs_addon import packages
 from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.ply_points import read_points
 from svrgs_addon.photographs.colmap import read_model
@@ -303,3 +305,19 @@ def test_the_real_dataset_as_transforms(shared_data, tmp_path):
     a, b = load_dataset(shared_data / "brighton_beach"), load_dataset(tmp_path)
     assert max(np.abs(x.viewmat - y.viewmat).max() for x, y in zip(a.cameras, b.cameras, strict=True)) < 1e-9
     assert np.array_equal(a.image(7), b.image(7))
+
+
+def test_pinhole_cameras_need_no_pycolmap(tmp_path, monkeypatch):
+    """A Blender whose Python pycolmap does not support reads transforms.json all the same, and says what it cannot do."""
+    make_dataset(tmp_path / "a"), make_dataset(tmp_path / "b", model=OPENCV)
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        write_transforms(folder, read_model(folder / "sparse/0"))
+    expected = load_dataset(tmp_path / "a")
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    data = load_dataset(tmp_path / "a/transforms.json")
+    assert np.array_equal(data.image(0), expected.image(0)) and np.abs(data.cameras[0].K - expected.cameras[0].K).max() < 1e-9
+    with pytest.raises(SceneError, match="^reading a COLMAP model, unlike a transforms.json, needs the package pycolmap: run .* -m pip install pycolmap"):
+        load_dataset(tmp_path / "a")
+    monkeypatch.setenv(packages.MISSING_VARIABLE, "Python 3.12 lacks pycolmap: do this")
+    with pytest.raises(SceneError, match="^undistorting photographs needs the package pycolmap: Python 3.12 lacks pycolmap: do this$"):
+        load_dataset(tmp_path / "b/transforms.json").image(0)

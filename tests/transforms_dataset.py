@@ -22,9 +22,9 @@ def transforms_of(model: Model, images: str = "images") -> dict:
     frames = []
     for view in reversed(model.views):
         camera = view.camera
-        intrinsics = dict(zip(KEYS[camera.model_name], map(float, camera.params), strict=True))
+        intrinsics = dict(zip(KEYS[camera.model], map(float, camera.params), strict=True))
         pose = np.linalg.inv(view.viewmat) @ FLIP
-        size = {"w": camera.width, "h": camera.height, "camera_model": camera.model_name}
+        size = {"w": camera.width, "h": camera.height, "camera_model": camera.model}
         frames.append({"file_path": f"./{images}/{view.name}", "transform_matrix": pose.tolist(), **size, **intrinsics})
     return {"frames": frames}
 

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import lief
+
 from platforms import BUILT, LIBRARIES, ROOT, TABLE
 
 HEADER = ROOT / "native/include/svrgs.h"

@@ -35,22 +35,32 @@ def importable() -> dict[str, Path]:
 
 
 def find(folders: Iterable[Path] = (), extensions: Iterable[Path] = ()) -> dict[str, Path]:
-    """{package: folder to import it from} of all PACKAGES.
+    """{package: folder to import it from} of those PACKAGES that are found. missing() says what to do about the others.
 
     They are looked for on sys.path, then in `folders`, then among the wheels of ROOT, then among those of `extensions`, which are
-    folders of installed extensions. Raises SceneError if one is found nowhere, and if a wheel cannot be unpacked.
+    folders of installed extensions. Raises SceneError if numpy is found nowhere, and if a wheel cannot be unpacked.
     """
     found = importable()
     for folder in folders:
         found |= {name: folder for name in PACKAGES if name not in found and (folder / name).is_dir()}
-    wheels = [wheel for root in (ROOT, *extensions) for wheel in sorted((root / "wheels").glob("*.whl"))]
+    wheels = _wheels(extensions)
     for name in PACKAGES:
         fitting = [wheel for wheel in wheels if _package(wheel) == name and _fits_platform(wheel) and _python(wheel) == _this_python()]
         if name not in found and fitting:
             found[name] = _unpacked(fitting[0])
-    if missing := [name for name in PACKAGES if name not in found]:
-        raise SceneError(_what_to_do(missing, wheels))
+    if "numpy" not in found:
+        raise SceneError(missing(found, extensions))
     return found
+
+
+def missing(found: Iterable[str], extensions: Iterable[Path] = ()) -> str:
+    """The sentence that says which of the PACKAGES this Python lacks, and what to do; empty if all are in `found`."""
+    lacking = [name for name in PACKAGES if name not in found]
+    return _what_to_do(lacking, _wheels(extensions)) if lacking else ""
+
+
+def _wheels(extensions: Iterable[Path]) -> list[Path]:
+    return [wheel for root in (ROOT, *extensions) for wheel in sorted((root / "wheels").glob("*.whl"))]
 
 
 # --- names of wheels: NAME-VERSION-PYTHON-ABI-PLATFORM[.PLATFORM].whl
@@ -76,15 +86,16 @@ def _fits_platform(wheel: Path) -> bool:
     return any(tag.startswith(here.WHEEL) and tag.endswith(f"_{platform.machine().lower()}") for tag in tags)
 
 
-def _what_to_do(missing: list[str], wheels: list[Path]) -> str:
-    """The sentence that says which packages this Python lacks."""
-    lacks = f"Python {sys.version_info[0]}.{sys.version_info[1]} ({sys.executable}) lacks {' and '.join(missing)}"
-    install = f"{sys.executable} -m pip install {' '.join(missing)}"
-    if "numpy" in missing:
+def _what_to_do(lacking: list[str], wheels: list[Path]) -> str:
+    lacks = f"Python {sys.version_info[0]}.{sys.version_info[1]} ({sys.executable}) lacks {' and '.join(lacking)}"
+    install = f"{sys.executable} -m pip install {' '.join(lacking)}"
+    if "numpy" in lacking:
         return f"{lacks}: a Blender that uses the system's Python needs the system's numpy too, on Debian the package python3-numpy"
-    if not wheels:
+    if not wheels and (ROOT / "Makefile").exists():
         return f"{lacks}: run 'make wheels' in {ROOT}, or install the extension in this Blender, or run {install}"
-    pythons = set.intersection(*({_python(wheel) for wheel in wheels if _package(wheel) == name and _fits_platform(wheel)} for name in missing))
+    if not wheels:
+        return f"{lacks}: use a Blender with a Python for which there is a zip with packages, or run {install}"
+    pythons = set.intersection(*({_python(wheel) for wheel in wheels if _package(wheel) == name and _fits_platform(wheel)} for name in lacking))
     if not pythons:
         return f"{lacks}, and the wheels in {wheels[0].parent} are not for {platform.system()} {platform.machine()}: run {install}"
     versions = ", ".join(sorted((f"{tag[2]}.{tag[3:]}" for tag in pythons), key=lambda version: int(version[2:])))

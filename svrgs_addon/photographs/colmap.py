@@ -1,12 +1,11 @@
 """Finds, checks and reads COLMAP sparse models with pycolmap, and makes a pinhole camera of every camera.
 
-pycolmap is imported inside functions only. It reads a checked copy of cameras, images and points3D (colmap_files.py): the poses are
-in `images`, and the files of rigs and frames are not needed for pinhole views.
+pycolmap is imported inside functions only, and not for pinhole cameras of a transforms.json. It reads a checked copy of cameras,
+images and points3D (colmap_files.py): the poses are in `images`, and the files of rigs and frames are not needed for pinhole views.
 """
 
 from __future__ import annotations
 
-import copy
 import functools
 import itertools
 import os
@@ -35,12 +34,29 @@ ROUNDING_PX = 1.0  # tolerance of each side of a scaled photograph
 
 
 @dataclass(frozen=True)
+class Intrinsics:
+    """A camera of any model of COLMAP. width, height: of the photograph, in pixels; params: in COLMAP's order."""
+
+    model: str  # PINHOLE, OPENCV, ...
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+    def pinhole(self) -> np.ndarray | None:
+        """K (3, 3) in pixels; None if the model has distortion or is no pinhole."""
+        if self.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+            return None
+        fx, fy, cx, cy = self.params if self.model == "PINHOLE" else (self.params[0], *self.params)
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
+
+
+@dataclass(frozen=True)
 class View:
     """One registered photograph."""
 
     name: str  # image name, with '/' between folders
     viewmat: np.ndarray  # (4, 4) float64, world to camera
-    camera: pycolmap.Camera  # of any camera model; its size is that of the photograph in COLMAP
+    camera: Intrinsics
 
 
 @dataclass(frozen=True)
@@ -97,20 +113,18 @@ def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolma
     _check_aspect(view, width, height)
     if not (np.isfinite(view.camera.params).all() and np.isfinite(view.viewmat).all()):
         raise SceneError(f"{view.name}: its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP again")
-    kinds = import_pycolmap().CameraModelId
-    if view.camera.model in (kinds.PINHOLE, kinds.SIMPLE_PINHOLE):
-        full = Camera(view.viewmat, view.camera.calibration_matrix(), view.camera.width, view.camera.height, view.name)
-        return _checked_camera(full.resized(width, height)), None
-    if not view.camera.is_perspective():
-        raise SceneError(f"{view.name}: its camera model is {view.camera.model_name}, a panorama, which is not supported; cut it into perspective views first")
-    size = view.camera.width, view.camera.height
-    distorted, flat = _undistort_camera(view.camera.model_name, size, tuple(view.camera.params), (width, height))
+    K = view.camera.pinhole()
+    if K is not None:
+        return _checked_camera(Camera(view.viewmat, K, view.camera.width, view.camera.height, view.name).resized(width, height)), None
+    distorted, flat = _undistort_camera(view.camera, (width, height))
+    if flat is None:
+        raise SceneError(f"{view.name}: its camera model is {view.camera.model}, a panorama, which is not supported; cut it into perspective views first")
     return _checked_camera(Camera(view.viewmat, flat.calibration_matrix(), flat.width, flat.height, view.name)), distorted
 
 
 def undistort_image(pixels: np.ndarray, distorted: pycolmap.Camera) -> np.ndarray:
     """Resamples a photograph (H, W, 3) uint8 of the distorted camera (bilinear) to the image (H', W', 3) of its pinhole camera."""
-    library = import_pycolmap()
+    library = import_pycolmap("undistorting photographs")
     bitmap = library.Bitmap.from_array(pixels)
     return library.undistort_image(library.UndistortCameraOptions(), bitmap, distorted)[0].to_array()
 
@@ -128,10 +142,13 @@ def check_name(name: str) -> None:
             raise FormatError(f"image name {name!r} does not stay inside the image folder")
 
 
-def import_pycolmap() -> ModuleType:
-    """pycolmap. Raises SceneError if it is not installed, NativeError if it cannot be loaded. The handler of SIGTERM stays as it was."""
+def import_pycolmap(purpose: str = "reading a COLMAP model, unlike a transforms.json,") -> ModuleType:
+    """pycolmap. purpose: subject of the sentence if it is missing. The handler of SIGTERM stays as it was.
+
+    Raises SceneError if it is not installed, NativeError if it cannot be loaded.
+    """
     before = None if "pycolmap" in sys.modules else signal.getsignal(signal.SIGTERM)
-    library = packages.load("pycolmap", "reading COLMAP models")
+    library = packages.load("pycolmap", purpose)
     if before is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, before)  # the import installs a handler that prints a stack trace
     return library
@@ -164,14 +181,16 @@ def _view(name: str, image: pycolmap.Image) -> View:
         raise FormatError(f"the camera of {name} is {width} x {height}; the limit is {MAX_SIDE} per side")
     viewmat = np.eye(4)
     viewmat[:3] = image.cam_from_world().matrix()
-    return View(name, viewmat, copy.copy(image.camera))
+    return View(name, viewmat, Intrinsics(image.camera.model_name, width, height, tuple(image.camera.params)))
 
 
 @functools.lru_cache(maxsize=256)  # most views of a dataset share a camera
-def _undistort_camera(model: str, size: tuple[int, int], params: tuple[float, ...], scaled: tuple[int, int]) -> tuple[pycolmap.Camera, pycolmap.Camera]:
-    """The distorted camera at the scaled (width, height) in pixels, and the pinhole camera that COLMAP makes of it."""
-    library = import_pycolmap()
-    distorted = library.Camera(model=model, width=size[0], height=size[1], params=params)
+def _undistort_camera(camera: Intrinsics, scaled: tuple[int, int]) -> tuple[pycolmap.Camera, pycolmap.Camera | None]:
+    """The distorted camera at the scaled (width, height) in pixels, and the pinhole camera that COLMAP makes of it; None of a panorama."""
+    library = import_pycolmap("undistorting photographs")
+    distorted = library.Camera(model=camera.model, width=camera.width, height=camera.height, params=camera.params)
+    if not distorted.is_perspective():
+        return distorted, None
     distorted.rescale(*scaled)
     return distorted, library.undistort_camera(library.UndistortCameraOptions(), distorted)
 

@@ -25,7 +25,7 @@ import numpy as np
 from ..errors import FormatError
 from ..files.images import MAX_SIDE, image_size
 from ..files.ply_points import read_points
-from .colmap import Model, View, check_name, import_pycolmap
+from .colmap import Intrinsics, Model, View, check_name
 from .photo_files import photograph
 
 NAME, PARSER_NAME = "transforms.json", "dataparser_transforms.json"
@@ -147,8 +147,8 @@ def _size(facts: Mapping, folder: Path, name: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _camera(facts: Mapping, width: int, height: int):
-    """The camera of a frame, a pycolmap.Camera."""
+def _camera(facts: Mapping, width: int, height: int) -> Intrinsics:
+    """The camera of a frame."""
     model = FISHEYE if facts.get("is_fisheye") is True else facts.get("camera_model", "OPENCV")
     if model not in (*PERSPECTIVE, FISHEYE):
         raise FormatError(f"its camera_model is {str(model)[:40]!r}; export photographs without distortion, or with the model OPENCV")
@@ -167,7 +167,7 @@ def _camera(facts: Mapping, width: int, height: int):
         model, params = "OPENCV", [k1, k2, p1, p2]
     else:
         model = "PINHOLE"
-    return import_pycolmap().Camera(model=model, width=width, height=height, params=pinhole + params)
+    return Intrinsics(model, width, height, (*pinhole, *params))
 
 
 def _focal(facts: Mapping, axis: str, side: int) -> float:
