@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
 RUNS = 3
 
 
@@ -26,8 +26,7 @@ def main():
 def measure(folder: Path, count: int):
     import bpy
 
-    (extension,) = (ROOT / "dist").glob("*.zip")
-    bpy.ops.extensions.package_install_files(filepath=str(extension), repo="user_default", enable_on_install=True)
+    bpy.ops.extensions.package_install_files(filepath=str(extension_zip()), repo="user_default", enable_on_install=True)
     write_scene(folder / "in.ply", count)
     for _ in range(RUNS):
         imported = seconds(lambda: bpy.ops.svrgs.import_ply(filepath=str(folder / "in.ply")))
@@ -35,6 +34,14 @@ def measure(folder: Path, count: int):
         print(f"Blender {bpy.app.version_string}: {count:,} Gaussians of degree 3: import {imported:.2f} s, export {exported:.2f} s")
         bpy.data.objects.remove(bpy.context.object)
         bpy.data.orphans_purge()
+
+
+def extension_zip() -> Path:
+    """The zip in dist/ for this platform and this Python."""
+    import platforms
+
+    variant = platforms.variant_for(f"cp{sys.version_info[0]}{sys.version_info[1]}")
+    return ROOT / "dist" / f"{variant.name}.zip"
 
 
 def write_scene(path: Path, count: int):

@@ -13,7 +13,9 @@ import re
 import shlex
 import subprocess
 import sys
+import sysconfig
 import tomllib
+import venv
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -47,6 +49,15 @@ def extension_zip(tmp_path_factory):
         return build_extension.build(variant, ROOT / "svrgs_addon" / variant.library, tmp_path_factory.mktemp("dist"))
 
     return built
+
+
+@pytest.fixture
+def any_python_zip(tmp_path):
+    """The zip without wheels for this platform."""
+    if build_extension.builder() is None:
+        pytest.skip("bpy is not installed, and with it Blender's builder of extensions")
+    variant = platforms.Variant(platforms.this_platform(), "any-python")
+    return build_extension.build(variant, ROOT / "svrgs_addon" / variant.library, tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -131,10 +142,30 @@ def test_versions_agree_and_only_files_are_asked_for():
 
 @pytest.mark.parametrize("python", PYTHONS)
 def test_inside_blender(python, extension_zip, data, tmp_path):
-    environment = {**os.environ, "SVRGS_TEST_ZIP": str(extension_zip(python, "-c")), "SVRGS_TEST_DATA": str(data), "BLENDER_USER_RESOURCES": str(tmp_path)}
     folder = ROOT / "tests/blender"
     chosen = [str(folder / word) if word.endswith(".py") else word for word in shlex.split(os.environ.get("SVRGS_BLENDER_TESTS", ""))] or [str(folder)]
-    words = ["-m", "pytest", "-q", "--durations=8", "-p", "no:cacheprovider", "--rootdir", folder, "-c", os.devnull, *chosen]
-    done = subprocess.run([python, *map(str, words)], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=1200)
+    run_in_blender(python, extension_zip(python, "-c"), data, tmp_path, chosen)
+
+
+def test_inside_a_blender_without_pycolmap_by_the_zip_without_wheels(any_python_zip, data, tmp_path):
+    python = python_without(["pycolmap", "torch"], tmp_path / "python")
+    run_in_blender(python, any_python_zip, data, tmp_path, [str(ROOT / "tests/blender/without_pycolmap.py")])
+
+
+def python_without(packages: list[str], folder: Path) -> str:
+    """A Python that has the packages of this one, but not these. Returns its path."""
+    venv.create(folder, symlinks=True)
+    there = Path(sysconfig.get_path("purelib", vars={"base": str(folder)}))
+    for entry in Path(sysconfig.get_path("purelib")).iterdir():
+        if re.split("[-.]", entry.name)[0] not in packages:
+            (there / entry.name).symlink_to(entry)
+    return str(folder / "bin/python")
+
+
+def run_in_blender(python: str, extension: Path, data: Path, folder: Path, chosen: list[str]):
+    """Runs chosen tests of tests/blender with the bpy of a Python. `folder` becomes the folder of Blender's user."""
+    environment = {**os.environ, "SVRGS_TEST_ZIP": str(extension), "SVRGS_TEST_DATA": str(data), "BLENDER_USER_RESOURCES": str(folder)}
+    words = ["-m", "pytest", "-q", "--durations=8", "-p", "no:cacheprovider", "--rootdir", ROOT / "tests/blender", "-c", os.devnull, *chosen]
+    done = subprocess.run([python, *map(str, words)], env=environment, cwd=folder, capture_output=True, text=True, timeout=1200)
     assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-2000:]
     print(done.stdout)

@@ -131,8 +131,10 @@ def test_what_is_missing_is_said_with_the_versions_that_fit(root, tags, sentence
     assert packages.missing(packages.PACKAGES) == ""
 
 
-def test_an_extension_without_wheels_names_the_other_zips(root):
+def test_an_extension_without_wheels_names_the_other_zips_and_a_package_of_pip_names_pip(root):
     (root / "Makefile").unlink()
+    assert re.search("lacks OpenImageIO and pycolmap: run .* -m pip install OpenImageIO pycolmap$", packages.missing(["numpy"]))
+    (root / "blender_manifest.toml").touch()
     assert "lacks OpenImageIO and pycolmap: use a Blender with a Python for which there is a zip with packages, or run" in packages.missing(["numpy"])
 
 

@@ -93,8 +93,10 @@ def _what_to_do(lacking: list[str], wheels: list[Path]) -> str:
         return f"{lacks}: a Blender that uses the system's Python needs the system's numpy too, on Debian the package python3-numpy"
     if not wheels and (ROOT / "Makefile").exists():
         return f"{lacks}: run 'make wheels' in {ROOT}, or install the extension in this Blender, or run {install}"
-    if not wheels:
+    if not wheels and (ROOT / "blender_manifest.toml").exists():
         return f"{lacks}: use a Blender with a Python for which there is a zip with packages, or run {install}"
+    if not wheels:
+        return f"{lacks}: run {install}"
     pythons = set.intersection(*({_python(wheel) for wheel in wheels if _package(wheel) == name and _fits_platform(wheel)} for name in lacking))
     if not pythons:
         return f"{lacks}, and the wheels in {wheels[0].parent} are not for {platform.system()} {platform.machine()}: run {install}"

@@ -14,8 +14,9 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from ..packages import MISSING_VARIABLE
 from ..system.processes import ChildProcess
-from .packages import ROOT, importable
+from .packages import ROOT, importable, missing
 
 Tell = Callable[..., None]
 
@@ -57,9 +58,12 @@ def _result(status: int, last: str, error_lines: list[str]) -> dict:
 
 
 def environment(packages: Mapping[str, Path] | None = None) -> dict[str, str]:
-    """The environment variables of this process, with a PYTHONPATH on which a child process finds this package and those it needs.
+    """The environment variables of this process, with a PYTHONPATH on which a child process finds this package and those it needs, and
+    with what to do about packages that are missing.
 
     packages: {package: its folder}. Default: where this process finds them.
     """
-    paths = [ROOT, *(importable() if packages is None else packages).values(), os.environ.get("PYTHONPATH")]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(str(path) for path in paths if path))}
+    found = importable() if packages is None else packages
+    paths = [ROOT, *found.values(), os.environ.get("PYTHONPATH")]
+    remedy = os.environ.get(MISSING_VARIABLE) or missing(found)
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(str(path) for path in paths if path)), MISSING_VARIABLE: remedy}

@@ -12,12 +12,15 @@ photographs less closely, is left out. benchmarks/forecast.py fits and tests it;
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..photographs.dataset import Dataset
 from .run_view import RunView
 from .scores import top
+
+if TYPE_CHECKING:  # reads files; a Blender that only starts needs none of it
+    from ..photographs.dataset import Dataset
 
 LEAST = 0.05  # least share of the Gaussians that an allowed drop keeps: in a poor scene, PSNR alone would be held by some large blurs
 VIEWS = 16  # most views on which a drop in PSNR is measured, spread evenly over the test views
