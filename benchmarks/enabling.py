@@ -6,12 +6,12 @@ later ones find them compiled. Blender's own unpacking of the wheels, which happ
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 
 from blender_import import extension_zip
 
@@ -23,7 +23,7 @@ STARTS = 4
 def main():
     python = sys.argv[1] if len(sys.argv) > 1 else sys.executable
     with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, "BLENDER_USER_RESOURCES": folder}
+        environment = {**os.environ, "BLENDER_USER_RESOURCES": folder, "PYTHONDONTWRITEBYTECODE": ""}
         for action in ["install", *["start"] * STARTS]:
             subprocess.run([python, __file__, action], env=environment, check=True)
 
@@ -35,9 +35,9 @@ def install():
 
 
 def start():
-    import addon_utils
-    import bpy
+    import bpy  # before addon_utils, which it brings
 
+    addon_utils = importlib.import_module("addon_utils")
     before = time.perf_counter()
     addon_utils.extensions_refresh(ensure_wheels=True, addon_modules_pending=[MODULE])
     unpacked = time.perf_counter()

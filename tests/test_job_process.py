@@ -52,6 +52,16 @@ def test_a_job_reports_progress_and_leaves_its_result(done, tiny):
     assert metrics["iteration"][-1] == 60 and metrics["count"][-1] == 125 and np.isfinite(metrics["psnr"]).any()
 
 
+def test_files_in_the_current_folder_are_not_taken_for_modules(tiny, tmp_path, monkeypatch):
+    for name in ("json.py", "svrgs_addon.py"):
+        (tmp_path / name).write_text("raise SystemExit('of another program')")
+    monkeypatch.chdir(tmp_path)
+    job = Job(create(tmp_path / "job", tiny, **SHORT))
+    job.start()
+    follow(job)
+    assert job.state == "done"
+
+
 def test_the_score_orders_the_source_as_the_job_did(done, tiny):
     job, _ = done
     kept, score = job.folder.arrays()

@@ -51,7 +51,7 @@ def measure(folder: Path) -> Counts:
     driver, case = folder / "driver", folder / "case.bin"
     command = [os.environ.get("CXX", "g++"), "-std=c++20", "-O1", f"-I{ROOT / 'native' / 'include'}", HERE / "driver.cc", LIBRARY]
     subprocess.run([*command, f"-Wl,-rpath,{LIBRARY.parent}", "-o", driver], check=True)
-    _write_case(case)
+    write_case(case)
     counts = {}
     for level in (level for level in LEVELS if level in native.supported_levels()):
         out = folder / f"{level}.out"
@@ -61,7 +61,7 @@ def measure(folder: Path) -> Counts:
     return counts
 
 
-def _write_case(path: Path):
+def write_case(path: Path):
     scene, camera = room(GAUSSIANS), orbit_camera(WIDTH, HEIGHT)
     masks = (np.arange(GAUSSIANS) % 5 > 0).astype(np.uint8)
     intrinsics = (camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2])
