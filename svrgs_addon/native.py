@@ -59,6 +59,7 @@ __all__ = [
     "Rasterizer",
     "RenderOptions",
     "Thresholds",
+    "VISIBILITY",
     "best_level",
     "depth_order",
     "levels",
@@ -77,6 +78,7 @@ __all__ = [
 IMAGES = {output.name: output.channels for output in OUTPUTS.values() if not output.integer}  # trailing channels, 0: none
 COUNTS = tuple(output.name for output in OUTPUTS.values() if output.integer)
 MOMENTS = ("uu", "uv", "vv", "uuu", "uuv", "uvv", "vvv", "uuuu", "uuuv", "uuvv", "uvvv", "vvvv")
+VISIBILITY = ("weights", "transmittance", "pixels", "squares", "red", "green", "blue", "views", "density")
 
 
 @dataclass(frozen=True)
@@ -243,10 +245,14 @@ class Rasterizer:
         """Adds the last view to `pixels` (N,) float64: the number of pixels in which the Gaussian has the largest alpha T of all."""
         self._add("svrgs_dominance", pixels)
 
-    def _add(self, function: str, totals: np.ndarray):
+    def add_visibility(self, sums: np.ndarray):
+        """Adds the last view to `sums` (N, 9) float64, what native_decimation.decimate() needs of all views; its columns are those of VISIBILITY."""
+        self._add("svrgs_visibility", sums, (len(VISIBILITY),))
+
+    def _add(self, function: str, totals: np.ndarray, columns: tuple[int, ...] = ()):
         if self._view is None:
             raise NativeError("there is no rendered view to score: call forward() first")
-        _call(function, self._context, c.c_void_p(check_out(totals, "totals", (len(self._view[0]),), np.float64)))
+        _call(function, self._context, c.c_void_p(check_out(totals, "totals", (len(self._view[0]), *columns), np.float64)))
 
     def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
         """Image loss L = l1_weight mean|image - target| + ssim_weight (1 - SSIM) of two (H, W, 3) images in self.dtype.

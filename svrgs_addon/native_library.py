@@ -1,7 +1,7 @@
 """Loads the native library and calls its functions: structs of the interface, checks of arrays, names, thresholds, threads.
 
 `native/include/svrgs.h` is the manual; names, shapes and units here are the same. Only this module,
-native.py and native_pictures.py import ctypes.
+native.py, native_pictures.py and native_decimation.py import ctypes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .errors import Cancelled, NativeError
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 12
+INTERFACE_VERSION = 13
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 GRADS = (*PARAMETERS, "masks", "means2d")
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # images whose gradients backward() accepts
@@ -110,6 +110,18 @@ PanoramaStruct = _struct(
     longitudes=c.c_void_p,
     column_weights=c.c_void_p,
 )
+DecimationStruct = _struct(
+    "DecimationStruct",
+    count=c.c_int64,
+    sh_coefficients=c.c_int32,
+    antialiased=c.c_int32,
+    **{name: c.c_void_p for name in PARAMETERS},
+    visibility=c.c_void_p,
+    middle=c.c_double * 3,
+    unit=c.c_double,
+    least=c.c_int64,
+)
+MergesStruct = _struct("MergesStruct", **{name: c.c_void_p for name in ("a", "b", "costs", *PARAMETERS)})
 MachineStruct = _struct("MachineStruct", fma=c.c_double, read=c.c_double, update=c.c_double)
 
 

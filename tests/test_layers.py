@@ -20,7 +20,7 @@ ALL_FILES = [path for folder in (*LAYERS, "tests", "benchmarks", "examples", "to
 NATIVE_FILES = [path for pattern in ("*.h", "*.cc") for path in sorted((ROOT / "native").rglob(pattern))]
 BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "bl_ui"}
 HEAVY = {"torch", "pycolmap", "OpenImageIO", "scipy", "bpy"}
-NATIVE = ("native.py", "native_library.py", "native_pictures.py")
+NATIVE = ("native.py", "native_library.py", "native_pictures.py", "native_decimation.py")
 MAX_FILE, MAX_FUNCTION = 400, 40  # lines
 
 

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 12
+#define SVRGS_INTERFACE_VERSION 13
 
 typedef void real; /* float or double, by the context's level */
 
@@ -194,6 +194,12 @@ SVRGS_API int32_t svrgs_moments(svrgs_context*, double* moments);
    Exact: a colour is linear in the mask of one Gaussian. With residuals of 0: the sum of d^2. */
 SVRGS_API int32_t svrgs_removal(svrgs_context*, const real* residuals, double* cost);
 
+/* Adds the last view to sums (N, SVRGS_VISIBILITY), which svrgs_decimate needs of all views: sums over the pixels in which a Gaussian is
+   blended of alpha T, T, 1, |d|^2 and the three channels of d = alpha T (c - b), see svrgs_removal; 1 for the view if there is such a pixel,
+   and then fx fy / z^2, the pixels per unit of area at its depth (orthographic: fx fy). */
+#define SVRGS_VISIBILITY 9
+SVRGS_API int32_t svrgs_visibility(svrgs_context*, double* sums);
+
 /* Adds to sums (N,) the sum over the last view's pixels of (sum over the channels of dC/dG_i)^2, with G_i the value of the Gaussian at the
    pixel, alpha_i = opacity_i G_i. It is the score of Speedy-Splat, which does not differentiate the clamp of alpha either. */
 SVRGS_API int32_t svrgs_slopes(svrgs_context*, double* sums);
@@ -252,6 +258,35 @@ SVRGS_API int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_
 
 /* order (count,): rows of means (count, 3) from the farthest along `axis` to the nearest; ties keep their order; NaN may be anywhere. */
 SVRGS_API int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3], uint32_t* order);
+
+/* Decimation: an order of operations, each of which removes a Gaussian or merges two neighbours into one, the cheapest first, until `least`
+   are left. The number that are left after k of them is count - k, so one order gives every number.
+   The cost of a removal is its removal error. The cost of a merge is the change of the picture without occlusion, closed form, mean of the
+   views along the three axes, scaled by what the views see of it (kernels/merge-inl.h). A merged Gaussian has the mean, the covariance and
+   the SH of both, weighted by alpha T, and the opacity that keeps the sum of opacity times area. */
+typedef struct {
+  int64_t count;               /* N */
+  int32_t sh_coefficients;     /* 1, 4, 9 or 16 */
+  int32_t antialiased;         /* as in svrgs_options */
+  const float* means;          /* (N, 3) */
+  const float* log_scales;     /* (N, 3) */
+  const float* quats;          /* (N, 4) */
+  const float* opacity_logits; /* (N,) */
+  const float* sh;             /* (N, sh_coefficients, 3) */
+  const double* visibility;    /* (N, SVRGS_VISIBILITY) */
+  double middle[3], unit;      /* of the scene; a length of about a pixel */
+  int64_t least;               /* Gaussians left at the end, from 1 to N */
+} svrgs_decimation;
+
+/* With N - least rows each, the k-th operation in row k; the results of merges in the order of the operations. */
+typedef struct {
+  uint32_t *a, *b; /* what is removed or merged: a row of the scene, or N + m for the result of the m-th merge; b: UINT32_MAX for a removal */
+  float* costs;    /* growth of the sum of squared errors over all views */
+  float *means, *log_scales, *quats, *opacity_logits, *sh;
+} svrgs_merges;
+
+/* Costs are computed with the kernels of `level`. steps, merges: how many operations, and how many of them are merges. */
+SVRGS_API int32_t svrgs_decimate(int32_t level, const svrgs_decimation*, const int32_t* cancel, const svrgs_merges*, int64_t* steps, int64_t* merges);
 
 /* A picture on triangles: 3 bytes a texel, display sRGB, rows from v = 0 on. Levels lie one after the other down to 1 x 1, each with half the
    sides of the one before, rounded up. */

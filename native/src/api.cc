@@ -8,6 +8,7 @@
 #include <new>
 
 #include "context.h"
+#include "decimate.h"
 #include "depth_sort.h"
 #include "machine_speed.h"
 #include "panorama.h"
@@ -269,6 +270,15 @@ int32_t svrgs_removal(svrgs_context* c, const real* residuals, double* cost) {
   });
 }
 
+int32_t svrgs_visibility(svrgs_context* c, double* sums) {
+  return guarded([&] {
+    require(c && sums, "an argument is missing");
+    require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
+    check_whole(c->context);
+    c->context.visibility(sums);
+  });
+}
+
 int32_t svrgs_slopes(svrgs_context* c, double* sums) {
   return guarded([&] {
     require(c && sums, "an argument is missing");
@@ -339,6 +349,19 @@ int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3
     svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
       for (int64_t i = begin; i < end; ++i) order[i] = sorted[i].place;
     });
+  });
+}
+
+int32_t svrgs_decimate(int32_t level, const svrgs_decimation* scene, const int32_t* cancel, const svrgs_merges* out, int64_t* steps, int64_t* merges) {
+  return guarded([&] {
+    require(scene && out && steps && merges, "an argument is missing");
+    check({scene->count, scene->sh_coefficients, scene->means, scene->log_scales, scene->quats, scene->opacity_logits, scene->sh, nullptr});
+    require(scene->visibility && scene->count > 0 && scene->least > 0 && scene->least <= scene->count, "least must be 1 to count");
+    require(2 * scene->count < kMaxCount, "the scene's count must be below 2^30");
+    require(std::isfinite(scene->unit) && scene->unit > 0, "unit must be a finite length above 0");
+    for (const double x : scene->middle) require(std::isfinite(x), "middle must be finite");
+    require(out->a && out->b && out->costs && out->means && out->log_scales && out->quats && out->opacity_logits && out->sh, "an output is missing");
+    if (!svrgs::decimate(kernels(level), *scene, cancel, *out, *steps, *merges)) throw Failure{SVRGS_CANCELLED, "cancelled"};
   });
 }
 

@@ -167,6 +167,12 @@ void Context::moments(double* rows) {
   parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.moments_range(frame_, slots, begin, end, rows); });
 }
 
+void Context::visibility(double* sums) {
+  char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
+  for_each_tile([&](int64_t tile) { kernels_.visibility_tile(frame_, tile, slots); });
+  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.visibility_range(frame_, slots, begin, end, sums); });
+}
+
 // Adds one number per pair, which run(tile, slots) writes, to out (N,).
 template <class F>
 void Context::add_sums(double* out, F&& run) {

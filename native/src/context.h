@@ -49,6 +49,7 @@ class Context {
   void scores(const Scores&);
   void moments(double* rows);
   void removal(const void* residuals, double* cost);
+  void visibility(double* sums);
   void slopes(double* sums);
   void dominance(double* pixels);
   int64_t adam(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t rows, int width);

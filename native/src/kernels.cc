@@ -36,6 +36,7 @@ namespace svrgs::SVRGS_LEVEL {
 #include "kernels/raster_backward-inl.h"
 #include "kernels/statistics-inl.h"
 #include "kernels/work-inl.h"
+#include "kernels/merge-inl.h"
 #include "kernels/adam-inl.h"
 #include "kernels/adam_sh-inl.h"
 #include "kernels/gradients-inl.h"
@@ -88,6 +89,11 @@ const Kernels SVRGS_TABLE_NAME = {
     .slopes_tile = level::slopes_tile,
     .dominance_tile = level::dominance_tile,
     .sums_range = level::sums_range,
+    .visibility_tile = level::visibility_tile,
+    .visibility_range = level::visibility_range,
+    .merge_areas = level::merge_areas,
+    .merge_costs = level::merge_costs,
+    .merge_rows = level::merge_rows,
     .count_tile = level::count_tile,
     .loss_scratch = level::kLossScratch,
     .loss_tile = level::loss_pass,

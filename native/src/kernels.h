@@ -1,6 +1,7 @@
 // The kernels of one SIMD level, as a table. Every entry is typed by the level's real type behind void*.
 #pragma once
 #include "frame.h"
+#include "merge.h"
 #include "svrgs.h"
 
 namespace svrgs {
@@ -32,6 +33,11 @@ struct Kernels {
   void (*slopes_tile)(const Frame&, int64_t tile, void* slots);
   void (*dominance_tile)(const Frame&, int64_t tile, void* slots);
   void (*sums_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* out);
+  void (*visibility_tile)(const Frame&, int64_t tile, void* slots);
+  void (*visibility_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* sums);
+  void (*merge_areas)(MergeRow* rows, int64_t begin, int64_t end);
+  void (*merge_costs)(const MergeScene&, const uint32_t* a, const uint32_t* b, int64_t count, float* costs);
+  void (*merge_rows)(const MergeScene&, const uint32_t* a, const uint32_t* b, int64_t count, MergeRow* out);
   void (*count_tile)(const Frame&, int64_t tile, svrgs_work&);
   int64_t loss_scratch;  // reals a thread needs
   void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);

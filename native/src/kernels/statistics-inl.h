@@ -104,6 +104,50 @@ inline V sensitivity(const LocalGaussian& l, const Hit& e, V& T, V left[3]) {
   return keep(less(e.alpha, broadcast(R(kAlphaMax))), fma(s.rgb[0], s.rgb[0], fma(s.rgb[1], s.rgb[1], s.rgb[2] * s.rgb[2])));
 }
 
+// Writes to the slot of each pair the sums over pixels of alpha T, T, 1, |d|^2 and d.
+void visibility_tile(const Frame& f, int64_t tile, void* slots) {
+  const TileOrigin o = tile_origin(f, tile);
+  RemainingColour t(f, tile);
+  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
+    const TileEntry entry = f.entries[e];
+    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
+    if (l.mask == 0) continue;
+    V weights = broadcast(0), transmittance = broadcast(0), pixels = broadcast(0), squares = broadcast(0), d[3] = {};
+    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+      for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
+        const Lanes& lanes = all_lanes().block[b];
+        const V before = t.T[b][h];
+        const ColourShare s = share(l, evaluate(l, lanes.x[h], lanes.y[h]), t.T[b][h], t.rgb[b][h]);
+        weights += keep(s.live, before - t.T[b][h]);
+        transmittance += keep(s.live, before);
+        pixels = add_if(s.live, pixels, broadcast(1));
+        for (int c = 0; c < 3; ++c) d[c] += s.rgb[c], squares = fma(s.rgb[c], s.rgb[c], squares);
+      }
+    R* slot = static_cast<R*>(slots) + static_cast<int64_t>(entry.slot) * kSlotWidth;
+    sum4(weights, transmittance, pixels, squares, slot);
+    for (int c = 0; c < 3; ++c) slot[4 + c] = sum(d[c]);
+  }
+}
+
+// Adds the slots of each Gaussian among rows [begin, end) of the visible ones; if it is blended, also this view and its pixels per area.
+void visibility_range(const Frame& f, const void* slots, int64_t begin, int64_t end, double* sums) {
+  for (int64_t i = begin; i < end; ++i) {
+    const uint32_t id = f.visible[i];
+    const GaussianTiles& t = f.tiles[f.places[i]];
+    if (f.masks && !f.masks[id]) continue;
+    double* const row = sums + static_cast<int64_t>(id) * SVRGS_VISIBILITY;
+    const double before = row[2];
+    for (uint32_t k = 0; k < t.tiles; ++k) {
+      if (!f.hits[t.slot + k]) continue;
+      const R* slot = static_cast<const R*>(slots) + static_cast<int64_t>(t.slot + k) * kSlotWidth;
+      for (int c = 0; c < 7; ++c) row[c] += static_cast<double>(slot[c]);
+    }
+    if (row[2] == before) continue;
+    const double depth = f.orthographic ? 1.0 : static_cast<double>(static_cast<const ProjectedGaussian<R>*>(f.gaussians)[f.places[i]].depth);
+    row[7] += 1, row[8] += f.fx * f.fy / (depth * depth);
+  }
+}
+
 // Writes to the slot of each pair by how much the sum of squared residuals (H, W, 3) would grow without the Gaussian: sum of d^2 - 2 r d.
 void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slots) {
   const TileOrigin o = tile_origin(f, tile);
