@@ -130,8 +130,11 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
         parts.append(f"LPIPS {result['lpips']:.4f}")
     parts += [memory.size_text(result["bytes"]), f"{result['ms_per_frame']:.1f} ms per frame"]
     before = result.get("before")
-    lines = ([f"before  {_figures(before)}"] if before else []) + [("after   " if before else "") + ", ".join(parts)]
-    if before:
+    measured = before and "psnr" in before  # the quick way measures against the original itself
+    lines = ([f"before  {_figures(before)}"] if measured else []) + [("after   " if measured else "") + ", ".join(parts)]
+    if before and not measured:
+        lines += [f"kept {result['count'] / before['count']:.1%} of the Gaussians", *result["notes"]]
+    if measured:
         lines.append(f"kept {result['count'] / before['count']:.1%} of the Gaussians at {result['psnr'] - before['psnr']:+.2f} dB")
     lines += [f"level {level['share']:g}: {_figures(level)}; saved {level['out']}" for level in result.get("levels", ())]
     if result.get("densifications_held_back"):

@@ -136,6 +136,10 @@ class PruneOptions(TuningOptions):
         SHARES, (), "levels of detail, as in 0.5,0.25,0.1: also write the first rows of a nested result, these shares of it, to OUT_50.ply and so on",
         metavar="SHARES", default_help="none",
     )  # fmt: skip
+    quick: bool = option(
+        FLAG, False, "remove and merge within seconds, on the scene's own pictures instead of photographs; needs --target or --target-count; with --colmap "
+        "only the cameras of the dataset are read",
+    )  # fmt: skip
     scene: Path | None = None  # splat file to prune
     out: Path | None = None  # splat file to write
     report: Path | None = None  # folder of the HTML report

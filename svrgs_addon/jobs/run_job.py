@@ -22,6 +22,7 @@ from .context import JobContext
 from .options import MIN_CONTRIBUTION, RECOVERY, DatasetOptions, PruneOptions, TrainOptions, TuningOptions, refuse_time_and_steps
 from .planning import pruning_within, training_within
 from .progress import Reporter
+from .quick import prune_quick
 from .stop_request import StopRequest
 
 Adapt = Callable[[JobContext], JobContext]  # changes the context of the command line; a background job adds its own observer and stop
@@ -44,8 +45,11 @@ def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict:
 def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
     """Does `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint."""
     native.set_threads(options.threads)
+    if options.quick:
+        with StopRequest() as stop:
+            return prune_quick(options, stop)
     if options.colmap is None:
-        raise SceneError(f"{options.scene}: pruning needs the photographs that the scene was trained on; give --colmap DIR")
+        raise SceneError(f"{options.scene}: pruning needs the photographs that the scene was trained on; give --colmap DIR, or --quick to do without")
     assert options.scene is not None and options.out is not None
     job, plan = replace(_context(options, options.out, options.report), levels=options.levels), plan_of_pruning(options)
     train_and_prune.check_outputs(job)

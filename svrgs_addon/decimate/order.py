@@ -1,0 +1,80 @@
+"""An order of removals and merges: one order gives the scene with any number of Gaussians.
+
+What the views see of each Gaussian is summed over all views (Rasterizer.add_visibility). The native library then orders the operations
+(svrgs_decimate in svrgs.h). Photographs are not needed: the pictures are those of the scene itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import SceneError
+from ..native import VISIBILITY, Rasterizer, RenderOptions
+from ..native_decimation import REMOVED, Merges, decimate
+from ..native_library import PARAMETERS
+from ..scene import Scene
+
+
+@dataclass(frozen=True)
+class Order:
+    """The order of the operations on a scene of N Gaussians."""
+
+    scene: Scene
+    merges: Merges
+    unseen: int  # Gaussians that no view sees: they are removed first, at no cost
+
+    @property
+    def least(self) -> int:
+        """The smallest number of Gaussians that at() gives."""
+        return self.scene.count - len(self.merges.a)
+
+    @cached_property
+    def _lives(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N + M,) int64 each: the number of operations after which a row is there, and after which it is gone again."""
+        steps, merged = len(self.merges.a), self.merges.b != REMOVED
+        rows = self.scene.count + int(merged.sum())
+        born, gone = np.zeros(rows, np.int64), np.full(rows, steps + 1)
+        born[self.scene.count :] = np.flatnonzero(merged) + 1
+        gone[self.merges.a] = np.arange(1, steps + 1)
+        gone[self.merges.b[merged]] = np.flatnonzero(merged) + 1
+        return born, gone
+
+    def at(self, count: int) -> Scene:
+        """The scene with `count` Gaussians, least to N: those of the original in their order, then those that are merged from several.
+        Further attributes are left out if any were merged."""
+        done = self.scene.count - count
+        born, gone = self._lives
+        there = np.flatnonzero((born <= done) & (gone > done))
+        kept = there[there < self.scene.count]
+        made = there[len(kept) :] - self.scene.count
+        whole = self.scene.select(kept)
+        if not len(made):
+            return whole
+        arrays = {name: np.concatenate([getattr(whole, name), self.merges.results[name][made]]) for name in PARAMETERS}
+        return replace(whole, **arrays, attributes={}, property_order=())
+
+
+def looks(scene: Scene, cameras: Sequence[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, list[np.ndarray]]:
+    """What all views see of each Gaussian, (N, 9) float64 in the order of VISIBILITY, and the pictures (H, W, 3) of the views."""
+    sums, pictures = np.zeros((scene.count, len(VISIBILITY))), []
+    for camera in cameras:
+        pictures.append(rasterizer.forward(scene, camera, options)["rgb"])
+        rasterizer.add_visibility(sums)
+    return sums, pictures
+
+
+def order_of(scene: Scene, sums: np.ndarray, least: int, level: str | None = None, cancel: np.ndarray | None = None) -> Order:
+    """The order that leaves `least` of the Gaussians, 1 to N. sums: from looks(). level, cancel: as for decimate(). Raises SceneError if no
+    view sees any; Cancelled."""
+    columns = dict(zip(VISIBILITY, sums.T, strict=True))
+    seen = columns["views"] > 0
+    if not seen.any():
+        raise SceneError("no view sees any of the Gaussians: all are too faint to be drawn, or the cameras belong to another scene")
+    pixel = float(np.median(np.sqrt(columns["views"][seen] / columns["density"][seen])))
+    middle = np.median(scene.means[seen].astype(np.float64), axis=0)
+    return Order(scene, decimate(scene, sums, middle, pixel, least, level, cancel), int((~seen).sum()))

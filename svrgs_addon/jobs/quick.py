@@ -1,0 +1,151 @@
+"""`svrgs prune --quick`: a scene with fewer Gaussians within seconds, without photographs.
+
+The pictures are the original's own. Views are those of the dataset, if one is given (its photographs are not opened), else all around the
+scene. Quality is measured on views that the result was not fitted to.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from statistics import fmean
+
+import numpy as np
+
+from .. import memory
+from ..camera import Camera
+from ..decimate.around import DISTANCE, cameras_around, middle_and_radius
+from ..decimate.order import looks, order_of
+from ..decimate.refit import refit
+from ..errors import SceneError
+from ..files.atomic import check_writable, reserved
+from ..files.registry import format_to_write, invisible, load_scene, write_scene
+from ..metrics import flip, psnr, ssim
+from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
+from ..native import Rasterizer, thresholds
+from ..option_kinds import default_of
+from ..photographs.dataset import load_dataset
+from ..scene import Scene
+from ..system.file_names import real
+from .options import PruneOptions
+
+SIDE = 512  # pixels of the longer side of a picture
+VIEWS, TEST_VIEWS = 32, 16
+STEPS = 60  # of fine-tuning; more where few Gaussians are left
+MOST_STEPS = 240
+MOST_UNSEEN = 0.3  # share of the Gaussians that no view from outside may see
+NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
+TAKES = ("colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "quiet", "quick", "scene", "out", "lpips_weights", "image_memory")
+
+
+def prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
+    """Does `svrgs prune --quick`. Returns the JSON result. Raises SplatError, Cancelled."""
+    assert options.scene is not None and options.out is not None
+    refuse_options(options)
+    format_to_write(options.out)
+    check_writable(options.out)
+    if real(options.out) == real(options.scene):
+        raise SceneError(f"{options.out}: is the input itself, which is never overwritten; choose another output")
+    with reserved(options.out):
+        return _prune_quick(options, stop)
+
+
+def refuse_options(options: PruneOptions):
+    """Raises SceneError for options that the quick way does not have."""
+    other = [name for name in PruneOptions.__dataclass_fields__ if name not in TAKES and getattr(options, name) != default_of(PruneOptions, name)]
+    if other:
+        raise SceneError(f"--quick takes no --{other[0].replace('_', '-')}: leave it out, or leave --quick out")
+    if not (options.target or options.target_count):
+        raise SceneError("--quick needs --target or --target-count: it does not choose how many Gaussians to keep")
+
+
+def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
+    assert options.scene is not None and options.out is not None
+    begun = time.perf_counter()
+    source = load_scene(options.scene).scene
+    scene = source.select(~invisible(source))
+    count = min(options.target_count or max(1, round((options.target or 1.0) * source.count)), scene.count)
+    if not scene.count:
+        raise SceneError(f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep")
+    enlarged, factor = (scene, 1.0) if options.colmap else _enlarged(scene)
+    cameras, test, note = _views(enlarged, options)
+    memory.refuse_excess(f"{options.scene}: pruning it", memory.tuning(scene.count, scene.sh.shape[1], cameras, 12 * VIEWS * SIDE**2))
+    rasterizer, settings = Rasterizer(), render_options(scene, options.background)
+    sums, pictures = looks(enlarged, cameras, rasterizer, settings)
+    order = order_of(enlarged, sums, count)
+    if not options.colmap and order.unseen > MOST_UNSEEN * scene.count:
+        raise SceneError(
+            f"{options.scene}: views from outside see only {scene.count - order.unseen:,} of its {scene.count:,} Gaussians, so it is meant to be seen from"
+            " inside, or has a sky around it; give the cameras with --colmap DIR"
+        )
+    small = order.at(count)
+    if count < scene.count:
+        small = refit(small, cameras, pictures, _steps(count / scene.count), settings, options.seed, stop)
+    written = _scaled(small, 1 / factor)
+    write_scene(options.out, written)
+    seconds = time.perf_counter() - begun
+    before = {"count": source.count, "bytes": options.scene.stat().st_size}
+    after = _measured(small, enlarged, test, rasterizer, options) | {"bytes": options.out.stat().st_size}
+    return {
+        **after, "scene": str(options.scene), "out": str(options.out), "before": before, "after": after, "method": "quick", "seconds": seconds,
+        "invisible": source.count - scene.count, "unseen": order.unseen, "views": len(cameras), "notes": [note, *_of_unseen(order.unseen)],
+    }  # fmt: skip
+
+
+def _of_unseen(count: int) -> list[str]:
+    return [f"{count:,} Gaussians are seen by none of the views; they were removed first"] if count else []
+
+
+def _steps(share: float) -> int:
+    """The number of steps of fine-tuning for this share of the Gaussians: with few of them, a step is quick and more is to be gained."""
+    return round(min(MOST_STEPS, max(STEPS, STEPS * (0.25 / share))))
+
+
+def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Camera], str]:
+    """Views to decide and fit on, others to measure on, and a sentence on where they come from."""
+    if options.colmap is None:
+        note = "quality is that against the original's own pictures, from outside all around; for a scene that is seen from inside, give --colmap"
+        return cameras_around(scene, VIEWS, SIDE), cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9), note
+    dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
+    refuse_unseen(scene, dataset.cameras, str(options.scene))
+    train, test = ([_fitted(dataset.cameras[i]) for i in indices] for indices in (dataset.train_indices, dataset.test_indices or dataset.train_indices))
+    if not train:
+        raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
+    return _some(train, VIEWS), _some(test, TEST_VIEWS), "quality is that against the original's own pictures, from the cameras of the dataset"
+
+
+def _some(cameras: list[Camera], count: int) -> list[Camera]:
+    """At most `count` of the cameras, evenly spread in the list."""
+    return [cameras[k] for k in np.unique(np.linspace(0, len(cameras) - 1, count).round().astype(int))]
+
+
+def _fitted(camera: Camera) -> Camera:
+    share = min(1.0, SIDE / max(camera.width, camera.height))
+    return camera.resized(max(1, round(share * camera.width)), max(1, round(share * camera.height)))
+
+
+def _enlarged(scene: Scene) -> tuple[Scene, float]:
+    """The scene enlarged where cameras around it would be nearer than anything is drawn, and the factor."""
+    _, radius = middle_and_radius(scene)
+    least = NEAREST * thresholds().near / DISTANCE
+    return (scene, 1.0) if radius >= least else (_scaled(scene, least / radius), least / radius)
+
+
+def _scaled(scene: Scene, factor: float) -> Scene:
+    if factor == 1:
+        return scene
+    return replace(scene, means=(scene.means * factor).astype(np.float32), log_scales=(scene.log_scales + np.log(factor)).astype(np.float32))
+
+
+def _measured(scene: Scene, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions) -> dict:
+    """Means over the views of psnr (dB), ssim and flip against the original, and the count. The PSNR of equal pictures counts as 100 dB."""
+    settings, rows, seconds = render_options(original, options.background), [], []
+    for camera in cameras:
+        started = time.perf_counter()
+        image = rounded_to_8_bits(rasterizer.forward(scene, camera, settings)["rgb"])
+        seconds.append(time.perf_counter() - started)
+        target = rounded_to_8_bits(rasterizer.forward(original, camera, settings)["rgb"])
+        rows.append((min(psnr(image, target), 100.0), ssim(image, target), flip(image, target)))
+    values = [fmean(column) for column in zip(*rows, strict=True)]
+    return {"psnr": values[0], "ssim": values[1], "flip": values[2], "lpips": None, "count": scene.count, "ms_per_frame": 1e3 * fmean(seconds)}

@@ -1,0 +1,138 @@
+"""`svrgs prune --quick`: fewer Gaussians within seconds, without photographs."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from svrgs_addon.decimate.around import cameras_around, middle_and_radius
+from svrgs_addon.decimate.order import looks, order_of
+from svrgs_addon.errors import SceneError
+from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.jobs.options import PruneOptions
+from svrgs_addon.jobs.quick import prune_quick
+from svrgs_addon.metrics.evaluate import render_options
+from svrgs_addon.metrics.psnr import psnr
+from svrgs_addon.native import Rasterizer
+from svrgs_addon.scene import Scene
+
+
+def ball(count: int = 2_000, radius: float = 3.0, middle=(0.0, 0.0, 0.0), seed: int = 0) -> Scene:
+    """A sphere of overlapping Gaussians whose colours change slowly."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    sh = np.zeros((count, 4, 3))
+    sh[:, 0] = directions
+    sh[:, 1:] = 0.05 * rng.normal(size=(count, 3, 3))
+    scales = np.full((count, 3), np.log(radius * 0.05))
+    return Scene.of(radius * directions + np.array(middle), scales, rng.normal(size=(count, 4)), np.full(count, 1.5), sh)
+
+
+@pytest.fixture
+def splat(tmp_path):
+    path = tmp_path / "ball.ply"
+    write_ply(path, ball())
+    return path
+
+
+def run(path, **more) -> dict:
+    options = {"target": 0.25, "out": path.with_name("small.ply"), "quick": True, "scene": path} | more
+    return prune_quick(PruneOptions(**options), lambda: False)
+
+
+@pytest.fixture(scope="module")
+def ordered():
+    scene, rasterizer = ball(), Rasterizer()
+    sums, pictures = looks(scene, cameras_around(scene, 12, 128), rasterizer, render_options(scene))
+    return scene, order_of(scene, sums, 50), pictures, rasterizer
+
+
+def test_an_order_gives_every_number(ordered):
+    scene, order, *_ = ordered
+    assert order.least == 50
+    for count in (50, 51, 333, 1_000, scene.count - 1, scene.count):
+        found = order.at(count)
+        assert found.count == count
+        assert all(np.isfinite(getattr(found, name)).all() for name in ("means", "log_scales", "quats", "opacity_logits", "sh"))
+
+
+def test_the_whole_scene_is_the_original(ordered):
+    scene, order, *_ = ordered
+    assert all((getattr(order.at(scene.count), name) == getattr(scene, name)).all() for name in ("means", "log_scales", "quats", "opacity_logits", "sh"))
+
+
+def test_merging_keeps_the_pictures_better_than_removing_the_faintest(ordered):
+    scene, order, pictures, rasterizer = ordered
+    cameras, options = cameras_around(scene, 12, 128), render_options(scene)
+    chosen = np.random.default_rng(0).permutation(scene.count)[:500]
+    quality = lambda small: np.mean([psnr(rasterizer.forward(small, c, options)["rgb"].clip(0, 1), p.clip(0, 1)) for c, p in zip(cameras, pictures, strict=True)])  # noqa: E731
+    assert quality(order.at(500)) > quality(scene.select(chosen)) + 6
+    assert quality(order.at(1_000)) > quality(order.at(500)) > quality(order.at(100))
+
+
+def test_the_command_writes_a_smaller_splat(svrgs, splat):
+    result = svrgs("prune", splat, "--quick", "--target", 0.25, "--out", splat.with_name("out.ply"), "--json").json
+    assert read_ply(splat.with_name("out.ply")).count == result["count"] == 500
+    assert result["psnr"] > 28 and result["before"]["count"] == 2_000 and result["method"] == "quick"
+    assert result["bytes"] == splat.with_name("out.ply").stat().st_size
+
+
+def test_the_same_run_gives_the_same_bytes(splat, default_threads):
+    run(splat, out=splat.with_name("a.ply"))
+    run(splat, out=splat.with_name("b.ply"), threads=1)
+    assert splat.with_name("a.ply").read_bytes() == splat.with_name("b.ply").read_bytes()
+
+
+@pytest.mark.parametrize("case", ("far", "tiny", "huge", "two clusters"))
+def test_scenes_of_every_place_and_size(tmp_path, case):
+    scene = {
+        "far": lambda: ball(middle=(1e6, 1e6, -1e6), radius=50.0),
+        "tiny": lambda: ball(radius=1e-3),
+        "huge": lambda: ball(radius=1e5),
+        "two clusters": lambda: _joined(ball(1_000), ball(1_000, middle=(500, 0, 0))),
+    }[case]()
+    write_ply(tmp_path / "s.ply", scene)
+    result = run(tmp_path / "s.ply")
+    found = read_ply(tmp_path / "small.ply")
+    assert found.count == result["count"] == 500 and result["psnr"] > 20
+    _, radius = middle_and_radius(scene)
+    _, after = middle_and_radius(found)
+    assert after == pytest.approx(radius, rel=0.3)
+
+
+def _joined(a: Scene, b: Scene) -> Scene:
+    return Scene.of(*(np.concatenate([getattr(a, name), getattr(b, name)]) for name in ("means", "log_scales", "quats", "opacity_logits", "sh")))
+
+
+def test_one_gaussian(tmp_path):
+    write_ply(tmp_path / "s.ply", ball(1))
+    assert run(tmp_path / "s.ply", target=None, target_count=5)["count"] == 1
+
+
+def test_what_cannot_be_seen_is_refused(tmp_path):
+    scene = ball(50)
+    write_ply(tmp_path / "s.ply", dataclasses.replace(scene, opacity_logits=np.full(50, -20, np.float32)))
+    with pytest.raises(SceneError, match="opacity below 1/255"):
+        run(tmp_path / "s.ply")
+
+
+def test_a_scene_that_must_be_seen_from_inside_is_refused(tmp_path):
+    write_ply(tmp_path / "s.ply", _joined(ball(1_000), ball(1_500, radius=60.0)))
+    with pytest.raises(SceneError, match="give the cameras with --colmap"):
+        run(tmp_path / "s.ply")
+    assert not (tmp_path / "small.ply").exists()
+
+
+@pytest.mark.parametrize(("more", "words"), [({"max_drop": 0.5}, "--max-drop"), ({"time": 5.0}, "--time"), ({"method": "svr"}, "--method"), ({"target": None}, "needs --target")])
+def test_options_that_it_does_not_have_are_refused(splat, more, words):
+    with pytest.raises(SceneError, match=words):
+        run(splat, **more)
+    assert not splat.with_name("small.ply").exists()
+
+
+def test_the_input_is_never_replaced(splat):
+    with pytest.raises(SceneError, match="never overwritten"):
+        run(splat, out=splat)
