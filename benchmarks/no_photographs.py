@@ -64,7 +64,9 @@ def main() -> int:
     parser.add_argument("others", type=Path, nargs="*")
     parser.add_argument("--out", type=Path, help="file to append the table to")
     words = parser.parse_args()
-    table = f"## {words.original.stem}\n\n| what | Gaussians | PSNR, dB | seconds |\n|---|---:|---:|---:|\n" + "\n".join(rows(words.original, words.others)) + "\n"
+    table = (
+        f"## {words.original.stem}\n\n| what | Gaussians | PSNR, dB | seconds |\n|---|---:|---:|---:|\n" + "\n".join(rows(words.original, words.others)) + "\n"
+    )
     print(table)
     if words.out:
         with open(words.out, "a", encoding="utf-8") as file:

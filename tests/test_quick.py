@@ -68,7 +68,11 @@ def test_merging_keeps_the_pictures_better_than_removing_the_faintest(ordered):
     scene, order, pictures, rasterizer = ordered
     cameras, options = cameras_around(scene, 12, 128), render_options(scene)
     chosen = np.random.default_rng(0).permutation(scene.count)[:500]
-    quality = lambda small: np.mean([psnr(rasterizer.forward(small, c, options)["rgb"].clip(0, 1), p.clip(0, 1)) for c, p in zip(cameras, pictures, strict=True)])  # noqa: E731
+
+    def quality(small: Scene) -> float:
+        images = (rasterizer.forward(small, camera, options)["rgb"].clip(0, 1) for camera in cameras)
+        return float(np.mean([psnr(image, picture.clip(0, 1)) for image, picture in zip(images, pictures, strict=True)]))
+
     assert quality(order.at(500)) > quality(scene.select(chosen)) + 6
     assert quality(order.at(1_000)) > quality(order.at(500)) > quality(order.at(100))
 
@@ -120,13 +124,15 @@ def test_what_cannot_be_seen_is_refused(tmp_path):
 
 
 def test_a_scene_that_must_be_seen_from_inside_is_refused(tmp_path):
-    write_ply(tmp_path / "s.ply", _joined(ball(1_000), ball(1_500, radius=60.0)))
+    write_ply(tmp_path / "s.ply", _joined(ball(4_000), ball(6_000, radius=60.0)))
     with pytest.raises(SceneError, match="give the cameras with --colmap"):
         run(tmp_path / "s.ply")
     assert not (tmp_path / "small.ply").exists()
 
 
-@pytest.mark.parametrize(("more", "words"), [({"max_drop": 0.5}, "--max-drop"), ({"time": 5.0}, "--time"), ({"method": "svr"}, "--method"), ({"target": None}, "needs --target")])
+@pytest.mark.parametrize(
+    ("more", "words"), [({"max_drop": 0.5}, "--max-drop"), ({"time": 5.0}, "--time"), ({"method": "svr"}, "--method"), ({"target": None}, "needs --target")]
+)
 def test_options_that_it_does_not_have_are_refused(splat, more, words):
     with pytest.raises(SceneError, match=words):
         run(splat, **more)

@@ -130,12 +130,12 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
         parts.append(f"LPIPS {result['lpips']:.4f}")
     parts += [memory.size_text(result["bytes"]), f"{result['ms_per_frame']:.1f} ms per frame"]
     before = result.get("before")
-    measured = before and "psnr" in before  # the quick way measures against the original itself
-    lines = ([f"before  {_figures(before)}"] if measured else []) + [("after   " if measured else "") + ", ".join(parts)]
+    measured = before if before and "psnr" in before else None  # the quick way measures against the original itself
+    lines = ([f"before  {_figures(measured)}"] if measured else []) + [("after   " if measured else "") + ", ".join(parts)]
     if before and not measured:
         lines += [f"kept {result['count'] / before['count']:.1%} of the Gaussians", *result["notes"]]
     if measured:
-        lines.append(f"kept {result['count'] / before['count']:.1%} of the Gaussians at {result['psnr'] - before['psnr']:+.2f} dB")
+        lines.append(f"kept {result['count'] / measured['count']:.1%} of the Gaussians at {result['psnr'] - measured['psnr']:+.2f} dB")
     lines += [f"level {level['share']:g}: {_figures(level)}; saved {level['out']}" for level in result.get("levels", ())]
     if result.get("densifications_held_back"):
         lines.append(f"{result['densifications_held_back']} densifications added nothing: memory was too short")

@@ -20,7 +20,9 @@ LAST = 0.1
 POSITION = 0.025  # rate of position, in median middle scales: Gaussians move by fractions of their size
 
 
-def refit(scene: Scene, cameras: Sequence[Camera], pictures: Sequence[np.ndarray], steps: int, options: RenderOptions, seed: int, stop: Callable[[], bool]) -> Scene:
+def refit(
+    scene: Scene, cameras: Sequence[Camera], pictures: Sequence[np.ndarray], steps: int, options: RenderOptions, seed: int, stop: Callable[[], bool]
+) -> Scene:
     """The scene after so many Adam steps on the loss of 3DGS, on one picture each. pictures: (H, W, 3) float32 of each camera. Raises Cancelled
     if stop() says so."""
     model, engine, rng = Model.of(scene), NativeEngine(), np.random.default_rng([seed, 7])

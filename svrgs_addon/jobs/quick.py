@@ -23,7 +23,7 @@ from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
-from ..native import Rasterizer, thresholds
+from ..native import VISIBILITY, Rasterizer, thresholds
 from ..option_kinds import default_of
 from ..photographs.dataset import load_dataset
 from ..scene import Scene
@@ -33,10 +33,26 @@ from .options import PruneOptions
 SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS = 32, 16
 STEPS = 60  # of fine-tuning; more where few Gaussians are left
-MOST_STEPS = 240
-MOST_UNSEEN = 0.3  # share of the Gaussians that no view from outside may see
+MOST_STEPS = 120
+HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
+MOST_HIDDEN = 0.3  # share of the Gaussians that may be hidden from outside
 NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
-TAKES = ("colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "quiet", "quick", "scene", "out", "lpips_weights", "image_memory")
+TAKES = (
+    "colmap",
+    "images",
+    "holdout",
+    "background",
+    "threads",
+    "seed",
+    "target",
+    "target_count",
+    "quiet",
+    "quick",
+    "scene",
+    "out",
+    "lpips_weights",
+    "image_memory",
+)
 
 
 def prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
@@ -74,10 +90,11 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     rasterizer, settings = Rasterizer(), render_options(scene, options.background)
     sums, pictures = looks(enlarged, cameras, rasterizer, settings)
     order = order_of(enlarged, sums, count)
-    if not options.colmap and order.unseen > MOST_UNSEEN * scene.count:
+    hidden = _hidden(sums)
+    if not options.colmap and hidden > MOST_HIDDEN * scene.count:
         raise SceneError(
-            f"{options.scene}: views from outside see only {scene.count - order.unseen:,} of its {scene.count:,} Gaussians, so it is meant to be seen from"
-            " inside, or has a sky around it; give the cameras with --colmap DIR"
+            f"{options.scene}: {hidden:,} of its {scene.count:,} Gaussians are hidden in all views from outside, so it is meant to be seen from inside, or has"
+            " a sky around it; give the cameras with --colmap DIR"
         )
     small = order.at(count)
     if count < scene.count:
@@ -89,17 +106,23 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     after = _measured(small, enlarged, test, rasterizer, options) | {"bytes": options.out.stat().st_size}
     return {
         **after, "scene": str(options.scene), "out": str(options.out), "before": before, "after": after, "method": "quick", "seconds": seconds,
-        "invisible": source.count - scene.count, "unseen": order.unseen, "views": len(cameras), "notes": [note, *_of_unseen(order.unseen)],
+        "invisible": source.count - scene.count, "unseen": order.unseen, "hidden": hidden, "views": len(cameras), "notes": [note, *_of_hidden(hidden)],
     }  # fmt: skip
 
 
-def _of_unseen(count: int) -> list[str]:
-    return [f"{count:,} Gaussians are seen by none of the views; they were removed first"] if count else []
+def _hidden(sums: np.ndarray) -> int:
+    """The number of Gaussians that no view sees, or only through what is nearly opaque. sums: from looks()."""
+    columns = dict(zip(VISIBILITY, sums.T, strict=True))
+    return int((columns["transmittance"] <= HIDDEN * columns["pixels"]).sum())
+
+
+def _of_hidden(count: int) -> list[str]:
+    return [f"{count:,} Gaussians are hidden in all views, so they are removed or merged first"] if count else []
 
 
 def _steps(share: float) -> int:
     """The number of steps of fine-tuning for this share of the Gaussians: with few of them, a step is quick and more is to be gained."""
-    return round(min(MOST_STEPS, max(STEPS, STEPS * (0.25 / share))))
+    return round(min(MOST_STEPS, max(STEPS, STEPS * (0.25 / share) ** 0.5)))
 
 
 def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Camera], str]:
