@@ -60,6 +60,16 @@ def _numbers(word: str) -> tuple[float, ...]:
     return tuple(float(part) for part in word.split(","))
 
 
+def _range(word: str) -> tuple[float, ...]:
+    """Parses two numbers with a comma between; either may be empty: no limit there."""
+    low, high = word.split(",")
+    return float(low or "-inf"), float(high or "inf")
+
+
+def _finite(numbers: tuple) -> bool:
+    return all(math.isfinite(number) for number in numbers)
+
+
 FLAG, TEXT, PATH = Kind(bool), Kind(str), Kind(Path, parse=extended)
 FILE = Kind(Path, "a file that exists", lambda value: Path(value).is_file(), parse=extended)
 COUNT = Kind(int, "a whole number of 0 or more", lambda value: value >= 0, minimum=0)
@@ -80,6 +90,11 @@ COLOUR = Kind(
 SHARES = Kind(
     tuple, "shares above 0 and below 1 with commas between, each once",
     lambda parts: len({f"{100 * part:g}" for part in parts}) == len(parts) and all(0 < part < 1 for part in parts), _numbers,
+)  # fmt: skip
+RANGE = Kind(tuple, "two numbers with a comma between, the lower one first; either may be left out", lambda ends: ends[0] <= ends[1], _range)
+BOX = Kind(tuple, "six numbers with commas between", lambda numbers: len(numbers) == 6 and _finite(numbers), _numbers)
+SPHERE = Kind(
+    tuple, "four numbers with commas between, the last one 0 or more", lambda numbers: len(numbers) == 4 and _finite(numbers) and numbers[3] >= 0, _numbers
 )  # fmt: skip
 
 

@@ -13,7 +13,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("svrgs_addon", "operators", "panels")  # each may import those before it
 # Rooms of svrgs_addon, likewise; "" are the files beside them.
-ROOMS = ("system", "", "geometry", "files", "photographs", "blender", "metrics", "render", "finetune", "decimate", "report", "jobs", "bench", "cli")
+ROOMS = (
+    "system", "", "geometry", "files", "photographs", "blender", "metrics", "render", "rig", "finetune", "selection", "decimate", "report", "jobs", "bench", "cli",
+)  # fmt: skip
 TOP = ("__main__.py", "batch.py")  # of svrgs_addon, above every room
 FILES = [path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))]
 ALL_FILES = [path for folder in (*LAYERS, "tests", "benchmarks", "examples", "tools") for path in sorted((ROOT / folder).rglob("*.py"))]

@@ -6,9 +6,11 @@ Nothing heavy is imported here, so that every command starts at once. The list o
 from __future__ import annotations
 
 import argparse
+import re
 import shutil
+import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -18,6 +20,7 @@ from ..exit_status import printable
 from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions, refuse_time_and_steps
 from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_of
 from ..outputs import PICTURES
+from ..selection.options import SelectOptions
 from ..system.file_names import extended
 
 NAME_WIDTH = 24  # characters of the first column of the list of methods
@@ -29,8 +32,8 @@ class Parser(argparse.ArgumentParser):
 
     options: type | None = None  # the dataclass of options of a job
 
-    def parse_known_args(self, *words, **more):
-        found, rest = super().parse_known_args(*words, **more)
+    def parse_known_args(self, args=None, namespace=None):
+        found, rest = super().parse_known_args(_joined_numbers(sys.argv[1:] if args is None else args), namespace)
         if self.options is not None and "time" in found and found.time:
             try:
                 refuse_time_and_steps(self.options, vars(found))
@@ -46,6 +49,17 @@ class Parser(argparse.ArgumentParser):
             self.formatter_class = argparse.RawDescriptionHelpFormatter  # keeps the lines of the list
             self.epilog = method_list(shutil.get_terminal_size().columns - 2)
         return super().format_help()
+
+
+def _joined_numbers(words: Sequence[str]) -> list[str]:
+    """The words, with '--name', '-1,2' joined to '--name=-1,2': argparse takes a list that begins with a minus for an option."""
+    joined: list[str] = []
+    for word in words:
+        if re.match(r"-[.\d]", word) and "," in word and joined and re.fullmatch(r"--[a-z-]+", joined[-1]):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def method_list(width: int) -> str:
@@ -65,7 +79,7 @@ def parser() -> argparse.ArgumentParser:
     root = Parser(prog="svrgs", description="Makes 3D Gaussian splat scenes several times smaller, and measures the loss of quality.")
     root.add_argument("--version", action="version", version=__version__)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_info, _render, _train, _prune, _eval, _compare, _bench):
+    for add in (_info, _render, _train, _prune, _select, _eval, _compare, _bench):
         add(commands)
     return root
 
@@ -163,6 +177,12 @@ def _prune(commands):
     command.add_argument("--report", type=extended, metavar="DIR", help="folder to write an HTML report to; with several scenes, one folder per scene in it")
     command.add_argument("--overwrite", action="store_true", help="with several scenes: prune those again whose output exists")
     command.add_argument("--batch", action="store_true", help="treat one scene like several: print one JSON line per scene and skip those whose output exists")
+
+
+def _select(commands):
+    command = _command(commands, "select", "Selects the Gaussians that fulfil all given criteria, counts them, and writes them to a file.")
+    command.add_argument("scene", type=extended, help="splat file")
+    _options(command, SelectOptions)
 
 
 def _eval(commands):

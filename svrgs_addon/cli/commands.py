@@ -75,6 +75,14 @@ def _of_item(options: PruneOptions, item: Item, report: Path | None) -> PruneOpt
     return replace(options, scene=item.scene, colmap=item.colmap, out=item.out, report=report)
 
 
+def select(words: Words) -> int:
+    from .select_gaussians import as_text, select_gaussians
+
+    _set_threads(words)
+    result = select_gaussians(words)
+    return _print(result, words, as_text(result))
+
+
 def evaluate(words: Words) -> int:
     from ..jobs.run_job import dataset_of
     from ..metrics import load_lpips
@@ -113,7 +121,7 @@ def bench(words: Words) -> int:
 
 
 COMMANDS: dict[str, Callable[[Words], int]] = {
-    "info": info, "render": render, "train": train, "prune": prune, "eval": evaluate, "compare": compare, "bench": bench,
+    "info": info, "render": render, "train": train, "prune": prune, "select": select, "eval": evaluate, "compare": compare, "bench": bench,
 }  # fmt: skip
 
 
