@@ -24,10 +24,9 @@ from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.native_library import thresholds
 from ..svrgs_addon.render.live_view import LiveView, Picture
 from ..svrgs_addon.render.passes import overlay_rgba
-from ..svrgs_addon.render.quads import Quads, colors, highlighted, painted, quads
+from ..svrgs_addon.render.quads import Quads, colors, painted, quads
 from ..svrgs_addon.scene import Scene
 from . import bridge, bridge_gpu, bridge_graph, viewport_wipe
-from .bridge_selection import SELECTED
 from .preferences import threads
 from .viewport import redraw
 
@@ -110,7 +109,7 @@ class Overlay:
             return
         try:
             camera = bridge_graph.region_camera(context.region, context.region_data)
-            sides = viewport_wipe.sides(context.scene, viewport_wipe.shown(bridge_graph.splats_in_view(context), _attribute(settings)))
+            sides = viewport_wipe.sides(context.scene, viewport_wipe.shown(bridge_graph.splats_in_view(context), settings.overlay_shown))
             self.clouds = {side.name: self.cloud_of(side, settings) for side in sides if side.shown}
             self.close_views(context.region)
             depth = bridge_gpu.scene_depth(context.region.width, context.region.height) if self.clouds else None
@@ -136,8 +135,7 @@ class Overlay:
             return known
         placed = bridge_graph.placed([(part.scene, part.matrix) for part in side.shown])
         values = [part.values for part in side.shown]
-        paint = highlighted if settings.overlay_shown == "COLOR" else painted
-        return Cloud(key, placed, paint(placed.scene, values), settings.overlay_moving)
+        return Cloud(key, placed, painted(placed.scene, values), settings.overlay_moving)
 
     def view_of(self, region: bpy.types.Region, side: str) -> View:
         """The region's view of a side."""

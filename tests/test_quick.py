@@ -123,11 +123,14 @@ def test_what_cannot_be_seen_is_refused(tmp_path):
         run(tmp_path / "s.ply")
 
 
-def test_a_scene_that_must_be_seen_from_inside_is_refused(tmp_path):
+def test_a_scene_with_a_sky_around_it_is_seen_from_inside(tmp_path):
+    """A ball in a sky: from outside the ball is hidden, and would be removed first."""
     write_ply(tmp_path / "s.ply", _joined(ball(4_000), ball(6_000, radius=60.0)))
-    with pytest.raises(SceneError, match="give the cameras with --colmap"):
-        run(tmp_path / "s.ply")
-    assert not (tmp_path / "small.ply").exists()
+    result = run(tmp_path / "s.ply")
+    found = read_ply(tmp_path / "small.ply")
+    near = np.linalg.norm(found.means, axis=1) < 10
+    assert found.count == 2_500 and 100 < near.sum() < 2_100, "neither the ball nor the sky is lost"
+    assert "from places inside" in result["notes"][0] and result["psnr"] > 20
 
 
 @pytest.mark.parametrize(

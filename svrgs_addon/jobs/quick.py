@@ -26,6 +26,7 @@ from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
 from ..native import VISIBILITY, Rasterizer, thresholds
 from ..option_kinds import default_of
 from ..photographs.dataset import load_dataset
+from ..rig.place import quick_rig
 from ..scene import Scene
 from ..system.file_names import real
 from .options import PruneOptions
@@ -89,13 +90,12 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     memory.refuse_excess(f"{options.scene}: pruning it", memory.tuning(scene.count, scene.sh.shape[1], cameras, 12 * VIEWS * SIDE**2))
     rasterizer, settings = Rasterizer(), render_options(scene, options.background)
     sums, pictures = looks(enlarged, cameras, rasterizer, settings)
-    order = order_of(enlarged, sums, count)
-    hidden = _hidden(sums)
-    if not options.colmap and hidden > MOST_HIDDEN * scene.count:
-        raise SceneError(
-            f"{options.scene}: {hidden:,} of its {scene.count:,} Gaussians are hidden in all views from outside, so it is meant to be seen from inside, or has"
-            " a sky around it; give the cameras with --colmap DIR"
+    if not options.colmap and _hidden(sums) > MOST_HIDDEN * scene.count:
+        cameras, test, note = _views_within(
+            enlarged, f"{options.scene}: {_hidden(sums):,} of its {scene.count:,} Gaussians are hidden in all views from outside"
         )
+        sums, pictures = looks(enlarged, cameras, rasterizer, settings)
+    hidden, order = _hidden(sums), order_of(enlarged, sums, count)
     small = order.at(count)
     if count < scene.count:
         small = refit(small, cameras, pictures, _steps(count / scene.count), settings, options.seed, stop)
@@ -136,6 +136,15 @@ def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Came
     if not train:
         raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
     return _some(train, VIEWS), _some(test, TEST_VIEWS), "quality is that against the original's own pictures, from the cameras of the dataset"
+
+
+def _views_within(scene: Scene, hidden: str) -> tuple[list[Camera], list[Camera], str]:
+    """As _views(), for a scene that is seen from inside. hidden: what is wrong with views from outside. Raises SceneError if it has no inside."""
+    rig = quick_rig(scene, VIEWS, held_out=TEST_VIEWS)
+    if not rig.inside_out:
+        raise SceneError(f"{hidden}, and no free space was found inside; give the cameras with --colmap DIR")
+    note = "quality is that against the original's own pictures, from places inside: what is seen from outside counts for nothing; --colmap gives other cameras"
+    return [_fitted(camera) for camera in rig.cameras], [_fitted(camera) for camera in rig.held_out], note
 
 
 def _some(cameras: list[Camera], count: int) -> list[Camera]:

@@ -57,19 +57,6 @@ def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
     return recolored(scene, colored(joined, float(np.percentile(joined, TOP_PERCENTILE)) if len(joined) else 1.0))
 
 
-def highlighted(scene: Scene, marks: list[np.ndarray | None]) -> Scene:
-    """The scene with the marked Gaussians tinted with HIGHLIGHT.
-
-    marks: arrays (N_i,) of its parts, joined in order; None: none of the part is marked. Mixing is linear, so shading stays visible.
-    """
-    if not any(part is not None and part.any() for part in marks):
-        return scene
-    counts = scene.count - sum(len(part) for part in marks if part is not None)
-    unmarked = [part for part in marks if part is None]
-    joined = np.concatenate([np.zeros(counts, bool) if part is None else part.astype(bool) for part in marks]) if len(unmarked) < 2 else None
-    return scene if joined is None else scene
-
-
 def recolored(scene: Scene, rgb: np.ndarray) -> Scene:
     """The scene with colours (N, 3), display sRGB in [0, 1], that do not depend on the view direction (SH degree 0)."""
     return replace(scene, sh=np.ascontiguousarray(((rgb - 0.5) / SH_C0)[:, None], np.float32))
