@@ -245,7 +245,7 @@ def bodies_of(matter: Matter, space: Space) -> list[Body]:
     """The connected parts of the matter that hold at least BODY of it, the largest first; floaters are none."""
     cells, weights = space.cells(matter.means), matter.opacities * np.minimum(matter.areas, space.half**2)
     mass = np.bincount(cells, weights, CELLS**3)
-    left, bodies = (mass > 0).reshape(space.depth.shape), list[Body]()
+    left, bodies = (mass > 0).reshape(space.depth.shape), list[tuple[float, Body]]()
     order = np.argsort(-mass, kind="stable")
     for cell in order[: 50 * BODIES]:
         if not left.reshape(-1)[cell] or len(bodies) == BODIES:
