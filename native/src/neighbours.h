@@ -43,6 +43,7 @@ class PointTree {
 };
 
 struct PointTree::Nearest {
+  explicit Nearest(int wanted) : most(wanted) {}
   int most, count = 0;
   Neighbour found[kMost];
   float reach() const { return count < most ? 3e38f : found[most - 1].square; }
@@ -57,7 +58,7 @@ template <class F>
 void PointTree::for_neighbours(int64_t leaf, int most, F&& found) const {
   const Node& own = nodes_[leaves_[leaf]];
   for (int64_t place = own.begin; place < own.end; ++place) {
-    Nearest nearest{most};
+    Nearest nearest(most);
     search(leaves_[leaf], place, nearest);
     found(place, nearest.found, nearest.count);
   }
