@@ -17,13 +17,13 @@ from statistics import fmean
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from svrgs_addon.camera import Camera
-from svrgs_addon.decimate.around import cameras_around, middle_and_radius
 from svrgs_addon.files.registry import load_scene
 from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.jobs.quick import prune_quick
 from svrgs_addon.metrics import psnr
 from svrgs_addon.metrics.evaluate import render_options, rounded_to_8_bits
 from svrgs_addon.native import Rasterizer
+from svrgs_addon.rig.around import cameras_around, middle_and_radius
 from svrgs_addon.scene import Scene
 
 SHARES = (0.5, 0.25, 0.125, 0.062)

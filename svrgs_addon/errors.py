@@ -28,4 +28,7 @@ class NativeError(Exception):
 
 
 class Cancelled(Exception):
-    """The user asked to stop. Files that were written before are complete. The command line exits with status 130."""
+    """The user asked to stop. Files that were written before are complete. The command line exits with status 130.
+
+    It may carry a sentence on what is left of the work; without one, there is a checkpoint.
+    """

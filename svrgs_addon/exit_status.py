@@ -32,8 +32,8 @@ def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
     except SplatError as error:
         tell(printable(str(error)))
         return 2
-    except Cancelled:
-        tell("stopped; continue from the last checkpoint with --resume")
+    except Cancelled as stopped:
+        tell(str(stopped) or "stopped; continue from the last checkpoint with --resume")
         return STOPPED
     except KeyboardInterrupt:
         tell("interrupted")

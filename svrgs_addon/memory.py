@@ -22,6 +22,7 @@ SH_MOMENT = 2  # bytes of Adam moments per SH coefficient; other values have mom
 STATISTICS = 8  # bytes per Gaussian: the statistics of densification
 ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densification adds
 PROJECTED = 150  # bytes per projected Gaussian
+DECIMATED = 500  # bytes per Gaussian while it is removed or merged, without its values
 RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 100  # bytes per pixel of a view: rendering, fine-tuning, metrics
 LPIPS_PIXEL = 2000  # bytes per pixel of a view: LPIPS
 COMPARED_PIXEL = 60  # bytes per pixel of each view of which two scenes are shown in a report
@@ -48,6 +49,17 @@ def tuning(count: int, coefficients: int, cameras: Sequence[Camera], kept_photog
     row, moments = _trained_row(coefficients)
     besides = max(PROJECTED * count, (PROJECTED + row) * averaged)  # the first steps, the averaged ones; the memory of removed rows is not freed
     return int((row + moments) * count + besides + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + _kept(cameras, kept_photographs))
+
+
+def decimating(count: int, coefficients: int, cameras: Sequence[Camera]) -> int:
+    """Bytes of memory needed to remove and merge Gaussians (decimate/) and to fine-tune those that are left, on pictures that are all kept.
+
+    coefficients: SH coefficients per channel, K. cameras: all views.
+    """
+    row, _ = _trained_row(coefficients)
+    pictures = 12 * sum(camera.width * camera.height for camera in cameras)
+    ordering = (DECIMATED + row) * count + RENDERED_PIXEL * _pixels(cameras)
+    return max(ordering, tuning(count, coefficients, cameras, 0)) + pictures
 
 
 def measuring(count: int, cameras: Sequence[Camera], kept_photographs: int, lpips: bool) -> int:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .native import VISIBILITY
 from .native_library import PARAMETERS, DecimationStruct, MergesStruct, best_level, call_library, check, levels
 from .scene import Scene
 
@@ -35,14 +36,14 @@ def decimate(
     pixel, in the scene's units. level: SIMD level that computes costs; default: the fastest. cancel: (1,) int32; another thread may set it
     to 1. Raises NativeError, Cancelled, and TypeError for arrays of another type or shape.
     """
-    n, steps = scene.count, scene.count - least
+    n, steps = scene.count, max(scene.count - least, 0)  # the library refuses a wrong `least`
     shapes = {name: (n, *getattr(scene, name).shape[1:]) for name in PARAMETERS}
     words = DecimationStruct(
         n, scene.sh.shape[1], scene.antialiased, *(check(getattr(scene, name), name, shapes[name], np.float32) for name in PARAMETERS),
-        check(visibility, "visibility", (n, 9), np.float64), (c.c_double * 3)(*map(float, middle)), unit, least,
+        check(visibility, "visibility", (n, len(VISIBILITY)), np.float64), (c.c_double * 3)(*map(float, middle)), unit, least,
     )  # fmt: skip
-    a, b, costs = np.empty(max(steps, 0), np.uint32), np.empty(max(steps, 0), np.uint32), np.empty(max(steps, 0), np.float32)
-    results = {name: np.empty((max(steps, 0), *shape[1:]), np.float32) for name, shape in shapes.items()}
+    a, b, costs = np.empty(steps, np.uint32), np.empty(steps, np.uint32), np.empty(steps, np.float32)
+    results = {name: np.empty((steps, *shape[1:]), np.float32) for name, shape in shapes.items()}
     out = MergesStruct(a.ctypes.data, b.ctypes.data, costs.ctypes.data, *(array.ctypes.data for array in results.values()))
     done, merges = c.c_int64(), c.c_int64()
     flag = None if cancel is None else check(cancel, "cancel", (1,), np.int32)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
-from svrgs_addon.decimate.around import cameras_around, middle_and_radius
 from svrgs_addon.decimate.order import looks, order_of
-from svrgs_addon.errors import SceneError
+from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.jobs.quick import prune_quick
 from svrgs_addon.metrics.evaluate import render_options
 from svrgs_addon.metrics.psnr import psnr
 from svrgs_addon.native import Rasterizer
+from svrgs_addon.rig.around import cameras_around, middle_and_radius
 from svrgs_addon.scene import Scene
 
 
@@ -134,12 +135,41 @@ def test_a_scene_with_a_sky_around_it_is_seen_from_inside(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("more", "words"), [({"max_drop": 0.5}, "--max-drop"), ({"time": 5.0}, "--time"), ({"method": "svr"}, "--method"), ({"target": None}, "needs --target")]
+    ("more", "words"),
+    [
+        ({"max_drop": 0.5}, "--max-drop"),
+        ({"image_memory": 1.0}, "--image-memory"),
+        ({"time": 5.0}, "--time"),
+        ({"method": "svr"}, "--method"),
+        ({"target": None}, "needs --target"),
+    ],
 )
 def test_options_that_it_does_not_have_are_refused(splat, more, words):
     with pytest.raises(SceneError, match=words):
         run(splat, **more)
     assert not splat.with_name("small.ply").exists()
+
+
+def test_several_splats_in_one_command(svrgs, splat, tmp_path):
+    write_ply(tmp_path / "second.ply", ball(1_000, seed=1))
+    done = svrgs("prune", splat, tmp_path / "second.ply", "--quick", "--target", 0.5, "--out", tmp_path / "out")
+    assert done.status == 0, done.out + done.err
+    assert [json.loads(line)["count"] for line in done.out.splitlines()] == [1_000, 500]
+
+
+def test_a_stop_leaves_nothing_and_says_so(splat):
+    options = PruneOptions(scene=splat, out=splat.with_name("small.ply"), target=0.25, quick=True)
+    asked = iter([False, False, True])
+    with pytest.raises(Cancelled, match="no checkpoint"):
+        prune_quick(options, lambda: next(asked))
+    assert sorted(path.name for path in splat.parent.iterdir()) == ["ball.ply"]
+
+
+def test_lost_columns_are_named(tmp_path):
+    scene = ball(300)
+    columns = {"nx": np.zeros(300, np.float32), "label": np.arange(300, dtype=np.float32)}
+    write_ply(tmp_path / "s.ply", dataclasses.replace(scene, attributes=columns))
+    assert run(tmp_path / "s.ply")["notes"][-1] == "these columns of the file were left out: label"
 
 
 def test_the_input_is_never_replaced(splat):

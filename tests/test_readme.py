@@ -35,6 +35,7 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     "svrgs prune trained.ply --colmap DATASET --target 0.25 --time 60 --out quarter.ply": ("quarter.ply",),
     "svrgs prune trained.ply --colmap DATASET --target 0.25 --levels 0.5,0.1 --out quarter.ply": ("quarter.ply", "quarter_50.ply", "quarter_10.ply"),
     "svrgs prune scene.ply --quick --target 0.25 --out quarter.ply": ("quarter.ply",),
+    "svrgs select scene.ply --floaters --invert --out clean.ply": ("clean.ply",),
     "svrgs eval pruned.ply --colmap DATASET": (),
     "svrgs render pruned.ply --colmap DATASET --views test --outputs rgb,mask --out pictures": ("pictures/00.rgb.png", "pictures/00.mask.png"),
     "svrgs compare trained.ply pruned.ply --colmap DATASET --out comparison": ("comparison/index.html",),

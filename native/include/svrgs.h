@@ -280,7 +280,7 @@ typedef struct {
 
 /* With N - least rows each, the k-th operation in row k; the results of merges in the order of the operations. */
 typedef struct {
-  uint32_t *a, *b; /* what is removed or merged: a row of the scene, or N + m for the result of the m-th merge; b: UINT32_MAX for a removal */
+  uint32_t *a, *b; /* a is removed, and b is UINT32_MAX; or a and b are merged. Below N: rows of the scene. N + m: the result of merge m */
   float* costs;    /* growth of the sum of squared errors over all views */
   float *means, *log_scales, *quats, *opacity_logits, *sh;
 } svrgs_merges;

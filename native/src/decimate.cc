@@ -1,7 +1,6 @@
 #include "decimate.h"
 
 #include <algorithm>
-#include <atomic>
 #include <bit>
 #include <cmath>
 #include <memory>
@@ -19,13 +18,14 @@ namespace {
 constexpr int kNeighbours = 12;       // nearest Gaussians that are looked at in the beginning
 constexpr int kKept = 8;              // of these, the cheapest to merge with are kept
 constexpr double kOffered = 0.5;      // of the offers, those that a round may take: the cheapest
-constexpr float kMergeFactor = 0.1f;  // on the cost of a merge, beside that of a removal
+constexpr float kMergeFactor = 0.1f;  // a merge costs this share of the change of the pictures, a removal all of it: merges come first
 constexpr double kBlurUsed = 0.2;     // pixels^2, added to the variances on the screen
 constexpr double kLargestLog = 12;    // of a scale in pixels, either way
 constexpr float kFarthest = 1e6f;     // pixels from the middle, along each axis
 constexpr double kLeastTransmittance = 1e-3;
 constexpr double kCalibration = 10;  // most by which the removal error of a merge differs from its square, either way
-constexpr int64_t kGrain = 512;      // rows of a task
+constexpr int64_t kGrain = 256;      // rows of a task
+constexpr int64_t kLeafGrain = 16;   // leaves of a task
 constexpr uint32_t kNone = ~0u;
 
 struct Candidates {  // those that a Gaussian may merge with
@@ -43,16 +43,15 @@ struct Candidates {  // those that a Gaussian may merge with
   }
 };
 
-struct Pairs {  // their costs are computed together
-  std::vector<uint32_t> a, b;
-  std::vector<float> costs;
+struct Pairs {  // of one task: their costs are computed together. It allocates nothing, because a task must not throw.
+  static constexpr int64_t kMost = std::max(2 * kKept * kGrain, kNeighbours * kLeafGrain * PointTree::kLeaf);
+  uint32_t a[kMost], b[kMost];
+  float costs[kMost];
+  int64_t count = 0;
 
-  void clear() { a.clear(), b.clear(); }
-  void add(uint32_t x, uint32_t y) { a.push_back(x), b.push_back(y); }
-  void compute(const Kernels& kernels, const MergeScene& scene) {
-    costs.resize(a.size());
-    kernels.merge_costs(scene, a.data(), b.data(), static_cast<int64_t>(a.size()), costs.data());
-  }
+  void add(uint32_t x, uint32_t y) { a[count] = x, b[count++] = y; }
+  bool has_since(int64_t first, uint32_t y) const { return std::find(b + first, b + count, y) != b + count; }
+  void compute(const Kernels& kernels, const MergeScene& scene) { kernels.merge_costs(scene, a, b, count, costs); }
 };
 
 struct Operation {
@@ -124,14 +123,14 @@ class Decimation {
       for (int64_t place = begin; place < end; ++place) fill(place, rows_[place]);
       kernels_.merge_areas(rows_.data(), begin, end);
     });
-    parallel_blocks(tree_.leaves(), 32, [&](int64_t begin, int64_t end) { list(begin, end); });
+    parallel_blocks(tree_.leaves(), kLeafGrain, [&](int64_t begin, int64_t end) { list(begin, end); });
     active_.resize(in.count);
     for (int64_t i = 0; i < in.count; ++i) active_[i] = forward_[i] = static_cast<uint32_t>(i);
   }
 
   bool run(const int32_t* cancel) {
     while (alive() > in_.least) {
-      if (cancel && *static_cast<const volatile int32_t*>(cancel)) return false;
+      if (cancel && __atomic_load_n(cancel, __ATOMIC_RELAXED)) return false;
       choose();
       merge();
       relist();
@@ -159,7 +158,7 @@ class Decimation {
   void choose();
   Operation cheapest(uint32_t place) const;
   void merge();
-  void store(const Operation&, MergeRow& fresh) const;
+  void store(const Operation&, MergeRow& made) const;
   void relist();
   void add_pairs(uint32_t place, Pairs& pairs);
   uint32_t now(uint32_t place) const;
@@ -170,8 +169,8 @@ class Decimation {
   PointTree tree_;
   std::vector<MergeRow> rows_;     // by place; a merge takes the place of its first Gaussian
   std::vector<Candidates> lists_;  // likewise
-  std::vector<uint32_t> forward_;  // the place of what became of it: its own, that of a merge, or kNone
-  std::vector<uint32_t> partner_;  // of a merge of this round: what it was merged with; kNone: gone in this round; 0: neither
+  std::vector<uint32_t> forward_;  // by place: where the Gaussian is now; its own place, that of the merge it is part of, or kNone if it was removed
+  std::vector<uint32_t> partner_;  // by place, in this round. 0: unchanged. kNone: removed, or merged into another place. Else: the place merged into this one
   std::vector<uint32_t> active_;   // places, ascending
   std::vector<Operation> chosen_;  // in this round
   std::unique_ptr<float[]> covariances_;
@@ -202,11 +201,11 @@ void Decimation::list(int64_t begin, int64_t end) {
   Pairs pairs;
   for (int64_t leaf = begin; leaf < end; ++leaf)
     tree_.for_neighbours(leaf, kNeighbours, [&](int64_t place, const Neighbour* found, int count) {
-      for (int k = 0; k < count && rows_[place].contribution > 0; ++k)  // what no view sees is removed, not merged
+      for (int k = 0; k < count && rows_[place].contribution > 0; ++k)  // Gaussians that no view sees are only ever removed
         if (rows_[found[k].place].contribution > 0) pairs.add(static_cast<uint32_t>(place), found[k].place);
     });
   pairs.compute(kernels_, scene_);
-  for (size_t k = 0; k < pairs.a.size(); ++k) lists_[pairs.a[k]].add(pairs.b[k], pairs.costs[k]);
+  for (int64_t k = 0; k < pairs.count; ++k) lists_[pairs.a[k]].add(pairs.b[k], pairs.costs[k]);
 }
 
 Operation Decimation::cheapest(uint32_t place) const {
@@ -299,7 +298,7 @@ void Decimation::relist() {
     Pairs pairs;
     for (int64_t i = begin; i < end; ++i) add_pairs(active_[i], pairs);
     pairs.compute(kernels_, scene_);
-    for (size_t k = 0; k < pairs.a.size(); ++k) lists_[pairs.a[k]].add(pairs.b[k], pairs.costs[k]);
+    for (int64_t k = 0; k < pairs.count; ++k) lists_[pairs.a[k]].add(pairs.b[k], pairs.costs[k]);
   });
   for (const Operation& op : chosen_) {
     partner_[op.a] = 0;
@@ -309,7 +308,7 @@ void Decimation::relist() {
 
 // Leaves the candidates in the list of a Gaussian whose costs still hold, and adds the others to the pairs, each once.
 void Decimation::add_pairs(uint32_t place, Pairs& pairs) {
-  const size_t first = pairs.a.size();
+  const int64_t first = pairs.count;
   const bool is_new = partner_[place] != 0;
   Candidates& own = lists_[place];
   Candidates unchanged;
@@ -320,7 +319,7 @@ void Decimation::add_pairs(uint32_t place, Pairs& pairs) {
     for (int k = 0; k < list.count; ++k) {
       const uint32_t other = now(list.ids[k]);
       const bool known = std::find(unchanged.ids, unchanged.ids + unchanged.count, other) != unchanged.ids + unchanged.count;
-      if (other == kNone || other == place || known || std::find(pairs.b.begin() + first, pairs.b.end(), other) != pairs.b.end()) continue;
+      if (other == kNone || other == place || known || pairs.has_since(first, other)) continue;
       pairs.add(place, other);
     }
   };

@@ -1,5 +1,6 @@
 // Gaussians as decimation sees them, and the kernels that merge two of them (kernels/merge-inl.h).
 #pragma once
+#include <cstddef>
 #include <cstdint>
 
 namespace svrgs {
@@ -18,9 +19,8 @@ struct alignas(64) MergeRow {
   float error;            // squared error of the merges it came from
   float removal;          // growth of the squared error of the pictures without it
   uint32_t row;           // of the scene, or count + merge
-  float unused[10];
 };
-static_assert(sizeof(MergeRow) == 128);
+static_assert(sizeof(MergeRow) == 128 && offsetof(MergeRow, density) == 64);
 
 struct MergeScene {
   const MergeRow* rows;

@@ -8,8 +8,7 @@
 namespace svrgs {
 namespace {
 
-constexpr int64_t kLeaf = 16;  // most points of a leaf
-constexpr int kDepth = 64;     // most nodes that wait in a search
+constexpr int kDepth = 64;  // most nodes that wait in a search
 
 }  // namespace
 

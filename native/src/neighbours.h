@@ -17,6 +17,8 @@ class PointTree {
 
   // The points in an order in which near ones are near each other: rows of `points`.
   const std::vector<uint32_t>& order() const { return order_; }
+  static constexpr int64_t kLeaf = 16;  // most points of a leaf
+
   int64_t leaves() const { return static_cast<int64_t>(leaves_.size()); }
   // Calls found(place, neighbours, how many) for each point of a leaf, with its `most` nearest other points, nearest first.
   template <class F>

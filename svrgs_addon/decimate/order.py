@@ -26,7 +26,6 @@ class Order:
 
     scene: Scene
     merges: Merges
-    unseen: int  # Gaussians that no view sees: they are removed first, at no cost
 
     @property
     def least(self) -> int:
@@ -68,13 +67,12 @@ def looks(scene: Scene, cameras: Sequence[Camera], rasterizer: Rasterizer, optio
     return sums, pictures
 
 
-def order_of(scene: Scene, sums: np.ndarray, least: int, level: str | None = None, cancel: np.ndarray | None = None) -> Order:
-    """The order that leaves `least` of the Gaussians, 1 to N. sums: from looks(). level, cancel: as for decimate(). Raises SceneError if no
-    view sees any; Cancelled."""
+def order_of(scene: Scene, sums: np.ndarray, least: int) -> Order:
+    """The order that leaves `least` of the Gaussians, 1 to N. sums: from looks(). Raises SceneError if no view sees any."""
     columns = dict(zip(VISIBILITY, sums.T, strict=True))
     seen = columns["views"] > 0
     if not seen.any():
         raise SceneError("no view sees any of the Gaussians: all are too faint to be drawn, or the cameras belong to another scene")
     pixel = float(np.median(np.sqrt(columns["views"][seen] / columns["density"][seen])))
     middle = np.median(scene.means[seen].astype(np.float64), axis=0)
-    return Order(scene, decimate(scene, sums, middle, pixel, least, level, cancel), int((~seen).sum()))
+    return Order(scene, decimate(scene, sums, middle, pixel, least))

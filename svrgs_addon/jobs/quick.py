@@ -10,15 +10,15 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from statistics import fmean
+from typing import Any
 
 import numpy as np
 
 from .. import memory
 from ..camera import Camera
-from ..decimate.around import DISTANCE, cameras_around, middle_and_radius
 from ..decimate.order import looks, order_of
 from ..decimate.refit import refit
-from ..errors import SceneError
+from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
 from ..metrics import flip, psnr, ssim
@@ -26,6 +26,7 @@ from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
 from ..native import VISIBILITY, Rasterizer, thresholds
 from ..option_kinds import default_of
 from ..photographs.dataset import load_dataset
+from ..rig.around import DISTANCE, cameras_around, middle_and_radius
 from ..rig.place import quick_rig
 from ..scene import Scene
 from ..system.file_names import real
@@ -38,22 +39,11 @@ MOST_STEPS = 120
 HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
 MOST_HIDDEN = 0.3  # share of the Gaussians that may be hidden from outside
 NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
-TAKES = (
-    "colmap",
-    "images",
-    "holdout",
-    "background",
-    "threads",
-    "seed",
-    "target",
-    "target_count",
-    "quiet",
-    "quick",
-    "scene",
-    "out",
-    "lpips_weights",
-    "image_memory",
-)
+TAKES = (  # options; others are refused
+    "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "quiet", "quick", "scene", "out",
+)  # fmt: skip
+NORMALS = {"nx", "ny", "nz"}  # columns of every 3DGS file, without a meaning
+NOT_FINISHED = "stopped; nothing was written, and a quick job has no checkpoint: start it again"
 
 
 def prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
@@ -82,32 +72,43 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     begun = time.perf_counter()
     source = load_scene(options.scene).scene
     scene = source.select(~invisible(source))
-    count = min(options.target_count or max(1, round((options.target or 1.0) * source.count)), scene.count)
     if not scene.count:
         raise SceneError(f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep")
+    count = min(options.target_count or max(1, round((options.target or 1.0) * source.count)), scene.count)
     enlarged, factor = (scene, 1.0) if options.colmap else _enlarged(scene)
-    cameras, test, note = _views(enlarged, options)
-    memory.refuse_excess(f"{options.scene}: pruning it", memory.tuning(scene.count, scene.sh.shape[1], cameras, 12 * VIEWS * SIDE**2))
+    cameras, test, notes = _views(enlarged, options)
+    memory.refuse_excess(f"{options.scene}: pruning it", memory.decimating(scene.count, scene.sh.shape[1], cameras))
     rasterizer, settings = Rasterizer(), render_options(scene, options.background)
     sums, pictures = looks(enlarged, cameras, rasterizer, settings)
-    if not options.colmap and _hidden(sums) > MOST_HIDDEN * scene.count:
-        cameras, test, note = _views_within(
-            enlarged, f"{options.scene}: {_hidden(sums):,} of its {scene.count:,} Gaussians are hidden in all views from outside"
-        )
+    if not options.colmap and (hidden := _hidden(sums)) > MOST_HIDDEN * scene.count:
+        cameras, test, notes = _views_within(enlarged, options, hidden)
         sums, pictures = looks(enlarged, cameras, rasterizer, settings)
-    hidden, order = _hidden(sums), order_of(enlarged, sums, count)
-    small = order.at(count)
-    if count < scene.count:
-        small = refit(small, cameras, pictures, _steps(count / scene.count), settings, options.seed, stop)
-    written = _scaled(small, 1 / factor)
-    write_scene(options.out, written)
-    seconds = time.perf_counter() - begun
+    small = _reduced(enlarged, sums, cameras, pictures, count, options, stop)
+    write_scene(options.out, _scaled(small, 1 / factor))
+    facts: dict[str, Any] = {
+        "method": "quick",
+        "seconds": time.perf_counter() - begun,
+        "views": len(cameras),
+        "invisible": source.count - scene.count,
+        "hidden": _hidden(sums),
+    }
     before = {"count": source.count, "bytes": options.scene.stat().st_size}
     after = _measured(small, enlarged, test, rasterizer, options) | {"bytes": options.out.stat().st_size}
-    return {
-        **after, "scene": str(options.scene), "out": str(options.out), "before": before, "after": after, "method": "quick", "seconds": seconds,
-        "invisible": source.count - scene.count, "unseen": order.unseen, "hidden": hidden, "views": len(cameras), "notes": [note, *_of_hidden(hidden)],
-    }  # fmt: skip
+    notes += [*_of_hidden(facts["hidden"]), *_of_columns(source, small)]
+    return {**after, "scene": str(options.scene), "out": str(options.out), "before": before, "after": after, **facts, "notes": notes}
+
+
+def _reduced(scene: Scene, sums: np.ndarray, cameras: list[Camera], pictures: list[np.ndarray], count: int, options: PruneOptions, stop: Callable) -> Scene:
+    """The scene with `count` Gaussians, fine-tuned on the pictures. sums, pictures: from looks(). Raises SceneError; Cancelled."""
+    if stop():
+        raise Cancelled(NOT_FINISHED)
+    small = order_of(scene, sums, count).at(count)
+    if count == scene.count:
+        return small
+    try:
+        return refit(small, cameras, pictures, _steps(count / scene.count), render_options(scene, options.background), options.seed, stop)
+    except Cancelled:
+        raise Cancelled(NOT_FINISHED) from None
 
 
 def _hidden(sums: np.ndarray) -> int:
@@ -120,31 +121,45 @@ def _of_hidden(count: int) -> list[str]:
     return [f"{count:,} Gaussians are hidden in all views, so they are removed or merged first"] if count else []
 
 
+def _of_columns(source: Scene, small: Scene) -> list[str]:
+    """A sentence on columns of the file that are lost, because merged Gaussians have no values for them."""
+    lost = sorted(source.attributes.keys() - small.attributes.keys() - NORMALS)
+    return [f"these columns of the file were left out: {', '.join(lost)}"] if lost else []
+
+
 def _steps(share: float) -> int:
     """The number of steps of fine-tuning for this share of the Gaussians: with few of them, a step is quick and more is to be gained."""
     return round(min(MOST_STEPS, max(STEPS, STEPS * (0.25 / share) ** 0.5)))
 
 
-def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Camera], str]:
-    """Views to decide and fit on, others to measure on, and a sentence on where they come from."""
+def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Camera], list[str]]:
+    """Views to decide and fine-tune on, others to measure on, and a sentence on where they come from. Raises SceneError, FormatError."""
     if options.colmap is None:
-        note = "quality is that against the original's own pictures, from outside all around; for a scene that is seen from inside, give --colmap"
-        return cameras_around(scene, VIEWS, SIDE), cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9), note
+        where = "from outside all around; for a scene that is seen from inside, give --colmap"
+        return cameras_around(scene, VIEWS, SIDE), cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9), _of_views(where)
     dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
     refuse_unseen(scene, dataset.cameras, str(options.scene))
     train, test = ([_fitted(dataset.cameras[i]) for i in indices] for indices in (dataset.train_indices, dataset.test_indices or dataset.train_indices))
     if not train:
         raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
-    return _some(train, VIEWS), _some(test, TEST_VIEWS), "quality is that against the original's own pictures, from the cameras of the dataset"
+    return _some(train, VIEWS), _some(test, TEST_VIEWS), _of_views("from the cameras of the dataset")
 
 
-def _views_within(scene: Scene, hidden: str) -> tuple[list[Camera], list[Camera], str]:
-    """As _views(), for a scene that is seen from inside. hidden: what is wrong with views from outside. Raises SceneError if it has no inside."""
-    rig = quick_rig(scene, VIEWS, held_out=TEST_VIEWS)
+def _views_within(scene: Scene, options: PruneOptions, hidden: int) -> tuple[list[Camera], list[Camera], list[str]]:
+    """As _views(), for a scene that is seen from inside. hidden: number of Gaussians that views from outside do not show. Raises SceneError if
+    no free space is found inside."""
+    rig = quick_rig(scene, VIEWS, held_out=TEST_VIEWS, seed=options.seed)
     if not rig.inside_out:
-        raise SceneError(f"{hidden}, and no free space was found inside; give the cameras with --colmap DIR")
-    note = "quality is that against the original's own pictures, from places inside: what is seen from outside counts for nothing; --colmap gives other cameras"
-    return [_fitted(camera) for camera in rig.cameras], [_fitted(camera) for camera in rig.held_out], note
+        raise SceneError(
+            f"{options.scene}: {hidden:,} of its {scene.count:,} Gaussians are hidden in all views from outside, and no free space was found inside;"
+            " give the cameras with --colmap DIR"
+        )
+    where = "from places inside; what is seen only from outside is not measured. To choose the cameras, give --colmap"
+    return [_fitted(camera) for camera in rig.cameras], [_fitted(camera) for camera in rig.held_out], _of_views(where)
+
+
+def _of_views(where: str) -> list[str]:
+    return [f"the quality is measured against the original's own pictures, {where}"]
 
 
 def _some(cameras: list[Camera], count: int) -> list[Camera]:
@@ -153,6 +168,7 @@ def _some(cameras: list[Camera], count: int) -> list[Camera]:
 
 
 def _fitted(camera: Camera) -> Camera:
+    """The camera with a picture whose longer side has at most SIDE pixels."""
     share = min(1.0, SIDE / max(camera.width, camera.height))
     return camera.resized(max(1, round(share * camera.width)), max(1, round(share * camera.height)))
 
@@ -165,6 +181,7 @@ def _enlarged(scene: Scene) -> tuple[Scene, float]:
 
 
 def _scaled(scene: Scene, factor: float) -> Scene:
+    """The scene enlarged around the origin."""
     if factor == 1:
         return scene
     return replace(scene, means=(scene.means * factor).astype(np.float32), log_scales=(scene.log_scales + np.log(factor)).astype(np.float32))

@@ -47,7 +47,8 @@ def _prune_request(request: dict) -> dict:
     from .run_job import prune_scene
 
     values: dict[str, Any] = {name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()}
-    return prune_scene(PruneOptions(**values | {"background": tuple(values["background"])}))
+    values |= {name: tuple(value) for name, value in values.items() if isinstance(value, list)}  # JSON has no tuples
+    return prune_scene(PruneOptions(**values))
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ def place_rig(scene: Scene, *, views: int | None = None, held_out: int = HELD_OU
 
 
 def quick_rig(scene: Scene, views: int = 24, *, held_out: int = QUICK_HELD_OUT, seed: int = 0) -> Rig:
-    """About so many cameras, spread evenly and without a look at what they see: within a third of a second for 500,000 Gaussians.
+    """About so many cameras, spread evenly and without a look at what they see.
 
     Around an object they stand on a sphere. Within a scene, a few places look all around. Raises SceneError as place_rig().
     """

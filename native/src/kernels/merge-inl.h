@@ -8,14 +8,15 @@ struct MergeVectors {  // W rows
   V mean[3], cov[6], amplitude, transmittance, blur, area, colour[3];
   V density, contribution, sh_square, error;
 };
-constexpr int kMergeNumbers = 16, kMergeMore = 4;  // of a row: those of the first cache line, and those of the second
+constexpr int kMergeMore = 4;  // values of the second cache line of a row that are needed
 
 inline MergeVectors merge_vectors(const MergeRow* rows, const uint32_t* ids, int64_t count) {
   alignas(64) R first[W * kPaddedRow], second[W * kPaddedRow];
   for (int i = 0; i < W; ++i) {
-    const MergeRow& row = rows[ids[std::min<int64_t>(i, count - 1)]];
-    for (int k = 0; k < kMergeNumbers; ++k) first[kPaddedRow * i + k] = R((&row.mean[0])[k]);
-    for (int k = 0; k < kPaddedRow; ++k) second[kPaddedRow * i + k] = k < kMergeMore ? R((&row.density)[k]) : R(0);
+    float numbers[2 * kPaddedRow];
+    __builtin_memcpy(numbers, rows + ids[std::min<int64_t>(i, count - 1)], sizeof numbers);
+    for (int k = 0; k < kPaddedRow; ++k) first[kPaddedRow * i + k] = R(numbers[k]);
+    for (int k = 0; k < kPaddedRow; ++k) second[kPaddedRow * i + k] = k < kMergeMore ? R(numbers[kPaddedRow + k]) : R(0);
   }
   V a[kPaddedRow], b[kPaddedRow];
   columns_of_rows(first, a), columns_of_rows<kMergeMore>(second, b);
