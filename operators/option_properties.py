@@ -71,7 +71,7 @@ def _choose(settings, number: int):
 def method_property(**more):
     """The menu of the methods that prune. Blender stores the number of a method in .blend files. more: further arguments of the property."""
     items = [(name, method.label, _tooltip(method), "NONE", method.number) for name, method in METHODS.items() if method.prunes]
-    return EnumProperty(name="Method", items=items, default=PruneOptions.method, description="How pruning decides which Gaussians are removed", **more)
+    return EnumProperty(name="Method", items=items, default=DEFAULT, description="How pruning decides which Gaussians are removed", **more)
 
 
 def method_sentence(method: Method) -> str:

@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("svrgs_addon", "operators", "panels")  # each may import those before it
 # Rooms of svrgs_addon, likewise; "" are the files beside them.
 ROOMS = (
-    "system", "", "geometry", "files", "photographs", "blender", "metrics", "render", "rig",
-    "finetune", "selection", "decimate", "report", "jobs", "bench", "cli",
+    "system", "", "geometry", "files", "photographs", "blender", "metrics", "render", "rig", "decimate",
+    "finetune", "selection", "report", "jobs", "bench", "cli",
 )  # fmt: skip
 TOP = ("__main__.py", "batch.py")  # of svrgs_addon, above every room
 FILES = [path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))]

@@ -79,7 +79,7 @@ def parser() -> argparse.ArgumentParser:
     root = Parser(prog="svrgs", description="Makes 3D Gaussian splat scenes several times smaller, and measures the loss of quality.")
     root.add_argument("--version", action="version", version=__version__)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_info, _render, _train, _prune, _select, _eval, _compare, _bench):
+    for add in (_info, _render, _train, _prune, _select, _rig, _eval, _compare, _bench):
         add(commands)
     return root
 
@@ -151,7 +151,7 @@ def _render(commands):
         "--cameras",
         type=extended,
         metavar="JSON",
-        help='cameras.json of a 3DGS run; in a view with "orthographic": true, fx and fy are pixels per unit of length',
+        help='cameras.json of a 3DGS run, or transforms.json; in a view of the first with "orthographic": true, fx and fy are pixels per unit of length',
     )
     command.add_argument("--views", default="all", help="all, train, test, or names and numbers of views with commas between (default: all)")
     command.add_argument("--outputs", default="rgb", help=f"one or more of {','.join(PICTURES)} (default: rgb)")
@@ -183,6 +183,16 @@ def _select(commands):
     command = _command(commands, "select", "Selects the Gaussians that fulfil all given criteria, counts them, and writes them to a file.")
     command.add_argument("scene", type=extended, help="splat file")
     _options(command, SelectOptions)
+
+
+def _rig(commands):
+    command = _command(commands, "rig", "Places the cameras that prune uses for a scene without photographs.")
+    _threads(command)
+    command.add_argument("scene", type=extended, help="splat file")
+    command.add_argument("--views", type=_reader(POSITIVE), metavar="N", help="number of cameras, each chosen by what it sees (default: 192, those of prune)")
+    _add(command, "seed", options_of(PruneOptions)["seed"], 0)
+    command.add_argument("--out", type=extended, required=True, metavar="JSON", help="cameras.json to write; those held out for testing come last")
+    command.add_argument("--preview", type=extended, metavar="PNG", help="picture of the cameras to write")
 
 
 def _eval(commands):

@@ -83,6 +83,14 @@ def select(words: Words) -> int:
     return _print(result, words, as_text(result))
 
 
+def rig(words: Words) -> int:
+    from .place_cameras import as_text, place_cameras
+
+    _set_threads(words)
+    result = place_cameras(words)
+    return _print(result, words, as_text(result))
+
+
 def evaluate(words: Words) -> int:
     from ..jobs.run_job import dataset_of
     from ..metrics import load_lpips
@@ -121,7 +129,7 @@ def bench(words: Words) -> int:
 
 
 COMMANDS: dict[str, Callable[[Words], int]] = {
-    "info": info, "render": render, "train": train, "prune": prune, "select": select, "eval": evaluate, "compare": compare, "bench": bench,
+    "info": info, "render": render, "train": train, "prune": prune, "select": select, "rig": rig, "eval": evaluate, "compare": compare, "bench": bench,
 }  # fmt: skip
 
 

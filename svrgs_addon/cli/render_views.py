@@ -16,7 +16,8 @@ from ..files.registry import load_scene
 from ..metrics.evaluate import render_options
 from ..native import Rasterizer
 from ..outputs import OUTPUTS, PICTURES
-from ..photographs.dataset import HOLDOUT, load_cameras_json, load_dataset
+from ..photographs.camera_files import load_cameras
+from ..photographs.dataset import HOLDOUT, load_dataset
 from ..report.pictures import mask_to_rgb, to_uint8
 
 MAX_DIGITS = 20  # of the number of a view; Python refuses to read thousands of digits
@@ -50,7 +51,7 @@ def _outputs(text: str) -> tuple[str, ...]:
 
 def _cameras(options: argparse.Namespace) -> list[Camera]:
     if options.cameras:
-        return sorted(load_cameras_json(options.cameras), key=lambda camera: camera.name)
+        return load_cameras(options.cameras)
     return load_dataset(options.colmap, cameras_only=True).cameras
 
 

@@ -11,7 +11,8 @@ from ..errors import SceneError
 from ..files.atomic import check_writable
 from ..files.registry import format_to_write, read_scene, write_scene
 from ..files.repair import unusable
-from ..photographs.dataset import load_cameras_json, load_dataset
+from ..photographs.camera_files import load_cameras
+from ..photographs.dataset import load_dataset
 from ..scene import Scene
 from ..selection.options import OF_VIEWS, SelectOptions
 from ..selection.select import selected
@@ -50,7 +51,7 @@ def select_gaussians(words: argparse.Namespace) -> dict:
 def views_of(words: argparse.Namespace, scene: Scene) -> list[Camera]:
     """The views that criteria are measured in: those of --colmap or --cameras. Raises SceneError if neither is given."""
     if words.cameras:
-        return sorted(load_cameras_json(words.cameras), key=lambda camera: camera.name)
+        return load_cameras(words.cameras)
     if words.colmap:
         return load_dataset(words.colmap, cameras_only=True).cameras
     raise SceneError("contribution, removal error and seen-by are measured in views; name them with --colmap or --cameras")

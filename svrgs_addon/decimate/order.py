@@ -32,6 +32,11 @@ class Order:
         """The smallest number of Gaussians that at() gives."""
         return self.scene.count - len(self.merges.a)
 
+    @property
+    def lives(self) -> np.ndarray:
+        """(N,) int64: the number of operations after which each Gaussian of the scene is removed or merged."""
+        return self._lives[1][: self.scene.count]
+
     @cached_property
     def _lives(self) -> tuple[np.ndarray, np.ndarray]:
         """(N + M,) int64 each: the number of operations after which a row is there, and after which it is gone again."""
@@ -46,16 +51,20 @@ class Order:
     def at(self, count: int) -> Scene:
         """The scene with `count` Gaussians, least to N: those of the original in their order, then those that are merged from several.
         Further attributes are left out if any were merged."""
+        kept, made = self.rows_at(count)
+        whole = self.scene.select(kept)
+        if not len(made["means"]):
+            return whole
+        arrays = {name: np.concatenate([getattr(whole, name), made[name]]) for name in PARAMETERS}
+        return replace(whole, **arrays, attributes={}, property_order=())
+
+    def rows_at(self, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """What at() is made of: the rows of the original, (K,) ascending, and the arrays of the merged Gaussians."""
         done = self.scene.count - count
         born, gone = self._lives
         there = np.flatnonzero((born <= done) & (gone > done))
         kept = there[there < self.scene.count]
-        made = there[len(kept) :] - self.scene.count
-        whole = self.scene.select(kept)
-        if not len(made):
-            return whole
-        arrays = {name: np.concatenate([getattr(whole, name), self.merges.results[name][made]]) for name in PARAMETERS}
-        return replace(whole, **arrays, attributes={}, property_order=())
+        return kept, {name: self.merges.results[name][there[len(kept) :] - self.scene.count] for name in PARAMETERS}
 
 
 def looks(scene: Scene, cameras: Sequence[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -195,7 +195,7 @@ class Run:
 
     def psnr(self, kept: np.ndarray | None) -> float:
         views, masks_of_kept = quality_views(self.dataset), None if kept is None else kept.astype(np.uint8)
-        return mean_psnr(self.model, self.dataset, views, self.rasterizer, self.score_options, masks_of_kept)
+        return mean_psnr(self.model, self.dataset, views, self.rasterizer, self.score_options, masks_of_kept, self.dataset.unexplained)
 
     def current_mask(self) -> np.ndarray | None:
         return self.method.current_mask(self.model)

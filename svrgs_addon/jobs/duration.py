@@ -38,6 +38,7 @@ from ..finetune.strength_controller import UPDATES
 from ..metrics.evaluate import evaluate, mean_psnr, render_options
 from ..native import Rasterizer
 from ..photographs.dataset import READER_THREADS, Dataset
+from ..photographs.rendered import RenderedDataset
 from ..scene import Scene
 from .quality_forecast import spread
 from .train_and_prune import CURVE_VIEWS
@@ -50,6 +51,7 @@ GROWTH = (0, 3, 10, 40, 145), (1.0, 1.0, 2.2, 4.0, 5.5)  # densifications, and h
 GROWTH_POWER = 0.27  # of the number of Gaussians in this
 UNKNOWN_SHARE = 0.3  # of the Gaussians of a training, those that stay if a method decides
 PARTS = 16  # parts of a phase in which the number of Gaussians is taken as constant
+MERGING_STEPS = 60  # with all Gaussians, that take as long as a cut that merges: measured with 150,000 and 500,000
 BISECTION = 10  # PSNRs that find the fewest Gaussians that hold one (finetune/quality.py)
 
 
@@ -68,11 +70,12 @@ class Pace:
     train_views: int
     test_views: int  # views on which the quality is measured
     uncached: float  # share of the training photographs that do not stay in memory
+    measurements: int = 2  # of the quality: before pruning, unless the photographs are the splat's own pictures, and after
 
     def pruning(self, plan: Plan, share: float, recorded: tuple[int, int] = (0, 0)) -> float:
         """Seconds of `svrgs prune` without reading and writing the splat. share: of the Gaussians, those that stay. recorded: further views that
         are rendered for each point of the curves, and once."""
-        return self._measuring(2) + self._cut(plan, share) + self._run(plan, share, recorded[0]) + recorded[1] * self.drawn
+        return self._measuring(self.measurements) + self._cut(plan, share) + self._run(plan, share, recorded[0]) + recorded[1] * self.drawn
 
     def training(self, plan: Plan, recorded: tuple[int, int] = (0, 0)) -> float:
         """Seconds of `svrgs train` without reading the points and writing the splat. recorded: as for pruning()."""
@@ -101,7 +104,7 @@ class Pace:
     def _cut(self, plan: Plan, share: float) -> float:
         """Seconds of what precedes the steps: the first cut, and the cut of a method that ranks."""
         first = self.train_views * self.drawn if plan.min_contribution else 0.0
-        return first + (self._looks(plan.method.looks(plan, 0, share), 1.0) if plan.method.ranks else 0.0)
+        return first + MERGING_STEPS * plan.method.merges * self.step + (self._looks(plan.method.looks(plan, 0, share), 1.0) if plan.method.ranks else 0.0)
 
     def _looks(self, looks: list[tuple[float, float]], left: float) -> float:
         """Seconds of looks. left: Gaussians before the first one."""
@@ -143,6 +146,7 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
         drawn=drawn,
         point=drawn * min(CURVE_VIEWS, len(dataset.test_indices)),
         measured=_seconds(lambda: evaluate(scene, dataset, views, rasterizer, lpips), warm=True) / len(views),
+        measurements=1 if isinstance(dataset, RenderedDataset) else 2,
         photograph=photograph,
         train_views=len(train),
         test_views=len(test),
@@ -204,7 +208,8 @@ def _power(step: float, scene: Scene, dataset: Dataset, plan: Plan) -> float:
     if any(phase.densify for phase in plan.phases):
         return TRAINING_POWER
     some = scene.select(np.arange(scene.count) % SOME == 0)
-    return float(np.clip(math.log(step / _step(some, dataset, plan)) / math.log(SOME) - GROWN, *POWERS))
+    grown = 0.0 if plan.method.merges else GROWN  # the power of merged ones is the measured one
+    return float(np.clip(math.log(step / _step(some, dataset, plan)) / math.log(SOME) - grown, *POWERS))
 
 
 def _step(scene: Scene, dataset: Dataset, plan: Plan) -> float:

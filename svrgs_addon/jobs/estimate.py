@@ -24,7 +24,7 @@ from .job_recorder import RECORDED
 from .options import PruneOptions
 from .planning import timed_scene
 from .quality_forecast import forecast
-from .run_job import dataset_of, plan_of_pruning
+from .run_job import dataset_of_pruning, plan_of_pruning
 from .time_plan import fitted
 
 
@@ -33,13 +33,13 @@ def estimate(options: PruneOptions) -> dict:
 
     count: Gaussians of the scene; invisible: those with an opacity below 1/255; unseen: those that no rendered view sees; faint: those
     that the first cut removes; kept: roughly how many stay; at_most: whether kept is an upper bound; views: number of rendered views;
-    psnr_before, psnr_removed, psnr_after: as in quality_forecast.Forecast, without "psnr_"; steps: of the run; steps_per_second: with all
-    Gaussians; schedule: that of the options, or the one that fits into their time limit; seconds: expected time of the whole job; notes:
-    sentences on the dataset and whether the splat belongs to it.
+    psnr_before, psnr_removed, psnr_after: as in quality_forecast.Forecast, without "psnr_"; psnr_before is None on the splat's own pictures;
+    steps: of the run; steps_per_second: with all Gaussians; schedule: that of the options, or the one that fits into their time limit; seconds:
+    expected time of the whole job; notes: sentences on the dataset and whether the splat belongs to it.
     """
     begun = time.perf_counter()
     native.set_threads(options.threads)
-    dataset = dataset_of(options)
+    dataset = dataset_of_pruning(options)
     assert options.scene is not None
     scene, read = timed_scene(options.scene)
     loaded = time.perf_counter() - begun
@@ -61,7 +61,7 @@ def estimate(options: PruneOptions) -> dict:
         "kept": kept,
         "at_most": bool(options.max_drop),
         "views": seen.views,
-        **{f"psnr_{name}": value for name, value in quality._asdict().items()},
+        **{f"psnr_{name}": value for name, value in quality._asdict().items()} | ({"psnr_before": None} if options.colmap is None else {}),
         "steps": plan.total,
         "steps_per_second": 1 / pace.step,
         "schedule": found.schedule if found else options.schedule,

@@ -18,7 +18,7 @@ from ..finetune.quality import LEAST, quality_views
 from ..finetune.saliency import saliency
 from ..finetune.views import as_real
 from ..metrics.evaluate import render_options, rounded_to_8_bits
-from ..metrics.psnr import psnr
+from ..metrics.psnr import psnr, with_error
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..scene import Scene
@@ -114,7 +114,7 @@ def _psnr_on_some(scene: Scene, dataset: Dataset) -> tuple[float, Callable[[np.n
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
 
     def psnr_of_view(camera: Camera, photo: np.ndarray, mask: np.ndarray | None) -> float:
-        return psnr(rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"]), photo)
+        return with_error(psnr(rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"]), photo), dataset.unexplained)
 
     views, found, seconds = [], [], 0.0
     for index in spread(quality_views(dataset)):

@@ -117,7 +117,10 @@ class TrainOptions(TuningOptions):
 class PruneOptions(TuningOptions):
     """Options of `svrgs prune` for one scene."""
 
-    method: str = option(TEXT, "removal", "method that decides which Gaussians are removed, see the list below", metavar="NAME", in_job=True)
+    method: str = option(
+        TEXT, "", "method that decides which Gaussians are removed, see the list below", metavar="NAME",
+        default_help="removal; without photographs, to a number, merge", in_job=True,
+    )  # fmt: skip
     iterations: int = option(COUNT, PRUNE_ITERATIONS, "steps spent deciding which Gaussians to remove", metavar="N", steps=True, in_job=True)
     recovery: int = option(COUNT, RECOVERY, "steps after pruning, which recover the quality", metavar="N", steps=True, in_job=True)
     min_contribution: float | None = option(
@@ -140,6 +143,10 @@ class PruneOptions(TuningOptions):
         FLAG, False, "remove and merge within seconds, on the scene's own pictures instead of photographs; needs --target or --target-count; with --colmap "
         "only the cameras of the dataset are read",
     )  # fmt: skip
+    cameras: Path | None = option(
+        PATH, None, "without photographs, views that matter besides the placed ones: cameras.json of 3DGS, or transforms.json", metavar="JSON", in_job=True
+    )
+    seen_from_only: bool = option(FLAG, False, "with --cameras, only those views count: what they do not see may be removed", in_job=True)
     scene: Path | None = None  # splat file to prune
     out: Path | None = None  # splat file to write
     report: Path | None = None  # folder of the HTML report

@@ -17,10 +17,10 @@ import numpy as np
 from .. import memory
 from ..camera import Camera
 from ..decimate.order import looks, order_of
-from ..decimate.refit import refit
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
+from ..finetune.refit import refit
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
 from ..native import VISIBILITY, Rasterizer, thresholds

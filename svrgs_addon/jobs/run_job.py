@@ -10,7 +10,7 @@ from typing import Any
 from .. import native
 from ..errors import SceneError
 from ..files import registry
-from ..finetune.methods import method_named, paper_method
+from ..finetune.methods import DEFAULT, method_named, paper_method
 from ..finetune.methods.base import Method
 from ..finetune.plan import Plan, prune_plan, train_plan
 from ..finetune.settings import MCMC, Densify
@@ -23,6 +23,7 @@ from .options import MIN_CONTRIBUTION, RECOVERY, DatasetOptions, PruneOptions, T
 from .planning import pruning_within, training_within
 from .progress import Reporter
 from .quick import prune_quick
+from .rendered_views import rendered_dataset
 from .stop_request import StopRequest
 
 Adapt = Callable[[JobContext], JobContext]  # changes the context of the command line; a background job adds its own observer and stop
@@ -48,12 +49,10 @@ def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
     if options.quick:
         with StopRequest() as stop:
             return prune_quick(options, stop)
-    if options.colmap is None:
-        raise SceneError(f"{options.scene}: pruning needs the photographs that the scene was trained on; give --colmap DIR, or --quick to do without")
     assert options.scene is not None and options.out is not None
     job, plan = replace(_context(options, options.out, options.report), levels=options.levels), plan_of_pruning(options)
     train_and_prune.check_outputs(job)
-    dataset = dataset_of(options)
+    dataset = dataset_of_pruning(options)
     with StopRequest() as stop:
         job = adapt(replace(job, stop=stop))
         if options.time:
@@ -98,10 +97,20 @@ def plan_of_pruning(options: PruneOptions) -> Plan:
 
 def method_of(options: TuningOptions) -> Method:
     """The method of options.method and options.paper. Raises SceneError if it does not exist."""
-    method = method_named(options.method)
+    merges = options.colmap is None and (options.target or options.target_count)  # quicker and better than removals, on the splat's own pictures
+    method = method_named(options.method or ("merge" if merges else DEFAULT))
     if options.paper and options.method != "svr":
-        raise SceneError(f"--paper chooses the paper's settings of method 'svr', not of '{options.method}': add --method svr")
+        raise SceneError(f"--paper chooses the paper's settings of method 'svr', not of '{method.name}': add --method svr")
     return paper_method() if options.paper else method
+
+
+def dataset_of_pruning(options: PruneOptions) -> Dataset:
+    """The dataset of the options; without one, views of the scene itself. Raises SceneError, FormatError."""
+    if options.colmap is None:
+        return rendered_dataset(options)
+    if options.cameras or options.seen_from_only:
+        raise SceneError("--cameras and --seen-from-only are for scenes without photographs: leave them out, or --colmap")
+    return dataset_of(options)
 
 
 def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:

@@ -26,6 +26,7 @@ from ..metrics.evaluate import any_in_view, evaluate, mean_psnr, refuse_unseen, 
 from ..metrics.explained import mismatch_of
 from ..native import Rasterizer, RenderOptions, thresholds
 from ..photographs.dataset import Dataset
+from ..photographs.rendered import RenderedDataset
 from ..report.prune_report import report_pictures, write_prune_report
 from ..scene import Scene
 from ..system.file_names import real
@@ -87,8 +88,7 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset, plan)
         room.hold_for(source, source.count, plan.averaged_count(source.count))
     with clock.phase("evaluate before"):
-        before = measured(source, dataset, job, scene_path)
-        note_mismatch(source, dataset)
+        before = facts_before(source, dataset, job, scene_path)
         pictures = report_pictures(source, dataset) if job.report else []
     with clock.phase("first cut"):
         held = psnr_to_hold(source, dataset, plan)
@@ -100,7 +100,7 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         after = measured(scene, dataset, job)
         levels = written_levels(scene, dataset, job)
     result = {**after, "scene": str(scene_path), "before": before, "after": after, "levels": levels, "first_cut": cut}
-    result |= run_facts(run, job, clock)
+    result |= run_facts(run, job, clock) | ({"views": dataset.facts} if isinstance(dataset, RenderedDataset) else {})
     if job.report:
         write_prune_report(job.report, scene_path.stem, pictures, scene, dataset, run, result, job.lpips_missing)
     return {**result, "time": time_facts(job, clock)}
@@ -161,6 +161,15 @@ def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, pl
     memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget, averaged))
 
 
+def facts_before(source: Scene, dataset: Dataset, job: JobContext, path: Path) -> dict:
+    """The figures of the source scene; without its quality if the photographs are its own pictures. Otherwise notes whether both belong together."""
+    if isinstance(dataset, RenderedDataset):
+        return {"count": source.count, "bytes": path.stat().st_size}
+    before = measured(source, dataset, job, path)
+    note_mismatch(source, dataset)
+    return before
+
+
 def note_mismatch(scene: Scene, dataset: Dataset):
     """Warns, and notes in the dataset, if the scene explains little of the photographs."""
     if sentence := mismatch_of(scene, dataset):
@@ -170,7 +179,10 @@ def note_mismatch(scene: Scene, dataset: Dataset):
 
 def psnr_to_hold(scene: Scene, dataset: Dataset, plan: Plan) -> float:
     """PSNR in dB from which an allowed drop counts, on the views of finetune/quality.py. 0 if none is allowed."""
-    return mean_psnr(scene, dataset, quality_views(dataset), Rasterizer(), render_options(scene, plan.background)) if plan.max_drop else 0.0
+    if not plan.max_drop:
+        return 0.0
+    options = render_options(scene, plan.background)
+    return mean_psnr(scene, dataset, quality_views(dataset), Rasterizer(), options, error=dataset.unexplained)
 
 
 def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
@@ -192,9 +204,7 @@ def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
     scene = scene if keep.all() else scene.select(keep)
     if not method.ranks:
         return scene
-    keep = method.cut(scene, views, Rasterizer(), render_options(scene, plan.background), plan.target)
-    masks.refuse_emptying(keep, scene.count, plan.target)
-    return scene.select(keep)
+    return method.reduced(scene, views, Rasterizer(), render_options(scene, plan.background), plan.target)
 
 
 def make_engine(name: str):
@@ -251,19 +261,9 @@ def run_identity(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str
     digest = hashlib.sha256(repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode())
     for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
         digest.update(np.ascontiguousarray(array).data)
-    for camera in dataset.cameras:
-        digest.update(repr((camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())).encode())
-    for photo in dataset.photos:
-        digest.update(_file_digest(photo.path))
+    for part in dataset.inputs():
+        digest.update(part)
     return digest.hexdigest()
-
-
-def _file_digest(path: Path) -> bytes:
-    try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").digest()
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 def curve_psnr(run: Run) -> float | None:

@@ -16,6 +16,7 @@ from ..native import Rasterizer, RenderOptions, thresholds
 from ..photographs.dataset import Dataset
 from ..scene import Scene
 from . import flip, psnr, ssim
+from .psnr import with_error
 
 # Limits of refuse_unseen() and any_in_view().
 VISIBLE_CAMERAS = 32  # approximate number of cameras that are checked, evenly spaced in the list
@@ -48,12 +49,13 @@ def split_indices(dataset: Dataset, split: str) -> Sequence[int]:
     return chosen
 
 
-def mean_psnr(model, dataset: Dataset, indices: Sequence[int], rasterizer: Rasterizer, options: RenderOptions, masks=None) -> float:
-    """Mean PSNR in dB over the given views. model: an object with the arrays of Scene. masks: (N,) uint8, None: all 1."""
+def mean_psnr(model, dataset: Dataset, indices: Sequence[int], rasterizer: Rasterizer, options: RenderOptions, masks=None, error=0.0) -> float:
+    """Mean PSNR in dB over the given views. model: an object with the arrays of Scene. masks: (N,) uint8, None: all 1. error: mean squared error
+    that is added in each view, colours in 0..1."""
     values = []
     for i in indices:
         rgb = rasterizer.forward(model, dataset.cameras[i], options, masks)["rgb"]
-        values.append(psnr(rounded_to_8_bits(rgb), to_float(dataset.image(i))))
+        values.append(with_error(psnr(rounded_to_8_bits(rgb), to_float(dataset.image(i))), error))
     return statistics.fmean(values)
 
 

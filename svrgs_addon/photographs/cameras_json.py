@@ -1,15 +1,17 @@
-"""Reads the cameras.json that 3DGS training writes: a list of views without photographs."""
+"""Reads and writes the cameras.json that 3DGS training writes: a list of views without photographs."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..camera import Camera
 from ..errors import FormatError
+from ..files.atomic import atomic_write
 from ..files.images import MAX_SIDE
 from .colmap import check_name
 
@@ -32,6 +34,19 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
             reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
             raise FormatError(f"{path}: camera {number} is not usable ({reason})") from None
     return cameras
+
+
+def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
+    """Writes cameras whose principal points are the image centres. The file is replaced as a whole. Raises SceneError if it cannot be written."""
+    entries = [
+        {
+            "id": number, "img_name": camera.name, "width": camera.width, "height": camera.height, "position": camera.position.tolist(),
+            "rotation": camera.viewmat[:3, :3].T.tolist(), "fy": float(camera.K[1, 1]), "fx": float(camera.K[0, 0]),
+        } | ({"orthographic": True} if camera.orthographic else {})
+        for number, camera in enumerate(cameras)
+    ]  # fmt: skip
+    with atomic_write(path) as file:
+        file.write(json.dumps(entries, indent=1).encode())
 
 
 def _read_entries(path: str | os.PathLike) -> list:

@@ -66,12 +66,21 @@ class Choice:
         """The share of the weights of all Gaussians that TIMES chosen views see."""
         return float(self.weights[self.counts >= TIMES].sum() / max(self.weights.sum(), 1e-300))
 
+    def possible(self) -> float:
+        """The share of the weights of all Gaussians that TIMES candidates see."""
+        return float(self.weights[self._times_seen() >= TIMES].sum() / max(self.weights.sum(), 1e-300))
+
     def few(self) -> np.ndarray:
-        """(V,) for each candidate, the rows that it sees and that fewer than TIMES candidates see."""
+        """(N,) bool: the Gaussians that candidates see, but fewer than TIMES of them."""
+        counts = self._times_seen()
+        return (counts > 0) & (counts < TIMES)
+
+    def _times_seen(self) -> np.ndarray:
+        """(N,) the number of candidates that see each Gaussian."""
         counts = np.zeros(len(self.weights), np.uint8)
         for view in range(len(self.seen)):
             counts += self._bits(view)
-        return (counts > 0) & (counts < TIMES)
+        return counts
 
     def rows(self, view: int, among: np.ndarray) -> np.ndarray:
         """The Gaussians among the marked ones (N,) that a candidate sees."""

@@ -12,10 +12,11 @@ from .coverage import TIMES, Choice, Coverage
 from .space import Matter, Space, matter_of, usable_rows
 from .viewpoints import Around, View, Within, setting_of, side_of
 
-FIRST, SECOND = 96, 48  # candidates: spread over the scene; aimed at what few of the first see
-LEAST, MOST, ENOUGH = 32, 96, 0.995  # views of a rig; share of what can be seen that TIMES of them must see
+FIRST, SECOND = 96, 48  # candidates: spread over the scene; aimed at what few of the first see, if they are needed
+LEAST, MOST, ENOUGH = 32, 128, 0.995  # views that are chosen by what they see; share of what can be seen that TIMES of them must see
+USUAL = 192  # views of a rig: steps would fit fewer pictures, but not what lies between them
 HELD_OUT, QUICK_HELD_OUT = 16, 8
-SCORED = 512  # side, in pixels, at which candidates are looked at, at most
+SCORED = 384  # side, in pixels, at which candidates are looked at, at most
 LARGE = 1_000_000  # a scene with more Gaussians has the fewer candidates, at least half as many
 
 
@@ -47,10 +48,11 @@ class Rig:
 
 
 def place_rig(scene: Scene, *, views: int | None = None, held_out: int = HELD_OUT, seed: int = 0) -> Rig:
-    """The fewest cameras that see ENOUGH of what can be seen from free space in at least 3 views each; at least LEAST, at most MOST.
+    """The fewest cameras that see ENOUGH of what can be seen from free space in at least 3 views each, LEAST to MOST, and further ones, evenly
+    spread, up to USUAL.
 
-    views: their number instead. held_out: further cameras for testing. The result depends on the seed, not on the number of threads. Raises
-    SceneError if the splat shows nothing.
+    views: their number instead, each chosen by what it sees. held_out: further cameras for testing. The result depends on the seed, not on the
+    number of threads. Raises SceneError if the splat shows nothing.
     """
     rng = np.random.default_rng([seed, 0])
     setting = _setting(scene)
@@ -58,6 +60,8 @@ def place_rig(scene: Scene, *, views: int | None = None, held_out: int = HELD_OU
     coverage, looked, choice = _candidates(scene, setting, min(side, SCORED), rng)
     choice.run(views or LEAST, views or MOST, 2.0 if views else ENOUGH)
     chosen = [looked[view] for view in choice.chosen] or looked[: views or LEAST]
+    if not views:
+        chosen += setting.views(max(0, USUAL - len(chosen)), rng)[: USUAL - len(chosen)]
     others = setting.other_views(held_out, np.random.default_rng([seed, 1]))
     return Rig(_named(chosen, "rig", side), _named(others, "off", side), setting.inside_out, choice.share())
 
@@ -89,6 +93,8 @@ def _candidates(scene: Scene, setting: Around | Within, side: int, rng: np.rando
     looked = setting.views(int(share * FIRST), rng)
     coverage.add([view.camera(side) for view in looked])
     choice = Choice(coverage)
+    if choice.possible() >= ENOUGH:
+        return coverage, looked, choice
     more = _aimed(scene, setting, looked, choice, int(share * SECOND), rng)
     coverage.add([view.camera(side) for view in more])
     return coverage, looked + more, Choice(coverage)

@@ -12,15 +12,17 @@ from ..native import thresholds
 from .space import CELLS, FREE, Matter, Space, connected, share_below, sphere
 
 AROUND_FOV, WITHIN_FOV = 0.9, 1.3  # angle of view in radians, of a square picture
-SMALLEST, LARGEST, STEP = 256, 1024, 32  # side of a picture, pixels; a multiple of STEP
+SMALLEST, LARGEST, STEP = 512, 1024, 32  # side of a picture, pixels; a multiple of STEP
 ENCLOSED, INSIDE_OUT = 0.5, 0.4  # a place counts as within matter from this enclosure on; a scene is inside-out from this share of such places on
 PROBED = 128  # places whose enclosure is looked at, to tell both kinds of scene apart
 STANDING = 512  # places within a scene from which cameras are chosen
 BULK = 0.05, 0.95  # quantiles of opacity along each axis: the box in which the middle of the scene is
 FRAME = 0.99  # share of the opacity of a body that fits into a picture of it
 BODY, BODIES = 0.02, 8  # least share of the matter that is a body of its own; most bodies
+APART, OF_BODY = 0.7, 4  # radius, in that of the whole, up to which a body has views of its own; the fewest
 CLOSE = 0.35, 0.6  # radius of what a close view shows, in radii of the body
 ROOM = 1.5  # a camera keeps this multiple of the nearest rendered depth from a body
+NEAREST, FARTHEST = 0.6, 1.1  # distances of whole views of a body, in those at which it fills a picture
 TRIES, FARTHER = 12, 1.15  # moves outward by this factor, until a camera is free
 PER_PLACE, AIMED = 8, 3  # views from one place within a scene; those of them that are aimed at Gaussians, not spread over the sphere
 
@@ -80,6 +82,7 @@ class Around:
         self.bodies = bodies_of(matter, space)
         rows = np.concatenate([body.rows for body in self.bodies])
         self.whole = self.bodies[0] if len(self.bodies) == 1 else body_of(matter, rows)
+        self.shown = [self.whole, *(body for body in self.bodies if body.radius < APART * self.whole.radius)]  # what views show
 
     @property
     def tangent(self) -> float:
@@ -90,14 +93,14 @@ class Around:
         rows = np.concatenate([body.rows for body in self.bodies])
         return rows, np.concatenate([np.full(len(body.rows), body.distance(self.tangent)) for body in self.bodies])
 
-    def views(self, count: int, rng: np.random.Generator, close: float = 0.4) -> list[View]:
+    def views(self, count: int, rng: np.random.Generator, close: float = 0.1) -> list[View]:
         """About `count` views. close: share of those that show a part from nearer."""
         wide = count - int(close * count)
-        shown = [self.whole] if len(self.bodies) == 1 else [self.whole, *self.bodies]
         views = []
-        for body in shown:
-            for direction in sphere(max(1, wide // len(shown)), rng.uniform(0, 2 * np.pi)):
-                views.append(body.view(direction, rng.uniform(0.9, 1.1)))
+        total = sum(len(body.rows) for body in self.shown)
+        for body in self.shown:
+            for direction in sphere(max(OF_BODY, wide * len(body.rows) // total), rng.uniform(0, 2 * np.pi)):
+                views.append(body.view(direction, math.exp(rng.uniform(math.log(NEAREST), math.log(FARTHEST)))))
         views += [self.close_view(rng) for _ in range(count - wide)]
         return [view for view in map(self.freed, views) if view is not None]
 
@@ -113,11 +116,11 @@ class Around:
         """Views for testing: other directions, distances and points that are looked at."""
         views: list[View] = []
         for _ in range(TRIES * count):
-            body = self.bodies[len(views) % len(self.bodies)]
-            if len(views) % 3 == 2:
+            body = self.shown[0 if len(views) % 8 else len(views) // 8 % len(self.shown)]
+            if len(views) % 8 == 7:
                 view = self.freed(self.close_view(rng))
             else:
-                view = self.freed(body.view(_direction(rng), rng.uniform(0.75, 1.25), 0.2 * body.radius * rng.standard_normal(3)))
+                view = self.freed(body.view(_direction(rng), rng.uniform(NEAREST, FARTHEST), 0.2 * body.radius * rng.standard_normal(3)))
             views += [view] if view is not None else []
             if len(views) == count:
                 break

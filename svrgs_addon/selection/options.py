@@ -37,7 +37,7 @@ class SelectOptions(Criteria):
     """Options of `svrgs select`."""
 
     colmap: Path | None = option(PATH, None, "views: dataset, COLMAP model or transforms.json; photographs are not needed", metavar="DIR")
-    cameras: Path | None = option(PATH, None, "views: cameras.json of a 3DGS run", metavar="JSON")
+    cameras: Path | None = option(PATH, None, "views: cameras.json of a 3DGS run, or transforms.json", metavar="JSON")
     invert: bool = option(FLAG, False, "select all other Gaussians instead: with --out, the criteria then say what is deleted")
     threads: int = option(COUNT, 0, "number of threads; the result does not depend on it", metavar="N", default_help="one per core")
     out: Path | None = option(PATH, None, "splat file to write the selected Gaussians to", metavar="FILE", default_help="only counts are printed")

@@ -9,6 +9,7 @@ import numpy as np
 from ...camera import Camera
 from ...native import Rasterizer, RenderOptions
 from ...scene import Scene
+from ..masks import refuse_emptying
 from ..model import Model
 from ..run_view import Keep, RunView
 from ..settings import Densify, Phase, Rates, Settings, rates_for, recovery_phase
@@ -40,6 +41,7 @@ class Method:
     learns_masks: bool = False
     largest_strength: float = 1e4  # bound on the factor that strength_controller.py puts on lambda_F and lambda_m
     ranks: bool = False  # decides by score() alone
+    merges: bool = False  # its cut merges Gaussians, too
     supports_max_drop: bool = False  # --max-drop is allowed
     first_cut: bool = False  # `svrgs prune` starts by removing Gaussians whose alpha T is small in every view
     image_weights: tuple[float, float] = (0.8, 0.2)  # weights of the mean absolute error and of 1 - SSIM
@@ -129,6 +131,12 @@ class Method:
     def cut(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> np.ndarray:
         """(N,) bool: the `count` Gaussians that stay. Only methods that rank have it."""
         raise NotImplementedError
+
+    def reduced(self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> Scene:
+        """The scene with `count` Gaussians. Only methods that rank have it. Raises SceneError if almost nothing would stay."""
+        keep = self.cut(scene, cameras, rasterizer, options, count)
+        refuse_emptying(keep, scene.count, count)
+        return scene.select(keep)
 
     # --- checkpoints
 

@@ -1,0 +1,44 @@
+"""`svrgs rig`: places cameras for a splat that has no photographs, and writes them as a cameras.json."""
+
+from __future__ import annotations
+
+import argparse
+
+from .. import memory
+from ..errors import SceneError
+from ..files.atomic import check_writable
+from ..files.images import write_image
+from ..files.registry import load_scene
+from ..photographs.cameras_json import write_cameras_json
+from ..rig import place_rig
+from ..system.file_names import real
+
+
+def place_cameras(words: argparse.Namespace) -> dict:
+    """Places the cameras that `svrgs prune` uses without photographs. Returns their facts and the files. Raises SplatError."""
+    for out in (words.out, words.preview):
+        if out is not None and real(out) == real(words.scene):
+            raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
+        if out is not None:
+            check_writable(out)
+    if words.preview is not None and words.preview.suffix.lower() != ".png":
+        raise SceneError(f"{words.preview}: the preview is a PNG; give it the suffix .png")
+    scene = load_scene(words.scene).scene
+    memory.refuse_excess(f"{words.scene}: rendering it", memory.rendering(scene.count, 1024, 1024))
+    rig = place_rig(scene, views=words.views, seed=words.seed)
+    write_cameras_json(words.out, [*rig.cameras, *rig.held_out])
+    if words.preview is not None:
+        from ..rig.preview import preview
+
+        write_image(words.preview, preview(scene, rig))
+    return {**rig.facts(), "out": str(words.out), "preview": words.preview and str(words.preview)}
+
+
+def as_text(result: dict) -> str:
+    where = "within the scene" if result["inside_out"] else "around the scene"
+    lines = [
+        f"{result['views']} cameras {where}, and {result['held_out']} others for testing, {result['width']} x {result['height']} pixels",
+        f"at least three of them show {result['seen']:.2%} of what can be seen",
+        *(f"saved {result[name]}" for name in ("out", "preview") if result[name]),
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,45 @@
+"""A dataset whose photographs are a scene's own pictures, for scenes that have none. They are rendered when they are asked for."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..native import Rasterizer, RenderOptions
+from ..native_library import PARAMETERS
+from ..scene import Scene
+from .dataset import Dataset
+
+PHOTOGRAPHED = 1e-3  # mean squared error of a usual splat against photographs of what it shows: 30 dB
+
+
+@dataclass(kw_only=True)
+class RenderedDataset(Dataset):
+    """Views of a scene. Its pictures are rounded to 8 bits, as photographs are, and cached within the memory budget."""
+
+    scene: Scene
+    facts: dict = field(default_factory=dict)  # what a JSON result says about the cameras
+    _rasterizer: Rasterizer = field(default_factory=Rasterizer, repr=False)
+    _rendering: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def unexplained(self) -> float:
+        """The scene explains its own pictures without an error, but not the photographs that it was trained on: PHOTOGRAPHED stands for that."""
+        return PHOTOGRAPHED
+
+    def inputs(self) -> Iterator[bytes]:
+        yield from super().inputs()
+        digest = hashlib.sha256()
+        for name in PARAMETERS:
+            digest.update(np.ascontiguousarray(getattr(self.scene, name)).data)
+        yield digest.digest()
+
+    def _pixels(self, index: int) -> np.ndarray:
+        options = RenderOptions(antialiased=self.scene.antialiased, background=self.background)
+        with self._rendering:
+            rgb = self._rasterizer.forward(self.scene, self.cameras[index], options)["rgb"]
+            return np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)

@@ -1,0 +1,209 @@
+"""Pruning without photographs: the splat's own pictures from placed or given cameras take their place."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from svrgs_addon.camera import Camera
+from svrgs_addon.errors import FormatError, SceneError
+from svrgs_addon.files.images import to_float
+from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.jobs.estimate import estimate
+from svrgs_addon.jobs.options import PruneOptions
+from svrgs_addon.jobs.rendered_views import LONGEST, rendered_dataset
+from svrgs_addon.jobs.run_job import prune_scene
+from svrgs_addon.metrics.evaluate import render_options
+from svrgs_addon.metrics.psnr import psnr, with_error
+from svrgs_addon.native import Rasterizer
+from svrgs_addon.photographs.camera_files import load_cameras
+from svrgs_addon.photographs.cameras_json import load_cameras_json, write_cameras_json
+from svrgs_addon.rig import place
+from svrgs_addon.rig.around import cameras_around
+from test_quick import ball
+
+FEW = {"FIRST": 12, "SECOND": 4, "LEAST": 8, "MOST": 12, "USUAL": 16}  # views of a rig in these tests
+
+
+@pytest.fixture(autouse=True)
+def few_views(monkeypatch):
+    for name, value in FEW.items():
+        monkeypatch.setattr(place, name, value)
+    monkeypatch.setattr("svrgs_addon.rig.viewpoints.SMALLEST", 96)
+    monkeypatch.setattr("svrgs_addon.rig.viewpoints.LARGEST", 96)
+
+
+@pytest.fixture
+def splat(tmp_path):
+    path = tmp_path / "ball.ply"
+    write_ply(path, ball(1_000))
+    return path
+
+
+def prune(path, **more) -> dict:
+    options = {"target": 0.25, "recovery": 40, "out": path.with_name("small.ply"), "scene": path, "quiet": True} | more
+    return prune_scene(PruneOptions(**options))
+
+
+def test_pictures_are_those_of_the_scene(splat):
+    dataset, scene = rendered_dataset(PruneOptions(scene=splat, background=(0.2, 0.4, 0.6))), read_ply(splat)
+    for index in (0, len(dataset.cameras) - 1):
+        image = dataset.image(index)
+        rgb = Rasterizer().forward(scene, dataset.cameras[index], render_options(scene, (0.2, 0.4, 0.6)))["rgb"]
+        assert image.dtype == np.uint8 and np.abs(to_float(image) - rgb.clip(0, 1)).max() < 0.51 / 255
+        assert not image.flags.writeable
+    assert set(dataset.train_indices) | set(dataset.test_indices) == set(range(len(dataset.cameras)))
+    assert len(dataset.test_indices) == dataset.facts["held_out"] == 16
+
+
+def test_pictures_come_from_several_threads_in_order_and_stay_within_their_memory(splat):
+    dataset = rendered_dataset(PruneOptions(scene=splat, image_memory=0.0))
+    order = [3, 1, 3, 0, 2, 1]
+    streamed = list(dataset.stream(order))
+    assert [index for index, _ in streamed] == order
+    assert all((image == dataset.image(index)).all() for index, image in streamed)
+    assert not dataset._cache
+
+
+@pytest.mark.parametrize("method", ("merge", "removal", "svr", "lightgaussian", "maskgs"))
+def test_methods_of_every_kind_prune_on_them(splat, method):
+    more = {"target": None} if method == "svr" else {}
+    result = prune(splat, method=method, iterations=40, **more)
+    assert result["method"] == method and read_ply(splat.with_name("small.ply")).count == result["count"]
+    assert result["count"] == 250 or method == "svr"
+    assert "psnr" not in result["before"] and result["before"]["count"] == 1_000 and result["psnr"] > (20 if method == "merge" else 8)
+    assert result["views"] == {"given": 0} | {name: result["views"][name] for name in ("views", "held_out", "inside_out", "seen", "width", "height")}
+    assert any("the splat's own pictures take their place" in note for note in result["notes"])
+
+
+def test_to_a_number_merging_is_the_default_and_better_than_a_cut(splat):
+    merged, cut = prune(splat), prune(splat, method="opacity")
+    assert merged["method"] == "merge" and merged["psnr"] > cut["psnr"] + 1
+    assert prune(splat, target=None, iterations=40)["method"] == "removal"
+
+
+def test_more_steps_give_a_better_result(splat):
+    assert prune(splat, recovery=150)["psnr"] > prune(splat, recovery=5)["psnr"] + 0.5
+
+
+def test_the_same_job_gives_the_same_bytes_and_goes_on_after_a_stop(splat, default_threads):
+    prune(splat, out=splat.with_name("a.ply"))
+    prune(splat, out=splat.with_name("b.ply"), threads=1)
+    assert splat.with_name("a.ply").read_bytes() == splat.with_name("b.ply").read_bytes()
+
+
+def test_a_larger_allowed_drop_keeps_fewer(splat):
+    """The drop is that of a splat with 30 dB on its photographs."""
+    results = [prune(splat, target=None, max_drop=drop, iterations=60) for drop in (0.2, 2.0)]
+    assert 50 <= results[1]["count"] < results[0]["count"] < 1_000
+    assert all(result["drop"] is not None and np.isfinite(result["drop"]) for result in results)
+    assert with_error(30.0, 1e-3) == pytest.approx(30 - 3.0103, abs=1e-4) and with_error(np.inf, 1e-3) == pytest.approx(30)
+
+
+def test_a_report_and_levels_are_written(splat):
+    result = prune(splat, report=splat.with_name("report"), levels=(0.5,))
+    assert "∞" in splat.with_name("report").joinpath("index.html").read_text()
+    assert [level["count"] for level in result["levels"]] == [125]
+
+
+def test_what_is_foreseen(splat):
+    found = estimate(PruneOptions(scene=splat, target=0.25, recovery=100))
+    assert found["kept"] == 250 and found["psnr_before"] is None and found["steps"] == 100 and found["seconds"] > 0
+
+
+# --- given cameras
+
+
+def front(scene, count: int = 6, width: int = 96, height: int = 64) -> list[Camera]:
+    """Views from one side, z < 0."""
+    cameras = [camera.resized(width, height) for camera in cameras_around(scene, 60, 96) if camera.position[2] < -0.7 * np.linalg.norm(camera.position)]
+    return [dataclasses.replace(camera, name=f"shot_{number:02}.png") for number, camera in enumerate(cameras[:count])]
+
+
+def test_a_shot_that_sees_the_front_drops_the_back(splat):
+    scene = ball(1_000)
+    scene = dataclasses.replace(scene, opacity_logits=np.full(1_000, 6, np.float32), log_scales=scene.log_scales + np.float32(1))  # without gaps
+    write_ply(splat, scene)
+    write_cameras_json(splat.with_name("shot.json"), front(scene))
+    options = {"cameras": splat.with_name("shot.json"), "target": 0.4}
+    only, both = prune(splat, **options, seen_from_only=True, out=splat.with_name("o.ply")), prune(splat, **options, out=splat.with_name("b.ply"))
+    behind = lambda name: int((read_ply(splat.with_name(name)).means[:, 2] > 2.0).sum())  # noqa: E731
+    assert behind("o.ply") == 0 < 20 < behind("b.ply")
+    assert only["views"] == {"given": 6} and both["views"]["given"] == 6 and both["views"]["views"] >= 8
+    assert any("what they do not see may be removed" in note for note in only["notes"])
+    assert len(rendered_dataset(PruneOptions(scene=splat, cameras=options["cameras"], holdout=3, seen_from_only=True)).test_indices) == 2
+
+
+def test_large_views_are_reduced(splat):
+    write_cameras_json(splat.with_name("shot.json"), front(read_ply(splat), 1, 3840, 2160))
+    dataset = rendered_dataset(PruneOptions(scene=splat, cameras=splat.with_name("shot.json"), seen_from_only=True))
+    assert (dataset.cameras[0].width, dataset.cameras[0].height) == (LONGEST, 900) and dataset.train_indices == [0]
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"seen_from_only": True}, "name them with --cameras"),
+        ({"images": "images_4"}, "--images names a folder of photographs"),
+        ({"cameras": "missing.json"}, "missing.json: cannot be read"),
+        ({"cameras": "away.json", "seen_from_only": True}, "none of its Gaussians is near a camera"),
+        ({"cameras": "away.json", "colmap": "data"}, "leave them out, or --colmap"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(splat, more, words):
+    camera = dataclasses.replace(front(read_ply(splat), 1)[0])
+    away = camera.viewmat.copy()
+    away[2, 3] -= 1e4
+    write_cameras_json(splat.with_name("away.json"), [dataclasses.replace(camera, viewmat=away)])
+    more = {name: splat.with_name(value) if name in ("cameras", "colmap") else value for name, value in more.items()}
+    with pytest.raises((SceneError, FormatError), match=words):
+        prune(splat, **more)
+    assert not splat.with_name("small.ply").exists()
+
+
+def test_a_scene_without_anything_visible_is_refused(splat):
+    write_ply(splat, dataclasses.replace(ball(50), opacity_logits=np.full(50, -20, np.float32)))
+    with pytest.raises(SceneError, match="opacity below 1/255"):
+        prune(splat)
+
+
+# --- files of cameras
+
+
+def test_cameras_are_read_as_they_were_written(splat, tmp_path):
+    cameras = front(read_ply(splat))
+    write_cameras_json(tmp_path / "c.json", cameras)
+    for read in (load_cameras, load_cameras_json):
+        for a, b in zip(cameras, read(tmp_path / "c.json"), strict=True):
+            assert a.name == b.name and (a.width, a.height) == (b.width, b.height)
+            assert np.allclose(a.viewmat, b.viewmat, atol=1e-12) and np.allclose(a.K, b.K, atol=1e-9)
+
+
+def test_a_transforms_json_gives_the_same_pictures(splat, tmp_path):
+    cameras, frames = front(read_ply(splat)), []
+    for camera in cameras:
+        to_world = np.linalg.inv(camera.viewmat) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        frames.append({"file_path": camera.name, "transform_matrix": to_world.tolist()})
+    facts = {"fl_x": cameras[0].K[0, 0], "fl_y": cameras[0].K[1, 1], "w": 96, "h": 64, "frames": frames}
+    (tmp_path / "path.json").write_text(json.dumps(facts))
+    found = load_cameras(tmp_path / "path.json")
+    scene, rasterizer = read_ply(splat), Rasterizer()
+    for a, b in zip(cameras, found, strict=True):
+        assert psnr(*(rasterizer.forward(scene, camera)["rgb"].clip(0, 1) for camera in (a, b))) > 80
+
+
+# --- svrgs rig
+
+
+def test_the_command_writes_cameras_and_a_picture(svrgs, splat):
+    result = svrgs("rig", splat, "--views", 8, "--out", splat.with_name("rig.json"), "--preview", splat.with_name("rig.png"), "--json").json
+    cameras = load_cameras_json(splat.with_name("rig.json"))
+    assert result["views"] == 8 and len(cameras) == 8 + result["held_out"] and 0 < result["seen"] <= 1
+    assert splat.with_name("rig.png").stat().st_size > 10_000
+    rendered = svrgs("render", splat, "--cameras", splat.with_name("rig.json"), "--views", "rig_000", "--out", splat.with_name("pictures"), "--json").json
+    assert len(rendered["files"]) == 1
+    failed = svrgs("rig", splat, "--out", splat)
+    assert failed.status and "is the input itself" in failed.err
