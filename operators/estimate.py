@@ -48,9 +48,9 @@ def sentences(obj: bpy.types.Object) -> list[str]:
         return [found["error"] or tr("the estimate ended with status {status}").format(**found)]
     kept, count = found["kept"], found["count"]
     stay = tr("At most {kept:,} of {count:,} would stay ({share:.0%})") if found["at_most"] else tr("About {kept:,} of {count:,} would stay ({share:.0%})")
-    seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled photographs")
+    seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled views")
     if found["faint"]:
-        seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled photographs, {faint:,} dropped first as too faint")
+        seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled views, {faint:,} dropped first as too faint")
     time = tr("About {minutes:.0f} min for {steps:,} steps") if found["seconds"] >= 120 else tr("About {seconds:.0f} s for {steps:,} steps")
     return [
         stay.format(kept=kept, count=count, share=kept / count),
@@ -64,6 +64,9 @@ def sentences(obj: bpy.types.Object) -> list[str]:
 
 def quality(found: dict) -> str:
     """The PSNRs of an estimate in words."""
+    if found["psnr_before"] is None:
+        text = tr("PSNR about {psnr_after:.1f} dB or more against the splat's own pictures (without recovery about {psnr_removed:.1f} dB)")
+        return text.format(**found) if found["psnr_after"] is not None else tr("The quality is not foreseen for this method or goal")
     if found["psnr_after"] is None:
         return tr("PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal").format(**found)
     return tr("PSNR about {psnr_after:.1f} dB or more after pruning (now {psnr_before:.1f} dB; without recovery about {psnr_removed:.1f} dB)").format(**found)

@@ -14,6 +14,7 @@ from bpy.app.translations import pgettext_iface as tr
 from ..svrgs_addon.finetune.methods import DEFAULT, METHODS
 from ..svrgs_addon.finetune.methods.base import Method
 from . import bridge
+from .devices import DEVICES
 from .splat_size import count_in
 
 
@@ -39,30 +40,40 @@ ITEMS = [  # the numbers are stored in .blend files
     ("COUNT", "Count", "Keep this number of Gaussians", "NONE", 2),
     ("SIZE", "File Size", "Keep as many Gaussians as fit into a file of this size", "NONE", 3),
     ("DROP", "Loss", "Keep as few Gaussians as lose about this much PSNR", "NONE", 4),
+    ("DEVICE", "Device", "Keep as many Gaussians as a device shows fluently", "NONE", 8),
     ("LAMBDA", "Strength", "λ_F decides how many Gaussians stay. A higher strength keeps fewer", "NONE", 0),
 ]
 
 
-def options(settings, obj: bpy.types.Object) -> dict:
-    """The goal of the panel's settings for a splat, as options of a job."""
+def options(settings, obj: bpy.types.Object, merges: bool = False) -> dict:
+    """The goal of the panel's settings for a splat, as options of a job. merges: Gaussians are merged, to a number."""
     method, total, goal = METHODS[settings.method], bridge.count(obj), settings.goal
     if goal == "DROP":
         return {"max_drop": round(settings.drop, 4)}
     if goal == "LAMBDA":
         return {"lambda_f": float(f"{settings.lambda_f:.6g}")} if method.lambda_f else {}  # Blender stores 32 bits
-    if goal == "BALANCED" and not _needs_share(method):
+    if goal == "BALANCED" and not (merges or _needs_share(method)):
         return {}
     if goal in PRESETS:
         preset = PRESETS[goal]
-        return {"lambda_f": method.lambda_f * preset.strength} if method.lambda_f else {"target_count": max(1, round(preset.share * total))}
-    wanted = {"SHARE": settings.share / 100 * total, "COUNT": settings.count, "SIZE": count_in(obj, settings.size * 1e6)}[goal]
+        return {"lambda_f": method.lambda_f * preset.strength} if method.lambda_f and not merges else {"target_count": max(1, round(preset.share * total))}
+    wanted = {
+        "SHARE": settings.share / 100 * total,
+        "COUNT": settings.count,
+        "SIZE": count_in(obj, settings.size * 1e6),
+        "DEVICE": DEVICES[settings.device][1],
+    }[goal]
     return {"target_count": min(total, max(1, round(wanted)))}
 
 
-def sentence(settings) -> str:
-    """What the goal means for the chosen method; empty where its property says it all."""
+def sentence(settings, merges: bool = False) -> str:
+    """What the goal means for the chosen method; empty where its property says it all. merges: as for options()."""
     method, goal = METHODS[settings.method], settings.goal
     preset = PRESETS.get(goal)
+    if goal == "DEVICE":
+        return tr("Keeps {count:,} Gaussians, or all if there are fewer").format(count=DEVICES[settings.device][1])
+    if merges and preset is not None:
+        return _share_sentence(preset.share)
     if preset is None:
         return _own_amount(method) if goal == "LAMBDA" and not method.lambda_f else ""
     if method.name == DEFAULT:

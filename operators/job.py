@@ -15,7 +15,7 @@ from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, dataset_paths, edit_guard, goals, job_queue, job_result
+from . import bridge, dataset_paths, depths, edit_guard, goals, job_queue, job_result
 from .job_watch import JOBS_FOLDER, current, delete_job, is_busy, is_resumable, job_of, link, load_result, start_timer
 from .native_check import native_problem
 from .preferences import PACKAGE, threads
@@ -26,18 +26,20 @@ STOP_NOW = n_("End the process at once, without waiting for a checkpoint. What w
 
 def options_of(context, obj: bpy.types.Object) -> dict:
     """The settings of the panel as the options of a job."""
-    s = context.scene.svrgs_prune
-    colmap, images = dataset_paths.dataset_of(context)
+    s, depth = context.scene.svrgs_prune, depths.chosen(context)
+    if depth == depths.QUICK:
+        return {"quick": True, "seed": s.seed, "threads": threads(context)} | goals.options(s, obj, merges=True)
+    colmap, images = dataset_paths.dataset_of(context) if depth == depths.PHOTOGRAPHS else ("", "")
     options = {
-        "colmap": colmap, "images": images, "method": s.method, "seed": s.seed, "threads": threads(context), "holdout": s.holdout,
-        "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
+        "colmap": colmap, "images": images, "method": "merge" if depths.merges(context) else s.method, "seed": s.seed, "threads": threads(context),
+        "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
     options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}
     if s.nested:
         options["nested"] = SMALLEST
     if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
-    return options | goals.options(s, obj)
+    return options | goals.options(s, obj, depths.merges(context))
 
 
 def start_problem(context) -> str:
@@ -57,7 +59,7 @@ def start_problem(context) -> str:
     settings = context.scene.svrgs_prune
     if settings.nested and not settings.use_time and not settings.recovery:
         return tr("Train Smaller Sizes needs steps of recovery: set Recovery above 0 under Advanced")
-    return dataset_paths.problem(context) or goals.problem(settings) or native_problem()
+    return depths.problem(context) or goals.problem(settings) or native_problem()
 
 
 def new_folder(context, name: str) -> Path:
@@ -233,8 +235,8 @@ def stop(job: Job, now: bool = False) -> str:
 
 def resume(job: Job, dataset: str = "") -> str:
     """Continues the job, or lets it wait. dataset: another place to look for its dataset. Returns a sentence. Raises SplatError, OSError."""
-    colmap = job.folder.request()["options"]["colmap"]
-    if not os.path.exists(colmap):
+    colmap = job.folder.request()["options"].get("colmap", "")
+    if colmap and not os.path.exists(colmap):
         if not os.path.exists(dataset):
             text = tr("{folder}: the dataset of this job is not there: with its splat active, find it in step 1 or choose it in step 2, then resume")
             raise SplatError(text.format(folder=colmap))

@@ -27,26 +27,25 @@ from .visibility import set_hidden
 
 SCORE, ROW, PROBABILITY = "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes, as is REMOVED
 ORIGINAL, PRUNED = "svrgs_original", "svrgs_pruned"  # properties of objects: the partner
+MERGED = "svrgs_merged"  # property of a pruned splat until Apply: it has merged Gaussians, and no ranking
 KEPT = "svrgs_kept"  # property of a pruned splat until Apply: the number of Gaussians that the job kept
 PSNR = "svrgs_psnr"  # property of the pruned splat: dB on the test photographs before and after
+OWN_PSNR = "svrgs_own_psnr"  # property of the pruned splat: dB against pictures of the original
 
 
 def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
     """Adds the pruned splat beside `obj`, marks in `obj` what the job removed, and hides it. Raises SceneError, FormatError."""
+    recovered, total = read_scene(folder / "pruned.ply"), folder.request()["count"]
+    if bridge.count(obj) != total:
+        text = tr("'{name}' has {now:,} Gaussians, but {before:,} when the job began: undo the edit, then load the result")
+        raise SceneError(text.format(name=obj.name, now=bridge.count(obj), before=total))
+    if folder.merged:
+        return _load_merged(obj, recovered, folder)
     kept, score = folder.arrays()
     probability = folder.probability()
-    recovered = read_scene(folder / "pruned.ply")
     if recovered.count != kept.sum():
         raise SceneError(tr("{file}: does not belong to this job's other files").format(file=folder / "pruned.ply"))
-    if bridge.count(obj) != len(kept):
-        text = tr("'{name}' has {now:,} Gaussians, but {before:,} when the job began: undo the edit, then load the result")
-        raise SceneError(text.format(name=obj.name, now=bridge.count(obj), before=len(kept)))
-    motion = common_motion(read_scene(folder / "scene.ply").means, bridge.stored_values(obj, "position"))
-    if motion is None:
-        raise SceneError(tr("points of '{name}' were moved since the job began: undo the edit, then load the result").format(name=obj.name))
-    recovered = transformed(recovered, motion)
-    _make_room(obj)
-    pruned = bridge.copy_with(obj, f"{obj.name} pruned", recovered)
+    pruned = _beside(obj, recovered, folder)
     rows = numbered(len(kept))
     for target, chosen in ((obj, slice(None)), (pruned, kept)):
         bridge.set_values(target, SCORE, "FLOAT", score[chosen])
@@ -58,6 +57,26 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
     pruned[KEPT] = int(kept.sum())
     show(pruned, pruned[KEPT])
     return pruned
+
+
+def _load_merged(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> bpy.types.Object:
+    """As load(), of a job that merged Gaussians: they have no place in a ranking of the original's, so nothing is marked in it."""
+    pruned = _beside(obj, recovered, folder)
+    join(obj, pruned)
+    pruned[KEPT], pruned[MERGED] = recovered.count, True
+    set_hidden(obj, True)
+    set_hidden(pruned, False)
+    return pruned
+
+
+def _beside(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> bpy.types.Object:
+    """A copy of `obj` with the recovered Gaussians, moved as its points were since the job began. Raises SceneError."""
+    motion = common_motion(read_scene(folder / "scene.ply").means, bridge.stored_values(obj, "position"))
+    if motion is None:
+        raise SceneError(tr("points of '{name}' were moved since the job began: undo the edit, then load the result").format(name=obj.name))
+    recovered = transformed(recovered, motion)
+    _make_room(obj)
+    return bridge.copy_with(obj, f"{obj.name} pruned", recovered)
 
 
 def _make_room(original: bpy.types.Object):
@@ -82,7 +101,7 @@ def settle(original: bpy.types.Object | None, pruned: bpy.types.Object):
     for obj in filter(None, (original, pruned)):
         unmark(obj)
         set_hidden(obj, obj != pruned)
-    for name in (KEPT, PSNR):
+    for name in (KEPT, PSNR, OWN_PSNR, MERGED):
         pruned.pop(name, None)
 
 
@@ -113,11 +132,19 @@ def _in_file(obj: bpy.types.Object | None) -> bpy.types.Object | None:
 
 def undecided(pruned: bpy.types.Object | None) -> bool:
     """Whether the splat is a result that was not applied yet."""
-    return pruned is not None and KEPT in pruned and REMOVED in pruned.data.attributes
+    return pruned is not None and KEPT in pruned and (REMOVED in pruned.data.attributes or pruned.get(MERGED, False))
+
+
+def ranked(pruned: bpy.types.Object) -> bool:
+    """Whether the result has a ranking of the original's Gaussians, so that fewer or more can be shown. One with merged Gaussians has none."""
+    return not pruned.get(MERGED, False)
 
 
 def show(pruned: bpy.types.Object, count: int):
-    """Shows the `count` Gaussians with the highest rank and marks all others. Gaussians that the job had removed look as in the original."""
+    """Shows the `count` Gaussians with the highest rank and marks all others. Gaussians that the job had removed look as in the original. Without
+    a ranking, all of the result are shown."""
+    if not ranked(pruned):
+        return
     original = original_of(pruned)
     score = bridge.stored_values(original or pruned, SCORE)
     limit = lowest(score, count)
@@ -138,6 +165,8 @@ def marked_count(obj: bpy.types.Object) -> int:
 
 def shown_count(pruned: bpy.types.Object) -> int:
     """Number of Gaussians that Apply would keep."""
+    if not ranked(pruned):
+        return bridge.count(pruned)
     original = original_of(pruned)
     return int((~bridge.stored_values(original or pruned, REMOVED)).sum())
 
@@ -145,6 +174,8 @@ def shown_count(pruned: bpy.types.Object) -> int:
 def shown_gaussians(pruned: bpy.types.Object) -> Scene:
     """The Gaussians that are not marked, in the original's order: recovered, or as in the original if the job had removed them."""
     original, scene = original_of(pruned), bridge.scene_from_object(pruned)
+    if not ranked(pruned):
+        return scene
     left = ~bridge.stored_values(pruned, REMOVED)
     rows, scene = bridge.stored_values(pruned, ROW)[left], scene.select(left)
     if original is None:
@@ -261,6 +292,10 @@ def _free_original(original: bpy.types.Object, shared=None):
 
 def _rejoin(original: bpy.types.Object, pruned: bpy.types.Object):
     """Joins a pair again after an undo."""
+    if not ranked(pruned):
+        original[PRUNED] = pruned
+        set_hidden(original, True)
+        return
     score = bridge.values(original, SCORE)
     if score is None or (score > BOUNDARY).sum() != pruned[KEPT]:  # the original has been edited since
         del pruned[ORIGINAL]

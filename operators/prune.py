@@ -31,7 +31,10 @@ BACKGROUND = bpy.app.background
 class SVRGS_OT_prune(bpy.types.Operator):
     bl_idname = "svrgs.prune"
     bl_label = "Prune Splat"
-    bl_description = "Remove the Gaussians that the photographs do not need, then recover the quality. The original stays, hidden"
+    bl_description = (
+        "Remove the Gaussians that the photographs do not need, then recover the quality. Without photographs, the splat's own pictures take their "
+        "place. The original stays, hidden"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     scene: StringProperty(name="Scene", subtype="FILE_PATH", options=RELATIVE, description="Splat file to prune. Empty: the active splat")
@@ -66,6 +69,9 @@ class SVRGS_OT_prune(bpy.types.Operator):
     iterations: option_property("iterations")
     recovery: option_property("recovery")
     seed: option_property("seed")
+    quick: option_property("quick")
+    cameras: option_property("cameras", subtype="FILE_PATH")
+    seen_from_only: option_property("seen_from_only")
 
     @classmethod
     def poll(cls, context):
@@ -144,11 +150,13 @@ class SVRGS_OT_prune(bpy.types.Operator):
         given = {
             "--colmap": absolute(colmap), "--images": images, "--report": absolute(self.report_folder),
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
-            "--max-drop": self.max_drop, "--time": self.time,
+            "--max-drop": self.max_drop, "--time": self.time, "--cameras": absolute(self.cameras),
         }  # fmt: skip
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
-        steps = [name for name in ("iterations", "recovery") if not self.time or self.properties.is_property_set(name)]
-        return [*options, "--method", self.method, *(f"--{name}={getattr(self, name)}" for name in (*steps, "seed")), "--quiet", "--json"]
+        options += [flag for flag, chosen in (("--quick", self.quick), ("--seen-from-only", self.seen_from_only)) if chosen]
+        more = [name for name in ("iterations", "recovery") if not (self.time or self.quick) or self.properties.is_property_set(name)]
+        more += ["method"] if colmap or self.properties.is_property_set("method") else []
+        return [*options, *(f"--{name}={getattr(self, name)}" for name in (*more, "seed")), "--quiet", "--json"]
 
 
 def absolute(path: str) -> str:

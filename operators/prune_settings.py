@@ -8,7 +8,8 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
-from . import bridge, former_methods, goals, job_result
+from . import bridge, depths, former_methods, goals, job_result
+from .devices import DEVICES
 from .option_properties import RELATIVE, limited_time_property, method_choice_property, method_property, option_property, time_property
 from .translation import OWN
 
@@ -47,6 +48,14 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         "colmap", name="Dataset", description="Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported cameras"
     )
     images: option_property("images")
+    depth: EnumProperty(
+        name="Depth", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
+        description="How thoroughly, and by what. Until it is chosen: by photographs where the splat has some, else quick",
+    )  # fmt: skip
+    depth_number: IntProperty(options={"HIDDEN"})  # of the item; 0: none was chosen
+    device: EnumProperty(
+        name="Device", items=[(key, name, f"{count:,} Gaussians") for key, (name, count) in DEVICES.items()], description="Where the splat will be shown"
+    )
     goal: EnumProperty(name="Goal", translation_context=OWN, items=goals.ITEMS, default="BALANCED", description="What decides how many Gaussians stay")
     strength: FloatProperty(
         name="Power of λ_F", min=-7, max=0, default=-4, update=_strength_changed,

@@ -18,6 +18,7 @@ from . import (
     bridge,
     camera_match,
     dataset_paths,
+    depths,
     edit_guard,
     estimate,
     former_methods,
@@ -71,7 +72,7 @@ def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
     texts: list[str] = [tr("Estimating from some views …")] if found.get("busy") else estimate.sentences(context.object) if found else []
     texts += filter(None, [camera_match.sentence(context), edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
-    return [*texts, *filter(None, [dataset_paths.problem(context), orphan_jobs.sentence(context), _of_applied(context.object)])]
+    return [*texts, *filter(None, [depths.problem(context), orphan_jobs.sentence(context), _of_applied(context.object)])]
 
 
 def _of_job(job: Job) -> list[str]:
@@ -98,6 +99,9 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
         if count != kept:
             text = tr("Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB; not measured at this setting")
         texts.append(text.format(kept=kept, before=before, after=after))
+    if job_result.OWN_PSNR in pruned:
+        text = tr("Quality at {kept:,} Gaussians: PSNR {psnr:.2f} dB against the original's own pictures")
+        texts.append(text.format(kept=kept, psnr=pruned[job_result.OWN_PSNR]))
     return [*texts, tr("{count:,} more than were recovered: shown as in the original").format(count=count - kept)] if count > kept else texts
 
 
@@ -183,6 +187,11 @@ def _orphan(_) -> str:
     return orphan_jobs.sentence(bpy.context) if stage(bpy.context) == "READY" else ""
 
 
+def _ranked(_) -> bool:
+    _, pruned = job_result.pair_of(bpy.context.object)
+    return pruned is not None and job_result.ranked(pruned)
+
+
 def _original(_) -> str:
     original, pruned = job_result.pair_of(bpy.context.object)
     return original.name if original is not None and not job_result.undecided(pruned) else ""
@@ -193,12 +202,14 @@ def _method() -> Method:
 
 
 def _method_help(_) -> str:
+    if depths.merges(bpy.context):
+        return tr(method_sentence(METHODS["merge"]))
     method, sentence = _method(), tr(method_sentence(_method()))
     return sentence if method.name in CHOICES.values() else f"{tr(method.label)}: {sentence}"
 
 
 def _goal_help(_) -> str:
-    return goals.sentence(bpy.context.scene.svrgs_prune)
+    return goals.sentence(bpy.context.scene.svrgs_prune, depths.merges(bpy.context))
 
 
 def _strength_help(_) -> str:
@@ -241,6 +252,7 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     lost_dataset: StringProperty(get=_lost_dataset)  # that the dataset of the imported cameras is not where it was; else empty
     orphan: StringProperty(get=_orphan)  # that a job of the active splat was found; else empty
     original: StringProperty(get=_original)  # name of the original of an applied result; empty: none
+    ranked: BoolProperty(get=_ranked)  # the result has a ranking, so that fewer or more Gaussians can be shown
     method_help: StringProperty(get=_method_help)
     goal_help: StringProperty(get=_goal_help)
     strength_help: StringProperty(get=_strength_help)  # empty: the method has no λ_F

@@ -7,7 +7,7 @@ import bpy
 from .wrapped_label import wrapped_label
 
 PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
-GOALS = {"SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # goal -> its property; the strength has rows of its own
+GOALS = {"DEVICE": "device", "SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # goal -> its property; the strength has rows of its own
 ADVANCED = (
     "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder",
 )  # fmt: skip
@@ -68,8 +68,11 @@ def draw_settings(layout, context, state):
     settings = context.scene.svrgs_prune
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
-    column.prop(settings, "colmap", placeholder=state.dataset)
-    column.prop(settings, "method_choice")
+    column.prop(settings, "depth")
+    if settings.depth == "PHOTOGRAPHS":
+        column.prop(settings, "colmap", placeholder=state.dataset)
+    if settings.depth != "QUICK":
+        column.prop(settings, "method_choice")
     wrapped_label(column, state.method_help)
     if state.method_renamed:
         wrapped_label(column, state.method_renamed, "INFO")
@@ -80,13 +83,18 @@ def draw_settings(layout, context, state):
         draw_strength(column.column(align=True), settings)
         wrapped_label(column, state.strength_help)
     wrapped_label(column, state.goal_help)
+    if settings.depth != "QUICK":
+        draw_training(column, settings)
+    row = layout.row(align=True)
+    row.operator("svrgs.estimate", icon="VIEWZOOM")
+    row.operator("svrgs.job_start", icon="PLAY")
+
+
+def draw_training(column, settings):
     column.prop(settings, "nested")
     column.prop(settings, "use_time")
     if settings.use_time:
         column.prop(settings, "time")
-    row = layout.row(align=True)
-    row.operator("svrgs.estimate", icon="VIEWZOOM")
-    row.operator("svrgs.job_start", icon="PLAY")
 
 
 def draw_strength(column, settings):
@@ -102,7 +110,8 @@ def draw_progress(layout, _, state):
 
 
 def draw_share(layout, _, state):
-    layout.prop(bpy.data.objects[state.subject], "svrgs_share", slider=True)
+    if state.ranked:
+        layout.prop(bpy.data.objects[state.subject], "svrgs_share", slider=True)
 
 
 def draw_buttons(layout, stage: str, state):

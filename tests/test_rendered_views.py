@@ -8,11 +8,14 @@ import json
 import numpy as np
 import pytest
 
+from job_checks import follow
 from svrgs_addon.camera import Camera
 from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.images import to_float
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.jobs.estimate import estimate
+from svrgs_addon.jobs.job_folder import JobFolder
+from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.jobs.rendered_views import LONGEST, rendered_dataset
 from svrgs_addon.jobs.run_job import prune_scene
@@ -112,6 +115,35 @@ def test_a_report_and_levels_are_written(splat):
 def test_what_is_foreseen(splat):
     found = estimate(PruneOptions(scene=splat, target=0.25, recovery=100))
     assert found["kept"] == 250 and found["psnr_before"] is None and found["steps"] == 100 and found["seconds"] > 0
+
+
+def test_the_time_of_the_quick_way_is_foreseen(splat):
+    found = estimate(PruneOptions(scene=splat, target=0.25, quick=True))
+    assert found["kept"] == 250 and found["steps"] == 60 and found["psnr_before"] is None
+    with pytest.raises(SceneError, match="--quick needs --target"):
+        estimate(PruneOptions(scene=splat, quick=True))
+
+
+def test_a_job_folder_holds_a_job_without_photographs(splat, tmp_path, jobs):
+    """Quick and fine-tuned: the result has merged Gaussians, so there is no ranking of the original's."""
+    for name, options in (("quick", {"quick": True}), ("tuned", {"recovery": 30, "iterations": 0}), ("removal", {"method": "opacity", "recovery": 30})):
+        folder = JobFolder.create(tmp_path / name, read_ply(splat), {"target_count": 250, **options})
+        job = Job(folder)
+        jobs.append(job)
+        job.start()
+        follow(job)
+        assert job.state == "done", (job.facts, folder.log_tail())
+        assert folder.result()["count"] == read_ply(folder / "pruned.ply").count == 250
+        assert folder.merged == (name != "removal") and (folder / "kept.npy").exists() == (name == "removal")
+        assert not (folder / "recovered.ply").exists() and folder.result()["before"]["count"] == 1_000
+        assert "svrgs_row" not in read_ply(folder / "pruned.ply").attributes
+
+
+def test_a_batch_runs_with_given_cameras(svrgs, splat):
+    write_cameras_json(splat.with_name("shot.json"), front(read_ply(splat)))
+    words = ("--cameras", splat.with_name("shot.json"), "--seen-from-only", "--target", 0.4, "--recovery", 5, "--quiet", "--batch")
+    done = svrgs("prune", splat, *words, "--out", splat.with_name("small.ply"))
+    assert done.status == 0 and json.loads(done.out)["views"] == {"given": 6}
 
 
 # --- given cameras

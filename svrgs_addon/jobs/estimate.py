@@ -24,6 +24,7 @@ from .job_recorder import RECORDED
 from .options import PruneOptions
 from .planning import timed_scene
 from .quality_forecast import forecast
+from .quick import like_quick
 from .run_job import dataset_of_pruning, plan_of_pruning
 from .time_plan import fitted
 
@@ -39,7 +40,7 @@ def estimate(options: PruneOptions) -> dict:
     """
     begun = time.perf_counter()
     native.set_threads(options.threads)
-    dataset = dataset_of_pruning(options)
+    options, dataset = like_quick(options) if options.quick else (options, dataset_of_pruning(options))
     assert options.scene is not None
     scene, read = timed_scene(options.scene)
     loaded = time.perf_counter() - begun

@@ -145,7 +145,8 @@ class JobFolder:
         request = self.request()
         paths: dict[str, Any] = {"out": self / "recovered.ply"} | ({"scene": self / "scene.ply"} if request["kind"] == PRUNE else {})
         cls = OPTIONS[request["kind"]]
-        return cls(**check_mapping(cls, request["options"]), **paths, resume=True, quiet=True)
+        options = check_mapping(cls, request["options"])
+        return cls(**options, **paths, resume=not options.get("quick"), quiet=True)  # a quick job has no checkpoints
 
     def set_dataset(self, colmap: str):
         """Writes another folder of the dataset into job.json: it was moved. Raises FormatError, SceneError."""
@@ -202,6 +203,11 @@ class JobFolder:
         if result is None or not all(isinstance(result.get(side), dict) for side in sides):
             raise FormatError(f"{self.path}: holds no result")
         return result
+
+    @property
+    def merged(self) -> bool:
+        """Whether the result of a finished job has merged Gaussians: then there is no ranking of the source Gaussians."""
+        return bool(self.result().get("merged"))
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """Of a finished job, for each source Gaussian: kept (N,) bool and score (N,) float32 (ranking.py). Raises FormatError."""
@@ -322,7 +328,7 @@ def facts_of(message: dict) -> dict:
 def _check_options(kind: str, options: object):
     """Raises SceneError if these are not valid options of a job of this kind."""
     checked = check_mapping(OPTIONS[kind], options)
-    if not checked.get("colmap"):
+    if kind == TRAIN and not checked.get("colmap"):
         raise SceneError("the job has no dataset")
     refuse_time_and_steps(OPTIONS[kind], checked)
 

@@ -47,7 +47,8 @@ class JobMain:
 
     def run(self) -> int:
         """The whole job; returns the exit status."""
-        self.tell("STATUS", state="running", text="Reading the photographs")
+        own = self.folder.kind == PRUNE and self.folder.options().colmap is None
+        self.tell("STATUS", state="running", text="Rendering pictures of the splat" if own else "Reading the photographs")
         threading.Thread(target=self._wait_for_end_of_stdin, daemon=True).start()
         threading.Thread(target=self._poll_flag, daemon=True).start()
         problems: list[str] = []

@@ -120,18 +120,24 @@ class PruneRecorder(JobRecorder):
         folder.check_scene()
         self.count = folder.request()["count"]
         self.ranking = Ranking(self.count, folder / "ranking.npz")
+        self.merged = True  # until a run begins: the quick way has none
 
     def begin(self, run: Run):
-        self.ranking.begin(run, self._checked_rows(run.model.metadata["attributes"].get(ROW)))
+        self.merged = run.method.merges and ROW not in run.model.metadata["attributes"]
+        if not self.merged:
+            self.ranking.begin(run, self._checked_rows(run.model.metadata["attributes"].get(ROW)))
         super().begin(run)
 
     def observe(self, progress: loop.Progress):
-        self.ranking.observe(self.run)
+        if not self.merged:
+            self.ranking.observe(self.run)
         super().observe(progress)
 
     def finish(self, result: dict) -> dict:
         """As JobRecorder.finish(); the file sizes of the result are those without the column of source rows."""
         recovered = read_scene(self.folder / "recovered.ply")
+        if self.merged:
+            return self._write_pruned(recovered, result | {"merged": True})
         rows = recovered.attributes[ROW]
         kept = np.zeros(self.count, bool)
         kept[rows] = True
@@ -146,6 +152,10 @@ class PruneRecorder(JobRecorder):
         probability = self.ranking.probabilities()
         if probability is not None:
             _save(self.folder / "probability.npy", probability)
+        return self._write_pruned(recovered, result)
+
+    def _write_pruned(self, recovered: Scene, result: dict) -> dict:
+        """Writes the splat and result.json, and deletes recovered.ply. Returns the JSON result."""
         write_scene(self.folder / "pruned.ply", without_rows(recovered))
         result |= {"out": str(self.folder / "pruned.ply"), "bytes": (self.folder / "pruned.ply").stat().st_size}
         result["after"] = result["after"] | {"bytes": result["bytes"]}

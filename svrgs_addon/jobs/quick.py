@@ -26,6 +26,7 @@ from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
 from ..native import VISIBILITY, Rasterizer, thresholds
 from ..option_kinds import default_of
 from ..photographs.dataset import load_dataset
+from ..photographs.rendered import RenderedDataset
 from ..rig.around import DISTANCE, cameras_around, middle_and_radius
 from ..rig.place import quick_rig
 from ..scene import Scene
@@ -56,6 +57,18 @@ def prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
         raise SceneError(f"{options.out}: is the input itself, which is never overwritten; choose another output")
     with reserved(options.out):
         return _prune_quick(options, stop)
+
+
+def like_quick(options: PruneOptions) -> tuple[PruneOptions, RenderedDataset]:
+    """A fine-tuned job that takes about as long as the quick one, and its views: to foresee the time. Raises SceneError, FormatError."""
+    refuse_options(options)
+    assert options.scene is not None
+    scene = load_scene(options.scene).scene
+    train, test, notes = _views(scene, options)
+    none, views = (np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)), list(range(len(train) + len(test)))
+    dataset = RenderedDataset(train + test, *none, views[: len(train)], views[len(train) :], background=options.background, notes=tuple(notes), scene=scene)
+    share = options.target or (options.target_count or scene.count) / scene.count
+    return replace(options, quick=False, method="merge", recovery=_steps(min(1.0, share))), dataset
 
 
 def refuse_options(options: PruneOptions):

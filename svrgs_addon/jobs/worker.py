@@ -19,7 +19,7 @@ from ..system.processes import ChildProcess
 from .options import PruneOptions
 from .stop_request import StopRequest
 
-PATHS = ("scene", "colmap", "out", "report", "lpips_weights")
+PATHS = ("scene", "colmap", "cameras", "out", "report", "lpips_weights")
 
 
 def run_in_child(options: PruneOptions) -> tuple[int, dict]:

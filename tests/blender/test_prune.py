@@ -150,7 +150,11 @@ def test_with_a_window_the_result_is_in_the_scene_alone(saved, bridge, capfd, mo
 
 @pytest.mark.parametrize(
     "options, sentence",
-    [({}, "pruning needs the photographs"), ({"colmap": "/nowhere"}, "/nowhere: holds no COLMAP model"), ({"scene": "/nowhere.ply"}, "there is no such file")],
+    [
+        ({"seen_from_only": True}, "name them with --cameras"),
+        ({"colmap": "/nowhere"}, "/nowhere: holds no COLMAP model"),
+        ({"scene": "/nowhere.ply"}, "there is no such file"),
+    ],
 )
 def test_what_cannot_be_pruned_is_said_in_a_sentence(options, sentence, tmp_path):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))

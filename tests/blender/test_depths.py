@@ -1,0 +1,114 @@
+"""The three depths of pruning in the panel: quick, fine-tuned on the splat's own pictures, fine-tuned on photographs."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from extension import DATA, part
+from job_helpers import drawn, ended, follow, set_up
+
+
+@pytest.fixture
+def splat():
+    """A splat without photographs."""
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    return bpy.context.object
+
+
+def said() -> str:
+    return bpy.context.window_manager.svrgs_prune_state.sentences
+
+
+def run(watch) -> bpy.types.Object:
+    """Prunes with the settings of the panel; the result."""
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: ended(job))
+    return bpy.context.object
+
+
+@pytest.fixture
+def watch():
+    found = part("operators.job_watch")
+    yield found
+    found.jobs.clear()
+
+
+def test_without_photographs_the_choice_is_quick_and_with_them_they_are_chosen(splat):
+    settings = bpy.context.scene.svrgs_prune
+    assert settings.depth == "QUICK" and "colmap" not in drawn("prune") and bpy.ops.svrgs.job_start.poll()
+    settings.colmap = str(DATA / "tiny")
+    assert settings.depth == "PHOTOGRAPHS" and "colmap" in drawn("prune")
+    settings.depth = "TUNED"
+    settings.colmap = ""
+    assert settings.depth == "TUNED"
+    settings.depth = "PHOTOGRAPHS"
+    assert not bpy.ops.svrgs.job_start.poll() and "Choose the dataset of the splat's photographs" in said()
+
+
+@pytest.mark.parametrize("depth", ["QUICK", "TUNED"])
+def test_the_result_stands_beside_the_original_until_it_is_applied(splat, bridge, watch, depth):
+    set_up({"depth": depth, "goal": "SHARE", "share": 40, "recovery": 20})
+    result = run(watch)
+    assert result is not splat and bridge.count(result) == 100 and result.name == "scene pruned"
+    assert splat.hide_get() and not result.hide_get() and "svrgs_share" not in drawn("prune")
+    assert "100 of 250 Gaussians" in said() and "against the original's own pictures" in said()
+    assert not part("operators.job_result").undecided(splat)
+    means = bridge.scene_from_object(result).means
+    bpy.ops.svrgs.apply()
+    assert (bridge.scene_from_object(result).means == means).all() and not part("operators.job_result").undecided(result)
+    assert splat.hide_get() and bridge.count(splat) == 250
+
+
+def test_it_can_be_discarded(splat, bridge, watch):
+    set_up({"depth": "QUICK", "goal": "COUNT", "count": 60})
+    assert bridge.count(run(watch)) == 60
+    bpy.ops.svrgs.discard(what="RESULT")
+    assert list(bpy.data.objects) == [splat] and not splat.hide_get() and "removed" not in splat.data.attributes
+    assert bpy.ops.svrgs.job_start.poll()
+
+
+def test_a_moved_original_moves_its_result(splat, bridge, watch):
+    bpy.ops.svrgs.job_start.poll()
+    set_up({"depth": "QUICK", "goal": "SHARE", "share": 99})
+    before = bridge.scene_from_object(splat).means.mean(axis=0)
+    splat.location.x += 5
+    result = run(watch)
+    assert result.matrix_world == splat.matrix_world
+    assert bridge.scene_from_object(result).means.mean(axis=0) == pytest.approx(before, abs=0.2)
+
+
+def test_goals_that_quick_cannot_reach_say_so(splat):
+    set_up({"depth": "QUICK"})
+    for goal in ("DROP", "LAMBDA"):
+        set_up({"goal": goal})
+        assert not bpy.ops.svrgs.job_start.poll() and "Quick needs a number of Gaussians" in said()
+    set_up({"depth": "TUNED"})
+    assert bpy.ops.svrgs.job_start.poll() and part("operators.job").options_of(bpy.context, splat)["method"] == "removal"
+
+
+@pytest.mark.parametrize("depth", ["QUICK", "TUNED"])
+def test_each_has_an_estimate(splat, depth):
+    set_up({"depth": depth, "goal": "SHARE", "share": 20, "recovery": 100})
+    bpy.ops.svrgs.estimate()
+    assert "About 50 of 250 would stay" in said() and "sampled views" in said() and "not foreseen" in said()
+
+
+def test_a_device_is_a_number_of_gaussians(splat):
+    settings, devices = bpy.context.scene.svrgs_prune, part("operators.devices").DEVICES
+    set_up({"depth": "QUICK", "goal": "DEVICE"})
+    assert "device" in drawn("prune")
+    for name, (_, count) in devices.items():
+        settings.device = name
+        assert f"Keeps {count:,} Gaussians" in drawn("prune")
+        assert part("operators.job").options_of(bpy.context, splat)["target_count"] == min(count, 250)
+    assert [count for _, count in devices.values()] == [400_000, 400_000, 150_000, 1_000_000, 3_000_000]
+
+
+def test_the_operator_prunes_without_photographs(splat, bridge, tmp_path):
+    for more in ({"quick": True}, {"recovery": 20}, {"recovery": 20, "method": "opacity"}):
+        bpy.context.view_layer.objects.active = splat
+        bpy.ops.svrgs.prune(target=0.4, out=str(tmp_path / "out.ply"), overwrite=True, **more)
+        assert bridge.count(bpy.context.object) == 100
+    assert np.isfinite(bridge.scene_from_object(bpy.context.object).means).all()
