@@ -69,9 +69,14 @@ class SVRGS_OT_prune(bpy.types.Operator):
     iterations: option_property("iterations")
     recovery: option_property("recovery")
     seed: option_property("seed")
-    quick: option_property("quick")
-    cameras: option_property("cameras", subtype="FILE_PATH")
-    seen_from_only: option_property("seen_from_only")
+    quick: option_property("quick", description="Remove and merge within seconds, on the splat's own pictures instead of photographs. It needs a target")
+    cameras: option_property(
+        "cameras",
+        subtype="FILE_PATH",
+        options=RELATIVE,
+        description="Without photographs, a file of views that matter besides the placed ones: cameras.json of 3DGS, or transforms.json",
+    )
+    seen_from_only: option_property("seen_from_only", description="Only what the views of Cameras show counts: what they do not see may be removed")
 
     @classmethod
     def poll(cls, context):

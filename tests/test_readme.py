@@ -34,6 +34,8 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     "svrgs prune trained.ply --colmap DATASET --target 0.25 --out quarter.ply": ("quarter.ply",),
     "svrgs prune trained.ply --colmap DATASET --target 0.25 --time 60 --out quarter.ply": ("quarter.ply",),
     "svrgs prune trained.ply --colmap DATASET --target 0.25 --levels 0.5,0.1 --out quarter.ply": ("quarter.ply", "quarter_50.ply", "quarter_10.ply"),
+    "svrgs prune scene.ply --target 0.25 --time 90 --out quarter.ply": ("quarter.ply",),
+    "svrgs rig scene.ply --out cameras.json --preview rig.png": ("cameras.json", "rig.png"),
     "svrgs prune scene.ply --quick --target 0.25 --out quarter.ply": ("quarter.ply",),
     "svrgs select scene.ply --floaters --invert --out clean.ply": ("clean.ply",),
     "svrgs eval pruned.ply --colmap DATASET": (),
@@ -46,6 +48,7 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
 SHORTER = {  # added, since 30,000 steps take minutes
     "svrgs train --colmap DATASET --out trained.ply": "--iterations 100",
     "svrgs prune trained.ply --colmap DATASET --target 0.25 --time 60 --out quarter.ply": "--time 10",
+    "svrgs prune scene.ply --target 0.25 --time 90 --out quarter.ply": "--time 20",
 }
 NOT_RUN = {
     "make demo": "renders and trains for minutes, and downloads packages",

@@ -27,6 +27,7 @@ def installed() -> Path:
 def empty():
     for kind in KINDS:
         bpy.data.batch_remove(list(getattr(bpy.data, kind)))
+    bpy.context.scene.svrgs_prune.property_unset("depth_number")
 
 
 @pytest.fixture

@@ -223,7 +223,7 @@ def test_a_splat_edited_meanwhile_is_told_from_the_one_pruned(splat, watch, brid
 
 
 def test_without_a_dataset_the_button_says_what_to_do(splat):
-    bpy.context.scene.svrgs_prune.colmap = ""
+    bpy.context.scene.svrgs_prune.colmap, bpy.context.scene.svrgs_prune.depth = "", "PHOTOGRAPHS"
     with pytest.raises(RuntimeError, match="Choose the dataset"):
         bpy.ops.svrgs.job_start()
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
@@ -334,7 +334,7 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     assert "Select a splat" in drawn("prune")
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     splat = bpy.context.object
-    bpy.context.scene.svrgs_prune.colmap = ""
+    bpy.context.scene.svrgs_prune.colmap, bpy.context.scene.svrgs_prune.depth = "", "PHOTOGRAPHS"
     assert "Choose the dataset" in drawn("prune") and "250 Gaussians" in drawn("export")
     set_up(LONG | {"colmap": str(DATA / "tiny"), "folder": str(tmp_path / "jobs")})
     for goal in ("LAMBDA", "SHARE", "COUNT", "SIZE"):

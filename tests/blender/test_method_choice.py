@@ -49,7 +49,7 @@ def test_the_menu_begins_with_the_default_and_the_papers_method(settings):
 
 def test_every_method_has_a_name_and_a_sentence_of_its_own(settings):
     items = list(settings.bl_rna.properties["method"].enum_items)
-    assert len({item.name for item in items}) == len({item.description for item in items}) == len(items) == 26
+    assert len({item.name for item in items}) == len({item.description for item in items}) == len(items) == 27
     assert not [item.name for item in items if item.name == item.identifier or not item.name[0].isupper()]
 
 
