@@ -53,7 +53,9 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         description="How thoroughly, and by what. Until it is chosen: by photographs where the splat has some, else quick",
     )  # fmt: skip
     depth_number: IntProperty(options={"HIDDEN"})  # of the item; 0: none was chosen
-    device: EnumProperty(name="Device", items=[(key, name, "") for key, (name, _) in DEVICES.items()], description="Where the splat will be shown")
+    device: EnumProperty(
+        name="Device", items=[(key, name, f"{count:,} Gaussians") for key, (name, count) in DEVICES.items()], description="Where the splat will be shown"
+    )
     goal: EnumProperty(name="Goal", translation_context=OWN, items=goals.ITEMS, default="BALANCED", description="What decides how many Gaussians stay")
     strength: FloatProperty(
         name="Power of λ_F", min=-7, max=0, default=-4, update=_strength_changed,

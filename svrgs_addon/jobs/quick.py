@@ -148,7 +148,7 @@ def _steps(share: float) -> int:
 def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Camera], list[str]]:
     """Views to decide and fine-tune on, others to measure on, and a sentence on where they come from. Raises SceneError, FormatError."""
     if options.colmap is None:
-        where = "from outside all around; for a scene that is seen from inside, give --colmap"
+        where = "from outside all around"
         return cameras_around(scene, VIEWS, SIDE), cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9), _of_views(where)
     dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
     refuse_unseen(scene, dataset.cameras, str(options.scene))

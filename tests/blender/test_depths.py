@@ -10,10 +10,10 @@ from job_helpers import drawn, ended, follow, set_up
 
 
 @pytest.fixture
-def splat():
+def splat(splat):
     """A splat without photographs."""
-    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
-    return bpy.context.object
+    bpy.context.scene.svrgs_prune.colmap = ""
+    return splat
 
 
 def said() -> str:
@@ -26,13 +26,6 @@ def run(watch) -> bpy.types.Object:
     (job,) = watch.jobs.values()
     follow(watch, lambda: ended(job))
     return bpy.context.object
-
-
-@pytest.fixture
-def watch():
-    found = part("operators.job_watch")
-    yield found
-    found.jobs.clear()
 
 
 def test_without_photographs_the_choice_is_quick_and_with_them_they_are_chosen(splat):
