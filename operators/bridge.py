@@ -35,6 +35,7 @@ POINTS = "svrgs_points"  # property of a root: number of sparse points in its da
 TYPES = ("MESH", "POINTCLOUD")
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
 VALUE = {"FLOAT_VECTOR": "vector", "FLOAT2": "vector", "FLOAT4": "vector", "FLOAT_COLOR": "color"}  # name of the values; other types: value
+COPIED = ("FLOAT", "INT", "BOOLEAN", "INT8", "FLOAT_VECTOR", "FLOAT_COLOR", "FLOAT4", "QUATERNION", "INT32_2D")  # data types that can be copied
 WIDTH = {"FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "FLOAT4": 4, "QUATERNION": 4, "INT32_2D": 2}  # numbers per value; other types: 1
 
 
@@ -107,6 +108,12 @@ def remove_values(obj: bpy.types.Object, *names: str):
     for name in names:
         if name in obj.data.attributes:
             obj.data.attributes.remove(obj.data.attributes[name])
+
+
+def further_values(obj: bpy.types.Object) -> list[tuple[str, str, np.ndarray]]:
+    """Name, Blender's data type and values of the attributes that have one value per Gaussian, apart from those that Blender hides."""
+    kinds = {a.name: a.data_type for a in obj.data.attributes if a.domain == "POINT" and not a.name.startswith(".") and a.data_type in COPIED}
+    return [(name, kind, stored_values(obj, name)) for name, kind in kinds.items()]
 
 
 def replace_gaussians(obj: bpy.types.Object, scene: Scene):

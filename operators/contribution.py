@@ -7,7 +7,8 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import EnumProperty
 
 from ..svrgs_addon import native
-from ..svrgs_addon.errors import NativeError, SplatError
+from ..svrgs_addon.camera import Camera
+from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.finetune.scores import contribution
 from ..svrgs_addon.metrics.evaluate import render_options
 from ..svrgs_addon.native import Rasterizer
@@ -18,19 +19,24 @@ ATTRIBUTE = "contribution"
 LONGER_SIDE = 640  # pixels, about: images are reduced to this size
 
 
-class SVRGS_OT_contribution(bpy.types.Operator):
-    bl_idname = "svrgs.contribution"
-    bl_label = "Show Contribution"
-    bl_description = "Sum for each Gaussian what it adds to the images of the cameras, and store it as the attribute 'contribution'"
-    bl_options = {"REGISTER", "UNDO"}
-
-    cameras: EnumProperty(
+def cameras_property():
+    """The menu of the cameras whose images count."""
+    return EnumProperty(
         name="Cameras", description="The cameras whose images count",
         items=[
             ("PHOTOGRAPHS", "Photographs", "All imported cameras; all cameras if none was imported"), ("SELECTED", "Selected", "The selected cameras"),
             ("ACTIVE", "Scene Camera", "The scene's camera"),
         ],
     )  # fmt: skip
+
+
+class SVRGS_OT_contribution(bpy.types.Operator):
+    bl_idname = "svrgs.contribution"
+    bl_label = "Show Contribution"
+    bl_description = "Sum for each Gaussian what it adds to the images of the cameras, and store it as the attribute 'contribution'"
+    bl_options = {"REGISTER", "UNDO"}
+
+    cameras: cameras_property()
 
     @classmethod
     def poll(cls, context):
@@ -40,23 +46,19 @@ class SVRGS_OT_contribution(bpy.types.Operator):
         return not problem
 
     def execute(self, context):
-        chosen = chosen_cameras(context, self.cameras)
-        if not chosen:
-            self.report({"ERROR"}, tr("there is no such camera: import the cameras of the dataset, or choose others"))
-            return {"CANCELLED"}
         obj = context.object
         try:
             native.set_threads(threads(context))
             scene = bridge.scene_from_object(obj)
             placed = bridge_graph.placed([(scene, obj.matrix_world.copy())])
-            views = [placed.seen_by(_reduced(bridge_cameras.camera_from_object(camera, context.scene))) for camera in chosen]
-            sums, _, hits = contribution(placed.scene, views, Rasterizer(), render_options(scene))
+            cameras = views(context, chosen_cameras(context, self.cameras), placed)
+            sums, _, hits = contribution(placed.scene, cameras, Rasterizer(), render_options(scene))
         except (SplatError, NativeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         bridge.set_values(obj, ATTRIBUTE, "FLOAT", sums.astype("float32"))
         text = tr("{unseen:,} of {count:,} Gaussians add nothing to {images:,} images")
-        self.report({"INFO"}, text.format(unseen=int((hits == 0).sum()), count=scene.count, images=len(views)))
+        self.report({"INFO"}, text.format(unseen=int((hits == 0).sum()), count=scene.count, images=len(cameras)))
         return {"FINISHED"}
 
 
@@ -70,8 +72,12 @@ def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object
     return imported if imported and which == "PHOTOGRAPHS" else cameras
 
 
-def _reduced(camera):
-    return camera.reduced(max(1, max(camera.width, camera.height) // LONGER_SIDE))
+def views(context, cameras: list[bpy.types.Object], placed: bridge_graph.PlacedScene) -> list[Camera]:
+    """The views of camera objects, reduced, in the coordinates of the scene. Raises SceneError, also if there are none."""
+    if not cameras:
+        raise SceneError(tr("there is no such camera: import the cameras of the dataset, or choose others"))
+    found = [bridge_cameras.camera_from_object(obj, context.scene) for obj in cameras]
+    return [placed.seen_by(view.reduced(max(1, max(view.width, view.height) // LONGER_SIDE))) for view in found]
 
 
 def register():

@@ -1,13 +1,22 @@
-"""How many Gaussians devices show fluently: the goal Device. One table, to be changed as devices do.
+"""How many Gaussians devices show fluently: the goal Device. One table, to be changed as devices do."""
 
-Sources: reports of developers and makers, 2025 and 2026: Unity on Quest 3 at 72 frames per second; MetalSplatter on Vision Pro at 90; the limit
-that Meta names for its Spatial SDK; PlayCanvas on phones and desktops.
-"""
+from __future__ import annotations
 
-DEVICES = {  # item of the menu: its name, the number of Gaussians
-    "QUEST_3": ("Quest 3", 400_000),
-    "VISION_PRO": ("Vision Pro", 400_000),
-    "SPATIAL_SDK": ("Meta Spatial SDK", 150_000),
-    "PHONE": ("Phone, in the Web", 1_000_000),
-    "DESKTOP": ("Desktop, in the Web", 3_000_000),
+from typing import NamedTuple
+
+
+class Device(NamedTuple):
+    """A device, or a kind of viewer."""
+
+    name: str
+    gaussians: int  # that it shows fluently
+    source: str  # who says so, and of what
+
+
+DEVICES = {  # as of 2026
+    "QUEST_3": Device("Quest 3", 400_000, "Reports of Unity at 72 frames per second"),
+    "VISION_PRO": Device("Vision Pro", 400_000, "Reports of MetalSplatter at 90 frames per second"),
+    "SPATIAL_SDK": Device("Meta Spatial SDK", 150_000, "The limit that Meta names"),
+    "PHONE": Device("Phone, in the Web", 1_000_000, "What PlayCanvas names for phones"),
+    "DESKTOP": Device("Desktop, in the Web", 3_000_000, "What PlayCanvas names for desktops"),
 }

@@ -61,7 +61,7 @@ def options(settings, obj: bpy.types.Object, merges: bool = False) -> dict:
         "SHARE": settings.share / 100 * total,
         "COUNT": settings.count,
         "SIZE": count_in(obj, settings.size * 1e6),
-        "DEVICE": DEVICES[settings.device][1],
+        "DEVICE": DEVICES[settings.device].gaussians,
     }[goal]
     return {"target_count": min(total, max(1, round(wanted)))}
 
@@ -71,7 +71,7 @@ def sentence(settings, merges: bool = False) -> str:
     method, goal = METHODS[settings.method], settings.goal
     preset = PRESETS.get(goal)
     if goal == "DEVICE":
-        return tr("Keeps {count:,} Gaussians, or all if there are fewer").format(count=DEVICES[settings.device][1])
+        return tr("Keeps {count:,} Gaussians, or all if there are fewer").format(count=DEVICES[settings.device].gaussians)
     if merges and preset is not None:
         return _share_sentence(preset.share)
     if preset is None:

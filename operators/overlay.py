@@ -24,9 +24,10 @@ from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.native_library import thresholds
 from ..svrgs_addon.render.live_view import LiveView, Picture
 from ..svrgs_addon.render.passes import overlay_rgba
-from ..svrgs_addon.render.quads import Quads, colors, painted, quads
+from ..svrgs_addon.render.quads import Quads, colors, highlighted, painted, quads
 from ..svrgs_addon.scene import Scene
 from . import bridge, bridge_gpu, bridge_graph, viewport_wipe
+from .bridge_selection import SELECTED
 from .preferences import threads
 from .viewport import redraw
 
@@ -135,6 +136,9 @@ class Overlay:
             return known
         placed = bridge_graph.placed([(part.scene, part.matrix) for part in side.shown])
         values = [part.values for part in side.shown]
+        if settings.overlay_shown == SELECTED:
+            marked = highlighted(placed.scene, [part.scene.count for part in side.shown], values)
+            return Cloud(key, placed, marked, settings.overlay_moving)
         return Cloud(key, placed, painted(placed.scene, values), settings.overlay_moving)
 
     def view_of(self, region: bpy.types.Region, side: str) -> View:

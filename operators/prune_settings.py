@@ -54,7 +54,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     )  # fmt: skip
     depth_number: IntProperty(options={"HIDDEN"})  # of the item; 0: none was chosen
     device: EnumProperty(
-        name="Device", items=[(key, name, f"{count:,} Gaussians") for key, (name, count) in DEVICES.items()], description="Where the splat will be shown"
+        name="Device", items=[(key, device.name, device.source) for key, device in DEVICES.items()], description="Where the splat will be shown"
     )
     goal: EnumProperty(name="Goal", translation_context=OWN, items=goals.ITEMS, default="BALANCED", description="What decides how many Gaussians stay")
     strength: FloatProperty(

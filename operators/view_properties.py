@@ -7,7 +7,7 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.render import color_maps
-from . import bridge, camera_match, mask_image, overlay, splat_layer, splat_transforms, undistort, viewport_wipe
+from . import bridge, bridge_selection, camera_match, mask_image, overlay, splat_layer, splat_transforms, undistort, viewport_wipe
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
@@ -20,6 +20,7 @@ MESHES = [
 ]
 SHOWN = [
     ("COLOR", "Colors", "The colours of the Gaussians"),
+    ("svrgs:selected", "Selection", "The colours of the Gaussians; selected ones are orange"),
     ("contribution", "Contribution", "What each Gaussian adds to the images of the cameras. Run Show Contribution first"),
     ("svrgs:probability", "Probability", "Probability of existence, learned by a pruning job with masks"),
     ("svrgs:score", "Rank", "The order in which a pruning job removed the Gaussians"),
@@ -45,6 +46,10 @@ def _roots(_) -> str:
     return "\n".join(camera_match.roots(bpy.context.scene))
 
 
+def _selected(_) -> int:
+    return bridge_selection.selected_count(bpy.context.object) if bridge.is_splat(bpy.context.object) else 0
+
+
 def _is_splat(_, obj) -> bool:  # not a lambda below: Blender evaluates annotations where `bridge` is unknown
     return bridge.is_splat(obj)
 
@@ -64,6 +69,7 @@ def _not_drawn(settings) -> str:
 class SVRGS_PG_view(bpy.types.PropertyGroup):
     about: StringProperty(get=_about, options={"HIDDEN"})  # one line about the active splat; empty if no splat is active
     moved: IntProperty(get=_moved, options={"HIDDEN"})  # Gaussians of the active splat whose points were moved without their shapes
+    selected: IntProperty(get=_selected, options={"HIDDEN"})  # selected Gaussians of the active splat
     cameras: StringProperty(get=_cameras, options={"HIDDEN"})  # the cameras of the active splat in words; empty if it has none
     roots: StringProperty(get=_roots, options={"HIDDEN"})  # names of the empties above imported cameras, one a line
     photographs: StringProperty(get=_photographs, options={"HIDDEN"})  # status of undistorting photographs; mostly empty

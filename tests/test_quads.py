@@ -14,7 +14,8 @@ from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.blender.activation import opacities
 from svrgs_addon.geometry.rotations import rotation_matrices
 from svrgs_addon.native import depth_order
-from svrgs_addon.render.quads import colors, quads, recolored
+from svrgs_addon.render.quads import HIGHLIGHT, TINT, colors, highlighted, quads, recolored
+from svrgs_addon.scene import SH_C0
 
 
 def test_each_gaussian_has_its_mean_opacity_and_covariance_once():
@@ -52,3 +53,14 @@ def test_a_recoloured_scene_has_these_colours_from_everywhere():
     scene, rgb = room(50), np.random.default_rng(0).random((50, 3))
     for turn in (0.0, 120.0):
         np.testing.assert_allclose(colors(recolored(scene, rgb), np.arange(50), orbit_camera(32, 32, turn)), rgb, atol=1e-6)
+
+
+def test_marked_gaussians_are_tinted_and_the_others_stay():
+    scene = scenes.random_scene(40, 3, 2)
+    marks = np.arange(30) % 3 == 0
+    shown = highlighted(scene, [30, 10], [marks.astype(np.float32), None])
+    chosen = np.concatenate([marks, np.zeros(10, bool)])
+    assert (shown.sh[~chosen] == scene.sh[~chosen]).all() and shown.means is scene.means
+    before, after = 0.5 + SH_C0 * scene.sh[chosen, 0], 0.5 + SH_C0 * shown.sh[chosen, 0]
+    assert after == pytest.approx((1 - TINT) * before + TINT * np.array(HIGHLIGHT), abs=1e-6)
+    assert shown.sh[chosen, 1:] == pytest.approx((1 - TINT) * scene.sh[chosen, 1:], abs=1e-7)

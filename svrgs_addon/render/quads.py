@@ -19,6 +19,7 @@ from .color_maps import colored
 
 BLOCK = 65_536  # Gaussians that are computed at a time
 SEED = 1  # of the random order
+HIGHLIGHT, TINT = (1.0, 0.45, 0.05), 0.7  # display sRGB of selected Gaussians, and its share of their colour
 TOP_PERCENTILE = 99.0  # values from this percentile on have the last colour of the map
 
 
@@ -55,6 +56,18 @@ def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
         return scene
     joined = np.concatenate(known)
     return recolored(scene, colored(joined, float(np.percentile(joined, TOP_PERCENTILE)) if len(joined) else 1.0))
+
+
+def highlighted(scene: Scene, counts: list[int], values: list[np.ndarray | None]) -> Scene:
+    """The scene with marked Gaussians tinted with HIGHLIGHT. Their shading stays visible.
+
+    counts: of the Gaussians of its parts, joined in order. values: arrays (N_i,), above 0 where marked; None: nothing of the part is.
+    """
+    marks = np.concatenate([np.zeros(count, bool) if part is None else part > 0 for count, part in zip(counts, values, strict=True)])
+    sh = scene.sh.copy()
+    sh[marks] *= 1 - TINT
+    sh[marks, 0] += (TINT * (np.array(HIGHLIGHT) - 0.5) / SH_C0).astype(np.float32)
+    return replace(scene, sh=sh)
 
 
 def recolored(scene: Scene, rgb: np.ndarray) -> Scene:

@@ -92,11 +92,11 @@ def test_a_device_is_a_number_of_gaussians(splat):
     settings, devices = bpy.context.scene.svrgs_prune, part("operators.devices").DEVICES
     set_up({"depth": "QUICK", "goal": "DEVICE"})
     assert "device" in drawn("prune")
-    for name, (_, count) in devices.items():
-        settings.device = name
+    for name, device in devices.items():
+        settings.device, count = name, device.gaussians
         assert f"Keeps {count:,} Gaussians" in drawn("prune")
         assert part("operators.job").options_of(bpy.context, splat)["target_count"] == min(count, 250)
-    assert [count for _, count in devices.values()] == [400_000, 400_000, 150_000, 1_000_000, 3_000_000]
+    assert [device.gaussians for device in devices.values()] == [400_000, 400_000, 150_000, 1_000_000, 3_000_000]
 
 
 def test_the_operator_prunes_without_photographs(splat, bridge, tmp_path):

@@ -1,0 +1,41 @@
+"""Selecting Gaussians: below the panel Scene."""
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+
+from .wrapped_label import native_library_works
+
+
+class SVRGS_PT_select(bpy.types.Panel):
+    bl_label = "Select"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "SVR-GS"
+    bl_parent_id = "SVRGS_PT_scene"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return bool(context.scene.svrgs_looking.about)
+
+    def draw(self, context):
+        layout, selected = self.layout, context.scene.svrgs_looking.selected
+        if not native_library_works(layout, context):
+            return
+        layout.operator_menu_enum("svrgs.select_gaussians", "criterion", text="Select", icon="RESTRICT_SELECT_OFF")
+        if not selected:
+            return
+        row = layout.row()
+        row.label(text=tr("{count:,} Gaussians selected").format(count=selected), translate=False)
+        row.operator("svrgs.clear_selection", text="", icon="X")
+        row = layout.row(align=True)
+        row.operator("svrgs.delete_gaussians", text="Delete Selected", icon="TRASH").what = "SELECTED"
+        row.operator("svrgs.delete_gaussians", text="Keep Only Selected", icon="FULLSCREEN_EXIT").what = "OTHERS"
+
+
+def register():
+    bpy.utils.register_class(SVRGS_PT_select)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_PT_select)
