@@ -50,6 +50,6 @@ def problem(context) -> str:
     """Why the chosen goal cannot be reached in the chosen way; empty if it can."""
     if chosen(context) == PHOTOGRAPHS:
         return dataset_paths.problem(context)
-    if chosen(context) == QUICK and context.scene.svrgs_prune.goal in ("DROP", "LAMBDA"):
+    if chosen(context) == QUICK and context.scene.svrgs_prune.goal == "LAMBDA":
         return tr("Quick needs a number of Gaussians: choose another goal, such as a percentage, or Fine-Tuned")
     return ""

@@ -101,6 +101,8 @@ def strength_sentence(settings) -> str:
 def problem(settings) -> str:
     """Why the chosen method cannot reach the chosen goal; empty if it can."""
     method, learns = METHODS[settings.method], settings.iterations > 0
+    if settings.depth == "QUICK":  # its own problems: depths.py
+        return ""
     if settings.goal == "LAMBDA" and method.ranks and not method.share:
         return tr("'{method}' only ranks the Gaussians: choose another goal, such as a percentage or a size").format(method=tr(method.label))
     if settings.goal != "DROP" or (method.supports_max_drop and learns):

@@ -137,11 +137,11 @@ def test_a_scene_with_a_sky_around_it_is_seen_from_inside(tmp_path):
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"max_drop": 0.5}, "--max-drop"),
+        ({"max_drop": 0.5, "target": None, "lambda_f": 1e-3}, "--lambda-f"),
+        ({"target": None}, "--quick needs --target, --target-count or --max-drop"),
         ({"image_memory": 1.0}, "--image-memory"),
         ({"time": 5.0}, "--time"),
         ({"method": "svr"}, "--method"),
-        ({"target": None}, "needs --target"),
     ],
 )
 def test_options_that_it_does_not_have_are_refused(splat, more, words):
@@ -175,3 +175,13 @@ def test_lost_columns_are_named(tmp_path):
 def test_the_input_is_never_replaced(splat):
     with pytest.raises(SceneError, match="never overwritten"):
         run(splat, out=splat)
+
+
+def test_an_allowed_drop_decides_how_many_stay(splat):
+    """A splat with 30 dB on its photographs may lose so much there. The steps win a part back."""
+    results = [run(splat, target=None, max_drop=drop) for drop in (0.05, 0.5, 3.0)]
+    counts = [result["count"] for result in results]
+    assert 2_000 > counts[0] > counts[1] > counts[2] >= 100
+    for result, drop in zip(results, (0.05, 0.5, 3.0), strict=True):
+        assert 0 < result["drop"] < 1.3 * drop
+    assert run(splat)["drop"] is None

@@ -140,8 +140,8 @@ class PruneOptions(TuningOptions):
         metavar="SHARES", default_help="none",
     )  # fmt: skip
     quick: bool = option(
-        FLAG, False, "remove and merge within seconds, on the scene's own pictures instead of photographs; needs --target or --target-count; with --colmap "
-        "only the cameras of the dataset are read", in_job=True,
+        FLAG, False, "remove and merge within seconds, on the scene's own pictures instead of photographs; needs --target, --target-count or --max-drop; "
+        "with --colmap only the cameras of the dataset are read", in_job=True,
     )  # fmt: skip
     cameras: Path | None = option(
         PATH, None, "without photographs, views that matter besides the placed ones: cameras.json of 3DGS, or transforms.json", metavar="JSON", in_job=True

@@ -6,6 +6,7 @@ scene. Quality is measured on views that the result was not fitted to.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,17 +17,19 @@ import numpy as np
 
 from .. import memory
 from ..camera import Camera
-from ..decimate.order import looks, order_of
+from ..decimate.order import Order, looks, order_of
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
+from ..finetune.quality import LEAST
 from ..finetune.refit import refit
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
+from ..metrics.psnr import with_error
 from ..native import VISIBILITY, Rasterizer, thresholds
 from ..option_kinds import default_of
 from ..photographs.dataset import load_dataset
-from ..photographs.rendered import RenderedDataset
+from ..photographs.rendered import PHOTOGRAPHED, RenderedDataset
 from ..rig.around import DISTANCE, cameras_around, middle_and_radius
 from ..rig.place import quick_rig
 from ..scene import Scene
@@ -34,16 +37,19 @@ from ..system.file_names import real
 from .options import PruneOptions
 
 SIDE = 512  # pixels of the longer side of a picture
-VIEWS, TEST_VIEWS = 32, 16
+VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
 STEPS = 60  # of fine-tuning; more where few Gaussians are left
 MOST_STEPS = 120
 HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
 MOST_HIDDEN = 0.3  # share of the Gaussians that may be hidden from outside
 NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 TAKES = (  # options; others are refused
-    "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "quiet", "quick", "scene", "out",
+    "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "max_drop", "quiet", "quick", "scene", "out",
 )  # fmt: skip
 NORMALS = {"nx", "ny", "nz"}  # columns of every 3DGS file, without a meaning
+MOSTLY = 0.6  # share of the Gaussians from which on the steps may be worse than none
+LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee the time
+ASSUMED = with_error(math.inf, PHOTOGRAPHED)  # PSNR of the original in dB, if a drop is allowed
 NOT_FINISHED = "stopped; nothing was written, and a quick job has no checkpoint: start it again"
 
 
@@ -67,7 +73,7 @@ def like_quick(options: PruneOptions) -> tuple[PruneOptions, RenderedDataset]:
     train, test, notes = _views(scene, options)
     none, views = (np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)), list(range(len(train) + len(test)))
     dataset = RenderedDataset(train + test, *none, views[: len(train)], views[len(train) :], background=options.background, notes=tuple(notes), scene=scene)
-    share = options.target or (options.target_count or scene.count) / scene.count
+    share = options.target or (options.target_count or LIKELY * scene.count) / scene.count
     return replace(options, quick=False, method="merge", recovery=_steps(min(1.0, share))), dataset
 
 
@@ -76,8 +82,8 @@ def refuse_options(options: PruneOptions):
     other = [name for name in PruneOptions.__dataclass_fields__ if name not in TAKES and getattr(options, name) != default_of(PruneOptions, name)]
     if other:
         raise SceneError(f"--quick takes no --{other[0].replace('_', '-')}: leave it out, or leave --quick out")
-    if not (options.target or options.target_count):
-        raise SceneError("--quick needs --target or --target-count: it does not choose how many Gaussians to keep")
+    if not (options.target or options.target_count or options.max_drop):
+        raise SceneError("--quick needs --target, --target-count or --max-drop: it does not choose how many Gaussians to keep")
 
 
 def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
@@ -87,7 +93,6 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     scene = source.select(~invisible(source))
     if not scene.count:
         raise SceneError(f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep")
-    count = min(options.target_count or max(1, round((options.target or 1.0) * source.count)), scene.count)
     enlarged, factor = (scene, 1.0) if options.colmap else _enlarged(scene)
     cameras, test, notes = _views(enlarged, options)
     memory.refuse_excess(f"{options.scene}: pruning it", memory.decimating(scene.count, scene.sh.shape[1], cameras))
@@ -96,7 +101,14 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     if not options.colmap and (hidden := _hidden(sums)) > MOST_HIDDEN * scene.count:
         cameras, test, notes = _views_within(enlarged, options, hidden)
         sums, pictures = looks(enlarged, cameras, rasterizer, settings)
-    small = _reduced(enlarged, sums, cameras, pictures, count, options, stop)
+    if stop():
+        raise Cancelled(NOT_FINISHED)
+    order = order_of(enlarged, sums, min(_least(options, source.count), scene.count))
+    quality = _quality(enlarged, _some(test, DROP_VIEWS), rasterizer, options)
+    count = _fewest_within(order, quality, options.max_drop) if options.max_drop else order.least
+    small = _refitted(order.at(count), scene.count, cameras, pictures, options, stop)
+    if count > MOSTLY * scene.count and quality(unchanged := order.at(count)) > quality(small):
+        small = unchanged
     write_scene(options.out, _scaled(small, 1 / factor))
     facts: dict[str, Any] = {
         "method": "quick",
@@ -107,19 +119,42 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     }
     before = {"count": source.count, "bytes": options.scene.stat().st_size}
     after = _measured(small, enlarged, test, rasterizer, options) | {"bytes": options.out.stat().st_size}
+    facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
     notes += [*_of_hidden(facts["hidden"]), *_of_columns(source, small)]
     return {**after, "scene": str(options.scene), "out": str(options.out), "before": before, "after": after, **facts, "notes": notes}
 
 
-def _reduced(scene: Scene, sums: np.ndarray, cameras: list[Camera], pictures: list[np.ndarray], count: int, options: PruneOptions, stop: Callable) -> Scene:
-    """The scene with `count` Gaussians, fine-tuned on the pictures. sums, pictures: from looks(). Raises SceneError; Cancelled."""
-    if stop():
-        raise Cancelled(NOT_FINISHED)
-    small = order_of(scene, sums, count).at(count)
-    if count == scene.count:
+def _least(options: PruneOptions, count: int) -> int:
+    """The number of Gaussians down to which the order is needed, of `count` in the file."""
+    if options.max_drop:
+        return math.ceil(LEAST * count)
+    return options.target_count or max(1, round((options.target or 1.0) * count))
+
+
+def _quality(original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions) -> Callable[[Scene], float]:
+    """The function that measures a scene: PSNR in dB against the original's pictures, with PHOTOGRAPHED as the error of the original."""
+    settings = render_options(original, options.background)
+    picture = lambda scene, camera: rounded_to_8_bits(rasterizer.forward(scene, camera, settings)["rgb"])  # noqa: E731
+    originals = [picture(original, camera) for camera in cameras]
+    return lambda scene: fmean(with_error(psnr(picture(scene, view), image), PHOTOGRAPHED) for view, image in zip(cameras, originals, strict=True))
+
+
+def _fewest_within(order: Order, quality: Callable[[Scene], float], drop: float) -> int:
+    """The fewest Gaussians that hold the allowed drop in dB before the steps of fine-tuning, which win a part of it back; at least LEAST of all.
+    Bisection to 1 % of N."""
+    few, enough = order.least - 1, order.scene.count
+    while enough - few > max(1, order.scene.count // 100):
+        middle = (few + enough) // 2
+        few, enough = (few, middle) if quality(order.at(middle)) >= ASSUMED - drop else (middle, enough)
+    return enough
+
+
+def _refitted(small: Scene, count: int, cameras: list[Camera], pictures: list[np.ndarray], options: PruneOptions, stop: Callable) -> Scene:
+    """The scene, fine-tuned on the pictures. count: of Gaussians before; if none went, nothing changes. Raises Cancelled."""
+    if small.count == count:
         return small
     try:
-        return refit(small, cameras, pictures, _steps(count / scene.count), render_options(scene, options.background), options.seed, stop)
+        return refit(small, cameras, pictures, _steps(small.count / count), render_options(small, options.background), options.seed, stop)
     except Cancelled:
         raise Cancelled(NOT_FINISHED) from None
 

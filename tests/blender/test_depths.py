@@ -74,9 +74,10 @@ def test_a_moved_original_moves_its_result(splat, bridge, watch):
 
 def test_goals_that_quick_cannot_reach_say_so(splat):
     set_up({"depth": "QUICK"})
-    for goal in ("DROP", "LAMBDA"):
-        set_up({"goal": goal})
-        assert not bpy.ops.svrgs.job_start.poll() and "Quick needs a number of Gaussians" in said()
+    set_up({"goal": "DROP", "iterations": 0})
+    assert bpy.ops.svrgs.job_start.poll() and "max_drop" in part("operators.job").options_of(bpy.context, splat)
+    set_up({"goal": "LAMBDA"})
+    assert not bpy.ops.svrgs.job_start.poll() and "Quick needs a number of Gaussians" in said()
     set_up({"depth": "TUNED"})
     assert bpy.ops.svrgs.job_start.poll() and part("operators.job").options_of(bpy.context, splat)["method"] == "removal"
 
