@@ -13,7 +13,7 @@ from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import write_scene
 from . import bridge
-from .job import JobOperator, options_of, start_problem
+from .job import JobOperator, given_views, options_of, start_problem
 from .job_watch import redraw_panels
 from .splat_size import size_text
 
@@ -87,11 +87,15 @@ class SVRGS_OT_estimate(JobOperator):
     def work(self, context) -> str:
         obj = context.object
         temp_dir = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
+        options, cameras = options_of(context, obj), given_views(context, obj)
         write_scene(Path(temp_dir.name) / "scene.ply", bridge.scene_from_object(obj))
+        if cameras:
+            from ..svrgs_addon.photographs.cameras_json import write_cameras_json  # a Blender that only starts does not need it
+
+            write_cameras_json(Path(temp_dir.name) / "cameras.json", cameras)
+            options["cameras"] = str(Path(temp_dir.name) / "cameras.json")
         _found[obj.session_uid], _inputs[obj.session_uid] = {"busy": True}, _inputs_now(obj)
-        thread = threading.Thread(
-            target=_work, args=(obj.session_uid, {"scene": str(Path(temp_dir.name) / "scene.ply"), "options": options_of(context, obj)}, temp_dir)
-        )
+        thread = threading.Thread(target=_work, args=(obj.session_uid, {"scene": str(Path(temp_dir.name) / "scene.ply"), "options": options}, temp_dir))
         _threads.append(thread)
         thread.start()
         if not bpy.app.background:

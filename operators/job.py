@@ -11,11 +11,12 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 
+from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
-from . import bridge, dataset_paths, depths, edit_guard, goals, job_queue, job_result
+from . import bridge, bridge_views, dataset_paths, depths, edit_guard, goals, job_queue, job_result
 from .job_watch import JOBS_FOLDER, current, delete_job, is_busy, is_resumable, job_of, link, load_result, start_timer
 from .native_check import native_problem
 from .preferences import PACKAGE, threads
@@ -35,11 +36,19 @@ def options_of(context, obj: bpy.types.Object) -> dict:
         "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
     options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}
+    if depth == depths.TUNED and s.views == "ONLY":
+        options["seen_from_only"] = True
     if s.nested:
         options["nested"] = SMALLEST
     if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
     return options | goals.options(s, obj, depths.merges(context))
+
+
+def given_views(context, obj: bpy.types.Object) -> list[Camera]:
+    """The cameras of the file that count in a job of the splat; mostly none. Raises SceneError."""
+    given = depths.chosen(context) == depths.TUNED and context.scene.svrgs_prune.views != "PLACED"
+    return bridge_views.views(context, obj) if given else []
 
 
 def start_problem(context) -> str:
@@ -105,7 +114,8 @@ class SVRGS_OT_job_start(JobOperator):
 
     def work(self, context) -> str:
         obj = context.object
-        folder = JobFolder.create(new_folder(context, obj.name), bridge.scene_from_object(obj), options_of(context, obj), obj.name)
+        scene, options, cameras = bridge.scene_from_object(obj), options_of(context, obj), given_views(context, obj)
+        folder = JobFolder.create(new_folder(context, obj.name), scene, options, obj.name, cameras)
         link(obj, str(folder.path))
         waits = job_queue.start(Job(folder))
         start_timer()

@@ -8,7 +8,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
-from . import bridge, depths, former_methods, goals, job_result
+from . import bridge, bridge_views, depths, former_methods, goals, job_result
 from .devices import DEVICES
 from .option_properties import RELATIVE, limited_time_property, method_choice_property, method_property, option_property, time_property
 from .translation import OWN
@@ -52,6 +52,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         name="Depth", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
         description="How thoroughly, and by what. Until it is chosen: by photographs where the splat has some, else quick",
     )  # fmt: skip
+    views: EnumProperty(name="Views", items=bridge_views.ITEMS, description="From where the splat's own pictures are taken")
     depth_number: IntProperty(options={"HIDDEN"})  # of the item; 0: none was chosen
     device: EnumProperty(
         name="Device", items=[(key, device.name, device.source) for key, device in DEVICES.items()], description="Where the splat will be shown"

@@ -71,6 +71,8 @@ def draw_settings(layout, context, state):
     column.prop(settings, "depth")
     if settings.depth == "PHOTOGRAPHS":
         column.prop(settings, "colmap", placeholder=state.dataset)
+    if settings.depth == "TUNED":
+        column.prop(settings, "views")
     if settings.depth != "QUICK":
         column.prop(settings, "method_choice")
     wrapped_label(column, state.method_help)

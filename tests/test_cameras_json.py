@@ -8,8 +8,9 @@ import os
 import numpy as np
 import pytest
 
+from svrgs_addon.camera import Camera
 from svrgs_addon.errors import FormatError
-from svrgs_addon.photographs.cameras_json import load_cameras_json
+from svrgs_addon.photographs.cameras_json import load_cameras_json, write_cameras_json
 from svrgs_addon.photographs.dataset import load_dataset
 
 pytest.importorskip("pycolmap")
@@ -43,6 +44,16 @@ def test_cameras_json_conventions(tmp_path):
     (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY | {"orthographic": 1}]))
     with pytest.raises(FormatError, match="orthographic is 1; true or false is expected"):
         load_cameras_json(tmp_path / "cameras.json")
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    K = np.array([[60.0, 0, 30.5], [0, 58, 24], [0, 0, 1]])
+    cameras = [Camera(np.eye(4), K, 64, 48, "a"), Camera(np.eye(4), K, 61, 48, "b", True)]
+    write_cameras_json(tmp_path / "cameras.json", cameras)
+    for before, after in zip(cameras, load_cameras_json(tmp_path / "cameras.json"), strict=True):
+        assert (after.K == K).all() and (after.viewmat == np.eye(4)).all()
+        assert (after.name, after.width, after.orthographic) == (before.name, before.width, before.orthographic)
+    assert [("cx" in entry) for entry in json.loads((tmp_path / "cameras.json").read_text())] == [True, False]
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ HOSTILE = [
     json.dumps(GOOD | {"count": True}).encode(), json.dumps(GOOD | {"name": 3}).encode(), json.dumps(GOOD | {"options": []}).encode(),
     *(json.dumps(GOOD | {"options": {"colmap": "x", **bad}}).encode() for bad in (
         {"out": "/etc/passwd"}, {"report": "/tmp/x"}, {"lpips_weights": "x"}, {"iterations": "3"}, {"iterations": 1.5}, {"seed": True},
-        {"lambda_f": "nan"}, {"images": "a\nb"}, {"visible_mask": 1}, {"colmap": ""},
+        {"lambda_f": "nan"}, {"images": "a\nb"}, {"visible_mask": 1},
     )),
     json.dumps(GOOD | {"padding": "x" * folders.LARGEST_JSON}).encode(),
 ]  # fmt: skip

@@ -10,6 +10,7 @@
     ranking.npz        of a job that prunes: when each Gaussian was removed, and its last probability (ranking.py)
     recovered.ply.job  checkpoints; recovered.ply is the splat after the last step
     stop               flag file: the parent creates it, the child obeys (job_main.py)
+    cameras.json       given views of a job without photographs, if there are any
 
     pruned.ply, kept.npy, score.npy, result.json     the result; result.json is written last
     probability.npy                                  if masks were learned
@@ -32,7 +33,7 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..camera import Camera
 from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write
 from ..files.ply_header import MAX_HEADER_BYTES, parse_header
@@ -58,6 +60,7 @@ HEARTBEAT = 2.0  # seconds between two writes of state.json
 STALE = 15.0  # seconds: a process that has not renewed its state for so long is gone
 LARGEST_JSON = 1 << 20  # bytes; larger files are not read
 STOP = "stop"  # flag file
+CAMERAS = "cameras.json"  # given views of a job without photographs
 FORMER_FLAGS = ("cancel", "pause")  # flag files of earlier versions
 ENDED = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed", "done")  # no process; earlier versions wrote "paused" and "cancelled"
 PRUNE, TRAIN = "prune", "train"  # kinds of a job
@@ -69,7 +72,7 @@ FACTS = {  # keys of state.json and of messages that are read, and their types
 }  # fmt: skip
 _FILES = (
     "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy", "score.npy",
-    "probability.npy", "trained.ply", "result.json", STOP, *FORMER_FLAGS, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
+    "probability.npy", "trained.ply", "result.json", CAMERAS, STOP, *FORMER_FLAGS, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
 )  # fmt: skip
 
 
@@ -80,13 +83,18 @@ class JobFolder:
         self.path = extended(path)
 
     @classmethod
-    def create(cls, path: str | Path, scene: Scene, options: dict, name: str = "") -> JobFolder:
-        """Creates the folder of a new job that will prune the scene. Raises SceneError if the folder is not empty or an option is wrong."""
+    def create(cls, path: str | Path, scene: Scene, options: dict, name: str = "", cameras: Sequence[Camera] = ()) -> JobFolder:
+        """Creates the folder of a new job that will prune the scene. cameras: of the option `cameras`, in the scene's coordinates; they are stored in
+        the folder. Raises SceneError if the folder is not empty or an option is wrong."""
         folder = cls._empty(path)
         _check_options(PRUNE, options)
         check_room(folder.path, scene)
         rows = np.arange(scene.count, dtype=np.uint32)
         write_scene(folder / "scene.ply", replace(scene, attributes={**scene.attributes, ROW: rows}))
+        if cameras:
+            from ..photographs.cameras_json import write_cameras_json  # a Blender that only starts does not need it
+
+            write_cameras_json(folder / CAMERAS, cameras)
         folder._write_request(PRUNE, name, scene.count, options, digest_of(scene))
         return folder
 
@@ -145,8 +153,10 @@ class JobFolder:
         request = self.request()
         paths: dict[str, Any] = {"out": self / "recovered.ply"} | ({"scene": self / "scene.ply"} if request["kind"] == PRUNE else {})
         cls = OPTIONS[request["kind"]]
+        if request["kind"] == PRUNE and (self / CAMERAS).is_file():
+            paths["cameras"] = self / CAMERAS
         options = check_mapping(cls, request["options"])
-        return cls(**options, **paths, resume=not options.get("quick"), quiet=True)  # a quick job has no checkpoints
+        return cls(**(options | paths), resume=not options.get("quick"), quiet=True)  # a quick job has no checkpoints
 
     def set_dataset(self, colmap: str):
         """Writes another folder of the dataset into job.json: it was moved. Raises FormatError, SceneError."""

@@ -22,8 +22,8 @@ MAX_ROTATION_ERROR = 1e-3  # largest entry of |Rᵀ R - I|
 def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
     """The cameras of a 3DGS cameras.json in file order. The principal point is the image centre, as in 3DGS.
 
-    Keys of an entry: img_name; width, height, fx, fy (pixels); position (3, world); rotation (3x3, camera to world). The key
-    "orthographic": true is an extension of this project; fx and fy are then pixels per unit of length. Raises FormatError.
+    Keys of an entry: img_name; width, height, fx, fy (pixels); position (3, world); rotation (3x3, camera to world). Extensions of this project:
+    cx, cy (pixels) name another principal point; with "orthographic": true, fx and fy are pixels per unit of length. Raises FormatError.
     """
     entries = _read_entries(path)
     cameras = []
@@ -37,16 +37,22 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
 
 
 def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
-    """Writes cameras whose principal points are the image centres. The file is replaced as a whole. Raises SceneError if it cannot be written."""
+    """Writes the cameras. The file is replaced as a whole. Raises SceneError if it cannot be written."""
     entries = [
         {
             "id": number, "img_name": camera.name, "width": camera.width, "height": camera.height, "position": camera.position.tolist(),
             "rotation": camera.viewmat[:3, :3].T.tolist(), "fy": float(camera.K[1, 1]), "fx": float(camera.K[0, 0]),
-        } | ({"orthographic": True} if camera.orthographic else {})
+        } | ({"orthographic": True} if camera.orthographic else {}) | _shift(camera)
         for number, camera in enumerate(cameras)
     ]  # fmt: skip
     with atomic_write(path) as file:
         file.write(json.dumps(entries, indent=1).encode())
+
+
+def _shift(camera: Camera) -> dict[str, float]:
+    """The keys of a principal point that is not the image centre."""
+    shift = {"cx": float(camera.K[0, 2]), "cy": float(camera.K[1, 2])}
+    return {} if shift == {"cx": camera.width / 2, "cy": camera.height / 2} else shift
 
 
 def _read_entries(path: str | os.PathLike) -> list:
@@ -85,7 +91,8 @@ def _camera(entry: dict) -> Camera:
     viewmat[:3, :3] = rotation.T
     with np.errstate(all="ignore"):  # the camera is checked below
         viewmat[:3, 3] = -rotation.T @ position
-    camera = Camera(viewmat, np.array([[fx, 0, width / 2], [0, fy, height / 2], [0, 0, 1]]), width, height, name, orthographic)
+    cx, cy = float(entry.get("cx", width / 2)), float(entry.get("cy", height / 2))
+    camera = Camera(viewmat, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), width, height, name, orthographic)
     if not camera.usable:
         raise FormatError("its focal length or position is not usable")
     return camera

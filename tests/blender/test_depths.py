@@ -106,3 +106,55 @@ def test_the_operator_prunes_without_photographs(splat, bridge, tmp_path):
         bpy.ops.svrgs.prune(target=0.4, out=str(tmp_path / "out.ply"), overwrite=True, **more)
         assert bridge.count(bpy.context.object) == 100
     assert np.isfinite(bridge.scene_from_object(bpy.context.object).means).all()
+
+
+# --- cameras of the file
+
+
+@pytest.fixture
+def shot(splat):
+    """A camera that moves along a line on one side of the splat, looking at it."""
+    middle = np.array(splat.matrix_world)[:3, :3] @ part("operators.bridge").scene_from_object(splat).means.mean(axis=0)
+    bpy.ops.object.camera_add(location=middle + [0, -6, 0], rotation=(np.pi / 2, 0, 0))
+    camera = bpy.context.object
+    scene = bpy.context.scene
+    scene.camera, scene.frame_start, scene.frame_end, scene.render.resolution_x, scene.render.resolution_y = camera, 1, 10, 96, 64
+    for frame, x in ((1, -0.5), (10, 0.5)):
+        camera.location.x = middle[0] + x
+        camera.keyframe_insert("location", frame=frame)
+    scene.frame_set(3)
+    bpy.context.view_layer.objects.active = splat
+    return camera
+
+
+def test_a_camera_path_is_a_set_of_views_in_the_coordinates_of_the_splat(splat, shot, bridge):
+    views = part("operators.bridge_views").views(bpy.context, splat)
+    assert len(views) == 10 and bpy.context.scene.frame_current == 3
+    assert len({view.name for view in views}) == 10 and {(view.width, view.height) for view in views} == {(96, 64)}
+    matrix = np.array(splat.matrix_world)
+    for view in views:
+        assert (matrix @ [*view.position, 1])[1] == pytest.approx(shot.matrix_world.translation.y, abs=1e-4)
+    splat.scale = (1, 2, 1)
+    bpy.context.view_layer.update()
+    with pytest.raises(part("svrgs_addon.errors").SceneError, match="scaled unevenly"):
+        part("operators.bridge_views").views(bpy.context, splat)
+
+
+@pytest.mark.parametrize("views", ["ALSO", "ONLY"])
+def test_cameras_of_the_file_count_in_a_job(splat, shot, bridge, watch, views):
+    assert "views" not in drawn("prune")
+    set_up({"depth": "TUNED", "views": views, "goal": "SHARE", "share": 40, "recovery": 20})
+    assert "views" in drawn("prune")
+    bpy.ops.svrgs.estimate()
+    assert "About 100 of 250 would stay" in said()
+    result = run(watch)
+    (job,) = watch.jobs.values()
+    facts = job.folder.result()["views"]
+    assert bridge.count(result) == 100 and facts["given"] == 10 and ("seen" in facts) == (views == "ALSO")
+
+
+def test_without_a_camera_it_says_so(splat):
+    bpy.context.scene.camera = None
+    set_up({"depth": "TUNED", "views": "ONLY"})
+    with pytest.raises(RuntimeError, match="this file has no camera whose views could count"):
+        bpy.ops.svrgs.job_start()
