@@ -222,7 +222,8 @@ def test_an_output_that_cannot_be_written_is_found_before_the_work(tiny, svrgs, 
     assert files(tmp_path) == before
 
 
-def test_prune_without_photographs_asks_for_them(tiny, svrgs, tmp_path):
+def test_options_of_photographs_are_refused_without_them(tiny, svrgs, tmp_path):
     scene = shutil.copy(tiny.splat, tmp_path / "alone.ply")
-    refused(svrgs("prune", scene), "alone.ply", "--colmap")
+    refused(svrgs("prune", scene, "--images", "images_4"), "--images", "--colmap")
+    refused(svrgs("prune", scene, "--seen-from-only"), "--seen-from-only", "--cameras")
     assert list(files(tmp_path)) == ["alone.ply"]
