@@ -16,7 +16,7 @@ from . import bridge_cameras
 ITEMS = [  # the numbers are stored in .blend files
     ("PLACED", "Placed", "Cameras are placed where they see the whole splat", "NONE", 0),
     ("ALSO", "Also This File's", "Cameras are placed, and those of this file count too", "NONE", 1),
-    ("ONLY", "Only This File's", "Only what the cameras of this file see counts: what they never see may be removed", "NONE", 2),
+    ("ONLY", "Only This File's", "Count only what the cameras of this file see. What they never see may be removed", "NONE", 2),
 ]
 FRAMES = 64  # of a moving camera, evenly spread over the frames of the scene
 

@@ -14,7 +14,7 @@ ITEMS = [  # the numbers are stored in .blend files
     (
         TUNED,
         "Fine-Tuned",
-        "Train what is left on the splat's own pictures, from cameras that are placed around or within it. No photographs are needed",
+        "Train what is left on pictures of the splat itself. Cameras are placed around or within it. No photographs are needed",
         "NONE",
         2,
     ),

@@ -37,8 +37,8 @@ def of(obj: bpy.types.Object | None) -> dict:
 
 
 def _inputs_now(obj: bpy.types.Object) -> dict:
-    """What an estimate depends on: the settings, and the identity and size of the splat's data."""
-    return {**options_of(bpy.context, obj), "data": obj.data.session_uid, "splat": bridge.count(obj)}
+    """What an estimate depends on: the settings, and the identity and size of the splat's data. Where cameras of the file stand is left out."""
+    return {**options_of(bpy.context, obj), "views": bpy.context.scene.svrgs_prune.views, "data": obj.data.session_uid, "splat": bridge.count(obj)}
 
 
 def sentences(obj: bpy.types.Object) -> list[str]:

@@ -38,7 +38,7 @@ def options_of(context, obj: bpy.types.Object) -> dict:
     options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}
     if depth == depths.TUNED and s.views == "ONLY":
         options["seen_from_only"] = True
-    if s.nested:
+    if s.nested and not depths.merges(context):
         options["nested"] = SMALLEST
     if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
@@ -66,7 +66,7 @@ def start_problem(context) -> str:
     if job_result.undecided(pruned):
         return tr("Apply or discard the result first")
     settings = context.scene.svrgs_prune
-    if settings.nested and not settings.use_time and not settings.recovery:
+    if settings.nested and not depths.merges(context) and not settings.use_time and not settings.recovery:
         return tr("Train Smaller Sizes needs steps of recovery: set Recovery above 0 under Advanced")
     return depths.problem(context) or goals.problem(settings) or native_problem()
 

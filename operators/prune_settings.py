@@ -50,7 +50,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     images: option_property("images")
     depth: EnumProperty(
         name="Depth", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
-        description="How thoroughly, and by what. Until it is chosen: by photographs where the splat has some, else quick",
+        description="How thoroughly the splat is pruned. Until you choose: on photographs if the splat has some, else quick",
     )  # fmt: skip
     views: EnumProperty(name="Views", items=bridge_views.ITEMS, description="From where the splat's own pictures are taken")
     depth_number: IntProperty(options={"HIDDEN"})  # of the item; 0: none was chosen

@@ -187,6 +187,10 @@ def _orphan(_) -> str:
     return orphan_jobs.sentence(bpy.context) if stage(bpy.context) == "READY" else ""
 
 
+def _merges(_) -> bool:
+    return depths.merges(bpy.context)
+
+
 def _ranked(_) -> bool:
     _, pruned = job_result.pair_of(bpy.context.object)
     return pruned is not None and job_result.ranked(pruned)
@@ -252,6 +256,7 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     lost_dataset: StringProperty(get=_lost_dataset)  # that the dataset of the imported cameras is not where it was; else empty
     orphan: StringProperty(get=_orphan)  # that a job of the active splat was found; else empty
     original: StringProperty(get=_original)  # name of the original of an applied result; empty: none
+    merges: BoolProperty(get=_merges)  # Gaussians will be merged: the result has no slider
     ranked: BoolProperty(get=_ranked)  # the result has a ranking, so that fewer or more Gaussians can be shown
     method_help: StringProperty(get=_method_help)
     goal_help: StringProperty(get=_goal_help)

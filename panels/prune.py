@@ -86,14 +86,15 @@ def draw_settings(layout, context, state):
         wrapped_label(column, state.strength_help)
     wrapped_label(column, state.goal_help)
     if settings.depth != "QUICK":
-        draw_training(column, settings)
+        draw_training(column, settings, state)
     row = layout.row(align=True)
     row.operator("svrgs.estimate", icon="VIEWZOOM")
     row.operator("svrgs.job_start", icon="PLAY")
 
 
-def draw_training(column, settings):
-    column.prop(settings, "nested")
+def draw_training(column, settings, state):
+    if not state.merges:
+        column.prop(settings, "nested")
     column.prop(settings, "use_time")
     if settings.use_time:
         column.prop(settings, "time")

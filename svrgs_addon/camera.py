@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
@@ -75,6 +75,11 @@ class Camera:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
 
+    def fitted(self, longest: int) -> Camera:
+        """The same view with an image whose longer side has at most `longest` pixels."""
+        share = min(1.0, longest / max(self.width, self.height))
+        return self.resized(max(1, round(share * self.width)), max(1, round(share * self.height)))
+
     def reduced(self, factor: int) -> Camera:
         """The same view at 1 / factor of the size: each pixel covers a block of factor x factor pixels of this camera.
 
@@ -82,6 +87,11 @@ class Camera:
         new pixel is the centre of its block.
         """
         return replace(self, K=np.diag([1 / factor, 1 / factor, 1.0]) @ self.K, width=self.width // factor, height=self.height // factor)
+
+
+def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:
+    """At most `count` of the cameras, evenly spread in the list, with the first and the last one."""
+    return [cameras[k] for k in np.unique(np.linspace(0, len(cameras) - 1, min(count, len(cameras))).round().astype(int))]
 
 
 def view_stem(name: str) -> str:

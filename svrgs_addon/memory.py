@@ -56,10 +56,13 @@ def decimating(count: int, coefficients: int, cameras: Sequence[Camera]) -> int:
 
     coefficients: SH coefficients per channel, K. cameras: all views.
     """
-    row, _ = _trained_row(coefficients)
     pictures = 12 * sum(camera.width * camera.height for camera in cameras)
-    ordering = (DECIMATED + row) * count + RENDERED_PIXEL * _pixels(cameras)
-    return max(ordering, tuning(count, coefficients, cameras, 0)) + pictures
+    return max(ordering(count, coefficients, cameras), tuning(count, coefficients, cameras, 0)) + pictures
+
+
+def ordering(count: int, coefficients: int, cameras: Sequence[Camera]) -> int:
+    """Bytes of memory needed to order removals and merges. coefficients, cameras: as for decimating()."""
+    return (DECIMATED + _trained_row(coefficients)[0]) * count + RENDERED_PIXEL * _pixels(cameras)
 
 
 def measuring(count: int, cameras: Sequence[Camera], kept_photographs: int, lpips: bool) -> int:

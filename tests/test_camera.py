@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import scenes
+from svrgs_addon.camera import Camera, evenly
 
 CAMERAS = {name: (scenes.CAMERAS | scenes.ORTHOGRAPHIC)[name] for name in ("rotated", "off_centre", "parallel_rotated", "parallel_off_centre")}
 POINTS = np.random.default_rng(0).normal(0, 0.5, (30, 3))
@@ -49,3 +50,16 @@ def test_keys_tell_views_apart():
     assert camera.key == replace(camera, name="other").key
     others = replace(camera, orthographic=True), camera.resized(34, 21), replace(camera, viewmat=camera.viewmat + np.eye(4)), replace(camera, K=2 * camera.K)
     assert len({camera.key, *(other.key for other in others)}) == 5
+
+
+def test_a_view_is_made_to_fit_but_never_enlarged():
+    camera = Camera(np.eye(4), np.array([[100.0, 0, 60], [0, 100, 30], [0, 0, 1]]), 120, 60)
+    small = camera.fitted(40)
+    assert (small.width, small.height) == (40, 20) and small.K[0, 0] == pytest.approx(100 / 3) and small.K[1, 2] == pytest.approx(10)
+    assert (camera.fitted(1_000).K == camera.K).all() and camera.fitted(1_000).width == 120
+
+
+def test_some_of_many_views_are_spread_evenly():
+    cameras = [Camera(np.eye(4), np.eye(3), 1, 1, str(number)) for number in range(10)]
+    assert [camera.name for camera in evenly(cameras, 4)] == ["0", "3", "6", "9"]
+    assert evenly(cameras, 99) == cameras and evenly(cameras[:1], 3) == cameras[:1]

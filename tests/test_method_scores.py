@@ -166,5 +166,5 @@ def test_methods_that_rank_keep_the_highest(method):
 
 def test_scene_is_accepted_as_well_as_model():
     scene: Scene = scenes.random_scene(20, 4, 1)
-    for method in RANKED:
+    for method in set(RANKED) - {"merge"}:
         assert METHODS[method].score(scene, CAMERAS, rasterizer(LEVELS[0]), RenderOptions()).shape == (20,)

@@ -60,6 +60,13 @@ def test_an_order_gives_every_number(ordered):
         assert all(np.isfinite(getattr(found, name)).all() for name in ("means", "log_scales", "quats", "opacity_logits", "sh"))
 
 
+def test_pictures_that_nobody_wants_are_not_rendered(ordered):
+    scene, _, pictures, rasterizer = ordered
+    cameras, options = cameras_around(scene, 12, 128), render_options(scene)
+    with_pictures, without = looks(scene, cameras, rasterizer, options), looks(scene, cameras, rasterizer, options, pictures=False)
+    assert len(pictures) == 12 and without[1] == [] and (with_pictures[0] == without[0]).all()
+
+
 def test_the_whole_scene_is_the_original(ordered):
     scene, order, *_ = ordered
     assert all((getattr(order.at(scene.count), name) == getattr(scene, name)).all() for name in ("means", "log_scales", "quats", "opacity_logits", "sh"))

@@ -19,6 +19,8 @@ from ..native_decimation import REMOVED, Merges, decimate
 from ..native_library import PARAMETERS
 from ..scene import Scene
 
+NORMALS = ("nx", "ny", "nz")  # columns of every 3DGS file, without a meaning
+
 
 @dataclass(frozen=True)
 class Order:
@@ -31,11 +33,6 @@ class Order:
     def least(self) -> int:
         """The smallest number of Gaussians that at() gives."""
         return self.scene.count - len(self.merges.a)
-
-    @property
-    def lives(self) -> np.ndarray:
-        """(N,) int64: the number of operations after which each Gaussian of the scene is removed or merged."""
-        return self._lives[1][: self.scene.count]
 
     @cached_property
     def _lives(self) -> tuple[np.ndarray, np.ndarray]:
@@ -67,13 +64,16 @@ class Order:
         return kept, {name: self.merges.results[name][there[len(kept) :] - self.scene.count] for name in PARAMETERS}
 
 
-def looks(scene: Scene, cameras: Sequence[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, list[np.ndarray]]:
-    """What all views see of each Gaussian, (N, 9) float64 in the order of VISIBILITY, and the pictures (H, W, 3) of the views."""
-    sums, pictures = np.zeros((scene.count, len(VISIBILITY))), []
+def looks(
+    scene: Scene, cameras: Sequence[Camera], rasterizer: Rasterizer, options: RenderOptions, pictures: bool = True
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """What all views see of each Gaussian, (N, 9) float64 in the order of VISIBILITY, and the pictures (H, W, 3) of the views, if they are wanted."""
+    sums, seen = np.zeros((scene.count, len(VISIBILITY))), []
     for camera in cameras:
-        pictures.append(rasterizer.forward(scene, camera, options)["rgb"])
+        images = rasterizer.forward(scene, camera, options, outputs=("rgb",) if pictures else ())
+        seen += [images["rgb"]] if pictures else []
         rasterizer.add_visibility(sums)
-    return sums, pictures
+    return sums, seen
 
 
 def order_of(scene: Scene, sums: np.ndarray, least: int) -> Order:
@@ -85,3 +85,9 @@ def order_of(scene: Scene, sums: np.ndarray, least: int) -> Order:
     pixel = float(np.median(np.sqrt(columns["views"][seen] / columns["density"][seen])))
     middle = np.median(scene.means[seen].astype(np.float64), axis=0)
     return Order(scene, decimate(scene, sums, middle, pixel, least))
+
+
+def lost_columns(source: Scene, small: Scene, expected: Sequence[str] = NORMALS) -> list[str]:
+    """A sentence on columns of the source that are lost, because merged Gaussians have no values for them; none on `expected` ones."""
+    lost = sorted(source.attributes.keys() - small.attributes.keys() - set(expected))
+    return [f"these columns of the file were left out: {', '.join(lost)}"] if lost else []

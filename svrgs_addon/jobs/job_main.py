@@ -47,8 +47,7 @@ class JobMain:
 
     def run(self) -> int:
         """The whole job; returns the exit status."""
-        own = self.folder.kind == PRUNE and self.folder.options().colmap is None
-        self.tell("STATUS", state="running", text="Rendering pictures of the splat" if own else "Reading the photographs")
+        self.tell("STATUS", state="running", text="Reading the photographs")
         threading.Thread(target=self._wait_for_end_of_stdin, daemon=True).start()
         threading.Thread(target=self._poll_flag, daemon=True).start()
         problems: list[str] = []
@@ -70,6 +69,8 @@ class JobMain:
         from .run_job import prune_scene, train_scene
 
         kind, options = self.folder.kind, self.folder.options()
+        if options.colmap is None:
+            self.tell("STATUS", text="Rendering pictures of the splat")
         recorder = RECORDERS[kind](self.folder, self)
         run: Any = {PRUNE: prune_scene, TRAIN: train_scene}[kind]
         try:

@@ -10,14 +10,15 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 
 from .. import memory
-from ..camera import Camera
-from ..decimate.order import Order, looks, order_of
+from ..camera import Camera, evenly
+from ..decimate.order import Order, looks, lost_columns, order_of
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
@@ -46,7 +47,6 @@ NEAREST = 20.0  # least distance of a camera from the scene, in near depths: sma
 TAKES = (  # options; others are refused
     "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "max_drop", "quiet", "quick", "scene", "out",
 )  # fmt: skip
-NORMALS = {"nx", "ny", "nz"}  # columns of every 3DGS file, without a meaning
 MOSTLY = 0.6  # share of the Gaussians from which on the steps may be worse than none
 LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee the time
 ASSUMED = with_error(math.inf, PHOTOGRAPHED)  # PSNR of the original in dB, if a drop is allowed
@@ -71,8 +71,7 @@ def like_quick(options: PruneOptions) -> tuple[PruneOptions, RenderedDataset]:
     assert options.scene is not None
     scene = load_scene(options.scene).scene
     train, test, notes = _views(scene, options)
-    none, views = (np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)), list(range(len(train) + len(test)))
-    dataset = RenderedDataset(train + test, *none, views[: len(train)], views[len(train) :], background=options.background, notes=tuple(notes), scene=scene)
+    dataset = RenderedDataset.of(scene, train, test, background=options.background, notes=tuple(notes))
     share = options.target or (options.target_count or LIKELY * scene.count) / scene.count
     return replace(options, quick=False, method="merge", recovery=_steps(min(1.0, share))), dataset
 
@@ -104,11 +103,7 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     if stop():
         raise Cancelled(NOT_FINISHED)
     order = order_of(enlarged, sums, min(_least(options, source.count), scene.count))
-    quality = _quality(enlarged, _some(test, DROP_VIEWS), rasterizer, options)
-    count = _fewest_within(order, quality, options.max_drop) if options.max_drop else order.least
-    small = _refitted(order.at(count), scene.count, cameras, pictures, options, stop)
-    if count > MOSTLY * scene.count and quality(unchanged := order.at(count)) > quality(small):
-        small = unchanged
+    small = _chosen(order, _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options), cameras, pictures, options, stop)
     write_scene(options.out, _scaled(small, 1 / factor))
     facts: dict[str, Any] = {
         "method": "quick",
@@ -120,7 +115,7 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     before = {"count": source.count, "bytes": options.scene.stat().st_size}
     after = _measured(small, enlarged, test, rasterizer, options) | {"bytes": options.out.stat().st_size}
     facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
-    notes += [*_of_hidden(facts["hidden"]), *_of_columns(source, small)]
+    notes += [*_of_hidden(facts["hidden"]), *lost_columns(source, small)]
     return {**after, "scene": str(options.scene), "out": str(options.out), "before": before, "after": after, **facts, "notes": notes}
 
 
@@ -131,32 +126,47 @@ def _least(options: PruneOptions, count: int) -> int:
     return options.target_count or max(1, round((options.target or 1.0) * count))
 
 
-def _quality(original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions) -> Callable[[Scene], float]:
-    """The function that measures a scene: PSNR in dB against the original's pictures, with PHOTOGRAPHED as the error of the original."""
-    settings = render_options(original, options.background)
-    picture = lambda scene, camera: rounded_to_8_bits(rasterizer.forward(scene, camera, settings)["rgb"])  # noqa: E731
-    originals = [picture(original, camera) for camera in cameras]
-    return lambda scene: fmean(with_error(psnr(picture(scene, view), image), PHOTOGRAPHED) for view, image in zip(cameras, originals, strict=True))
+class _Likeness:
+    """How much scenes look like the original, in some views. The original's pictures are rendered when they are needed for the first time."""
+
+    def __init__(self, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions):
+        self._original, self._cameras, self._rasterizer = original, cameras, rasterizer
+        self._settings = render_options(original, options.background)
+
+    @cached_property
+    def _originals(self) -> list[np.ndarray]:
+        return [self._picture(self._original, camera) for camera in self._cameras]
+
+    def psnr(self, scene: Scene) -> float:
+        """Mean PSNR in dB against the original, with PHOTOGRAPHED as the error of the original itself."""
+        pairs = zip(self._cameras, self._originals, strict=True)
+        return fmean(with_error(psnr(self._picture(scene, camera), original), PHOTOGRAPHED) for camera, original in pairs)
+
+    def _picture(self, scene: Scene, camera: Camera) -> np.ndarray:
+        return rounded_to_8_bits(self._rasterizer.forward(scene, camera, self._settings)["rgb"])
 
 
-def _fewest_within(order: Order, quality: Callable[[Scene], float], drop: float) -> int:
+def _chosen(order: Order, likeness: _Likeness, cameras: list[Camera], pictures: list[np.ndarray], options: PruneOptions, stop: Callable[[], bool]) -> Scene:
+    """The result: as many Gaussians as the options ask for, fine-tuned on the pictures, unless that does harm. Raises Cancelled."""
+    count, total = _fewest_within(order, likeness, options.max_drop) if options.max_drop else order.least, order.scene.count
+    small = order.at(count)
+    if count == total:
+        return small
+    try:
+        tuned = refit(small, cameras, pictures, _steps(count / total), render_options(small, options.background), options.seed, stop)
+    except Cancelled:
+        raise Cancelled(NOT_FINISHED) from None
+    return small if count > MOSTLY * total and likeness.psnr(small) > likeness.psnr(tuned) else tuned
+
+
+def _fewest_within(order: Order, likeness: _Likeness, drop: float) -> int:
     """The fewest Gaussians that hold the allowed drop in dB before the steps of fine-tuning, which win a part of it back; at least LEAST of all.
     Bisection to 1 % of N."""
     few, enough = order.least - 1, order.scene.count
     while enough - few > max(1, order.scene.count // 100):
         middle = (few + enough) // 2
-        few, enough = (few, middle) if quality(order.at(middle)) >= ASSUMED - drop else (middle, enough)
+        few, enough = (few, middle) if likeness.psnr(order.at(middle)) >= ASSUMED - drop else (middle, enough)
     return enough
-
-
-def _refitted(small: Scene, count: int, cameras: list[Camera], pictures: list[np.ndarray], options: PruneOptions, stop: Callable) -> Scene:
-    """The scene, fine-tuned on the pictures. count: of Gaussians before; if none went, nothing changes. Raises Cancelled."""
-    if small.count == count:
-        return small
-    try:
-        return refit(small, cameras, pictures, _steps(small.count / count), render_options(small, options.background), options.seed, stop)
-    except Cancelled:
-        raise Cancelled(NOT_FINISHED) from None
 
 
 def _hidden(sums: np.ndarray) -> int:
@@ -167,12 +177,6 @@ def _hidden(sums: np.ndarray) -> int:
 
 def _of_hidden(count: int) -> list[str]:
     return [f"{count:,} Gaussians are hidden in all views, so they are removed or merged first"] if count else []
-
-
-def _of_columns(source: Scene, small: Scene) -> list[str]:
-    """A sentence on columns of the file that are lost, because merged Gaussians have no values for them."""
-    lost = sorted(source.attributes.keys() - small.attributes.keys() - NORMALS)
-    return [f"these columns of the file were left out: {', '.join(lost)}"] if lost else []
 
 
 def _steps(share: float) -> int:
@@ -187,10 +191,10 @@ def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Came
         return cameras_around(scene, VIEWS, SIDE), cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9), _of_views(where)
     dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
     refuse_unseen(scene, dataset.cameras, str(options.scene))
-    train, test = ([_fitted(dataset.cameras[i]) for i in indices] for indices in (dataset.train_indices, dataset.test_indices or dataset.train_indices))
+    train, test = ([dataset.cameras[i].fitted(SIDE) for i in indices] for indices in (dataset.train_indices, dataset.test_indices or dataset.train_indices))
     if not train:
         raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
-    return _some(train, VIEWS), _some(test, TEST_VIEWS), _of_views("from the cameras of the dataset")
+    return evenly(train, VIEWS), evenly(test, TEST_VIEWS), _of_views("from the cameras of the dataset")
 
 
 def _views_within(scene: Scene, options: PruneOptions, hidden: int) -> tuple[list[Camera], list[Camera], list[str]]:
@@ -203,22 +207,11 @@ def _views_within(scene: Scene, options: PruneOptions, hidden: int) -> tuple[lis
             " give the cameras with --colmap DIR"
         )
     where = "from places inside; what is seen only from outside is not measured. To choose the cameras, give --colmap"
-    return [_fitted(camera) for camera in rig.cameras], [_fitted(camera) for camera in rig.held_out], _of_views(where)
+    return [camera.fitted(SIDE) for camera in rig.cameras], [camera.fitted(SIDE) for camera in rig.held_out], _of_views(where)
 
 
 def _of_views(where: str) -> list[str]:
     return [f"the quality is measured against the original's own pictures, {where}"]
-
-
-def _some(cameras: list[Camera], count: int) -> list[Camera]:
-    """At most `count` of the cameras, evenly spread in the list."""
-    return [cameras[k] for k in np.unique(np.linspace(0, len(cameras) - 1, count).round().astype(int))]
-
-
-def _fitted(camera: Camera) -> Camera:
-    """The camera with a picture whose longer side has at most SIDE pixels."""
-    share = min(1.0, SIDE / max(camera.width, camera.height))
-    return camera.resized(max(1, round(share * camera.width)), max(1, round(share * camera.height)))
 
 
 def _enlarged(scene: Scene) -> tuple[Scene, float]:

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ..camera import Camera
+from ..camera import Camera, evenly
 from ..errors import SceneError
 from ..files.registry import invisible, load_scene
 from ..metrics.evaluate import refuse_unseen
@@ -29,25 +26,19 @@ def rendered_dataset(options: PruneOptions) -> RenderedDataset:
     _refuse_options(options)
     assert options.scene is not None
     scene = load_scene(options.scene).scene
-    faint = invisible(scene)
-    if faint.all():
+    if invisible(scene).all():
         raise SceneError(f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep")
     train, test, notes = _given(options, scene) if options.cameras else ([], [], [])
     facts: dict[str, Any] = {"given": len(train) + len(test)}
     if not options.seen_from_only:
-        rig = place_rig(scene.select(~faint) if faint.any() else scene, seed=options.seed)
+        rig = place_rig(scene, seed=options.seed)
         train, test, facts = train + rig.cameras, test + rig.held_out, facts | rig.facts()
         inside = "within the scene" if rig.inside_out else "around it"
         notes.append(f"{OWN}, from {len(rig.cameras)} cameras {inside} that together show {rig.seen:.1%} of what can be seen three times")
     for note in notes:
         logging.warning("%s", note)
-    cameras = train + test
-    numbers = list(range(len(cameras)))
-    none = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
-    return RenderedDataset(
-        cameras, *none, numbers[: len(train)], numbers[len(train) :], background=options.background,
-        memory_budget=int(options.image_memory * 1e9), notes=tuple(notes), scene=scene, facts=facts,
-    )  # fmt: skip
+    budget = int(options.image_memory * 1e9)
+    return RenderedDataset.of(scene, train, test, background=options.background, memory_budget=budget, notes=tuple(notes), facts=facts)
 
 
 def _refuse_options(options: PruneOptions):
@@ -60,7 +51,7 @@ def _refuse_options(options: PruneOptions):
 def _given(options: PruneOptions, scene: Scene) -> tuple[list[Camera], list[Camera], list[str]]:
     """The given views to train on, those held out, and what the user must know of them."""
     assert options.cameras is not None
-    cameras = [_fitted(camera) for camera in _spread(load_cameras(options.cameras), MOST)]
+    cameras = [camera.fitted(LONGEST) for camera in evenly(load_cameras(options.cameras), MOST)]
     refuse_unseen(scene, cameras, str(options.scene))
     every = options.holdout if 0 < options.holdout <= len(cameras) // 2 else 0  # of few views, all are needed
     held_out = [every > 0 and k % every == 0 for k in range(len(cameras))]
@@ -69,14 +60,3 @@ def _given(options: PruneOptions, scene: Scene) -> tuple[list[Camera], list[Came
     if options.seen_from_only:
         notes.append(f"{OWN}, from the {len(cameras)} views of {Path(options.cameras).name} alone: what they do not see may be removed")
     return train, test, notes
-
-
-def _spread(cameras: Sequence[Camera], most: int) -> list[Camera]:
-    """At most so many of the cameras, evenly spread in the list."""
-    return [cameras[k] for k in np.unique(np.linspace(0, len(cameras) - 1, min(most, len(cameras))).round().astype(int))]
-
-
-def _fitted(camera: Camera) -> Camera:
-    """The camera with a picture whose longer side has at most LONGEST pixels."""
-    share = min(1.0, LONGEST / max(camera.width, camera.height))
-    return camera.resized(max(1, round(share * camera.width)), max(1, round(share * camera.height)))

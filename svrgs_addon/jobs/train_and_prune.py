@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import memory
+from ..decimate.order import NORMALS, lost_columns
 from ..errors import SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
@@ -33,6 +34,7 @@ from ..system.file_names import real
 from ..system.memory import peak
 from .context import JobContext
 from .disk_room import DiskRoom
+from .job_folder import ROW
 
 CURVE_VIEWS = 4  # test views on which the PSNR of the curves is measured
 CHECKPOINT_SECONDS = 120.0  # between two checkpoints
@@ -92,8 +94,10 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         pictures = report_pictures(source, dataset) if job.report else []
     with clock.phase("first cut"):
         held = psnr_to_hold(source, dataset, plan)
-        model = Model.of(first_cut(source, dataset, plan), copy=False)
-        cut = source.count - model.count
+        start = first_cut(source, dataset, plan)
+        dataset.notes += tuple(lost_columns(source, start, (*NORMALS, ROW)))
+        model, cut = Model.of(start, copy=False), source.count - start.count
+        del start
     del source  # frees memory for the optimiser
     run, scene = fine_tune(model, dataset, plan, job, clock, room, held)
     with clock.phase("evaluate after"):
@@ -157,8 +161,8 @@ def refuse_unseen_points(dataset: Dataset):
 
 def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, plan: Plan):
     """Raises SceneError if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH coefficients per channel."""
-    averaged = plan.averaged_count(count)
-    memory.refuse_excess(what, memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget, averaged))
+    needed = memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget, plan.averaged_count(count))
+    memory.refuse_excess(what, max(needed, memory.ordering(count, coefficients, dataset.cameras)) if plan.method.merges else needed)
 
 
 def facts_before(source: Scene, dataset: Dataset, job: JobContext, path: Path) -> dict:

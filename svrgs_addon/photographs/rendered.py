@@ -6,9 +6,11 @@ import hashlib
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from ..camera import Camera
 from ..native import Rasterizer, RenderOptions
 from ..native_library import PARAMETERS
 from ..scene import Scene
@@ -25,6 +27,12 @@ class RenderedDataset(Dataset):
     facts: dict = field(default_factory=dict)  # what a JSON result says about the cameras
     _rasterizer: Rasterizer = field(default_factory=Rasterizer, repr=False)
     _rendering: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @classmethod
+    def of(cls, scene: Scene, train: list[Camera], test: list[Camera], **more: Any) -> RenderedDataset:
+        """The dataset of some views to train on and others to test on. more: further fields."""
+        none, views = (np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)), list(range(len(train) + len(test)))
+        return cls(train + test, *none, views[: len(train)], views[len(train) :], scene=scene, **more)
 
     @property
     def unexplained(self) -> float:

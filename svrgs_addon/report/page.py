@@ -45,7 +45,7 @@ class View:
     photo: np.ndarray | None = None
     mask_before: np.ndarray | None = None
     mask_after: np.ndarray | None = None
-    psnr_before: float | None = None
+    psnr_before: float | None = None  # None: the photograph is a picture of the scene before
     psnr_after: float | None = None
 
 
@@ -268,9 +268,11 @@ def _view(view: View, names: tuple[str, str], mask_top: float | None) -> str:
 
 
 def _view_psnr(view: View) -> str:
-    if view.psnr_before is None or view.psnr_after is None:
+    if view.psnr_after is None:
         return ""
     decibels = _decimals(2)
+    if view.psnr_before is None:
+        return f"<span>PSNR {decibels(view.psnr_after)} dB</span>"
     change = view.psnr_after - view.psnr_before
     suffix = f" ({_signed(f'{change:+.2f}')})" if math.isfinite(change) else ""
     return f"<span>PSNR {decibels(view.psnr_before)} → {decibels(view.psnr_after)} dB{suffix}</span>"

@@ -15,6 +15,7 @@ from ..metrics import psnr
 from ..metrics.evaluate import render_options, rounded_to_8_bits
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
+from ..photographs.rendered import RenderedDataset
 from ..scene import Scene
 from .line_chart import Series
 from .page import Phase, Report, View, write_report
@@ -76,7 +77,9 @@ def report_pictures(scene: Scene, dataset: Dataset) -> list[tuple[np.ndarray, np
 
 
 def report_views(before: list, after: list, dataset: Dataset) -> Iterator[View]:
-    """The views of the report, from report_pictures() of both scenes."""
+    """The views of the report, from report_pictures() of both scenes. Pictures of the scene itself are not shown as photographs."""
+    own = isinstance(dataset, RenderedDataset)
     for i, (rgb_before, mask_before), (rgb_after, mask_after) in zip(report_indices(dataset), before, after, strict=True):
         photo = to_float(dataset.image(i))
-        yield View(dataset.cameras[i].name, rgb_before, rgb_after, photo, mask_before, mask_after, psnr(rgb_before, photo), psnr(rgb_after, photo))
+        psnr_before = None if own else psnr(rgb_before, photo)
+        yield View(dataset.cameras[i].name, rgb_before, rgb_after, None if own else photo, mask_before, mask_after, psnr_before, psnr(rgb_after, photo))

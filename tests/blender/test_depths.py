@@ -158,3 +158,57 @@ def test_without_a_camera_it_says_so(splat):
     set_up({"depth": "TUNED", "views": "ONLY"})
     with pytest.raises(RuntimeError, match="this file has no camera whose views could count"):
         bpy.ops.svrgs.job_start()
+
+
+# --- what may come next
+
+
+def test_a_result_is_there_after_saving_and_opening_the_file(splat, bridge, watch, tmp_path):
+    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40})
+    name = run(watch).name
+    means = bridge.scene_from_object(bpy.data.objects[name]).means
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "work.blend"))
+    result = bpy.data.objects[name]
+    bpy.context.view_layer.objects.active = result
+    assert "100 of 250 Gaussians" in said() and "against the original's own pictures" in said()
+    bpy.ops.svrgs.apply()
+    assert (bridge.scene_from_object(bpy.data.objects[name]).means == means).all()
+
+
+def test_a_second_job_replaces_a_discarded_result_and_keeps_an_applied_one(splat, bridge, watch):
+    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40})
+    run(watch)
+    with pytest.raises(RuntimeError, match="Apply or discard the result first"):
+        bpy.ops.svrgs.job_start()
+    bpy.ops.svrgs.apply()
+    splat.hide_set(False)
+    bpy.context.view_layer.objects.active = splat
+    set_up({"share": 20})
+    watch.jobs.clear()
+    second = run(watch)
+    assert sorted(bridge.count(obj) for obj in bpy.data.objects if bridge.is_splat(obj)) == [50, 100, 250] and bridge.count(second) == 50
+
+
+def test_a_setting_without_effect_is_not_shown(splat):
+    set_up({"depth": "TUNED", "goal": "SHARE"})
+    assert "nested" not in drawn("prune")
+    set_up({"goal": "LAMBDA", "nested": True})
+    assert "nested" in drawn("prune") and "nested" in part("operators.job").options_of(bpy.context, splat)
+    set_up({"goal": "SHARE"})
+    assert "nested" not in part("operators.job").options_of(bpy.context, splat)
+
+
+def test_an_estimate_belongs_to_the_chosen_views(splat, shot):
+    set_up({"depth": "TUNED", "goal": "SHARE", "share": 20, "recovery": 50})
+    bpy.ops.svrgs.estimate()
+    assert "would stay" in said()
+    set_up({"views": "ALSO"})
+    assert "would stay" not in said()
+
+
+def test_an_allowed_drop_has_an_estimate_and_a_result(splat, bridge, watch):
+    set_up({"depth": "QUICK", "goal": "DROP", "drop": 1.0})
+    bpy.ops.svrgs.estimate()
+    assert "At most" in said()
+    assert 10 < bridge.count(run(watch)) < 250

@@ -9,23 +9,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...camera import Camera
+from ...camera import Camera, evenly
 from ...decimate.order import Order, looks, order_of
 from ...native import Rasterizer, RenderOptions
 from ...native_library import PARAMETERS
 from ...scene import Scene
 from ..model import Model
 from ..refit import FASTER, LAST, POSITION, middle_scale
-from ..settings import Phase, Rates, Settings
-from .base import Keep, RunView
-from .ranked import Ranked
+from ..settings import Phase, Rates
+from .base import Keep, Method, RunView
 
 VIEWS = 32  # training views, at most, in which the order is measured
 PARTS = 16  # of the recovery: the rates fall after each
 
 
 @dataclass
-class Merge(Ranked):
+class Merge(Method):
+    ranks: bool = True
     merges: bool = True
     middle: float = 0.0  # state: middle scale of the Gaussians after the cut
 
@@ -37,9 +37,6 @@ class Merge(Ranked):
         train, *_ = super().train_phases(iterations, 0, densify, coarse_until)
         return [train, *self.prune_phases(0, recovery, 0)]
 
-    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
-        return []  # duration.py foresees the time of its cut
-
     def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:
         """After the cut, positions change by fractions of the middle scale of the Gaussians, whatever the extent of the scene."""
         rates = super().rates(run, phase, number)
@@ -48,10 +45,6 @@ class Merge(Ranked):
         self.middle = self.middle or middle_scale(run.model)
         larger = {name: factor * rates[name] for name, factor in FASTER.items()}
         return rates | larger | {"means": POSITION * self.middle * phase.rates.decay ** (number // phase.rates.decay_every)}
-
-    def score(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-        """(N,) the number of operations after which a Gaussian is removed or merged."""
-        return _order(scene, cameras, rasterizer, options, 1).lives
 
     def reduced(self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> Scene:
         return _order(scene, cameras, rasterizer, options, min(count, scene.count)).at(min(count, scene.count))
@@ -75,8 +68,8 @@ class Merge(Ranked):
 def _order(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, least: int) -> Order:
     """The order by some of the views, evenly spread in the list."""
     whole = replace(Scene.of(*(getattr(scene, name) for name in PARAMETERS)), antialiased=options.antialiased) if isinstance(scene, Model) else scene
-    some = [cameras[k] for k in np.unique(np.linspace(0, len(cameras) - 1, min(VIEWS, len(cameras))).round().astype(int))]
-    return order_of(whole, looks(whole, some, rasterizer, options)[0], least)
+    sums, _ = looks(whole, evenly(cameras, VIEWS), rasterizer, options, pictures=False)
+    return order_of(whole, sums, least)
 
 
 METHODS = (Merge("merge", "removes and merges Gaussians, in one cut, by what each operation changes in the pictures", 27, "Merging"),)
