@@ -78,7 +78,7 @@ def test_methods_of_every_kind_prune_on_them(splat, method):
     assert result["method"] == method and read_ply(splat.with_name("small.ply")).count == result["count"]
     assert result["count"] == 250 or method == "svr"
     assert "psnr" not in result["before"] and result["before"]["count"] == 1_000 and result["psnr"] > (20 if method == "merge" else 8)
-    assert result["views"] == {"given": 0} | {name: result["views"][name] for name in ("views", "held_out", "inside_out", "seen", "width", "height")}
+    assert result["rig"] == {"given": 0} | {name: result["rig"][name] for name in ("views", "held_out", "inside_out", "seen", "width", "height")}
     assert any("the splat's own pictures take their place" in note for note in result["notes"])
 
 
@@ -165,7 +165,7 @@ def test_a_batch_runs_with_given_cameras(svrgs, splat):
     write_cameras_json(splat.with_name("shot.json"), front(read_ply(splat)))
     words = ("--cameras", splat.with_name("shot.json"), "--seen-from-only", "--target", 0.4, "--recovery", 5, "--quiet", "--batch")
     done = svrgs("prune", splat, *words, "--out", splat.with_name("small.ply"))
-    assert done.status == 0 and json.loads(done.out)["views"] == {"given": 6}
+    assert done.status == 0 and json.loads(done.out)["rig"] == {"given": 6}
 
 
 # --- given cameras
@@ -186,7 +186,7 @@ def test_a_shot_that_sees_the_front_drops_the_back(splat):
     only, both = prune(splat, **options, seen_from_only=True, out=splat.with_name("o.ply")), prune(splat, **options, out=splat.with_name("b.ply"))
     behind = lambda name: int((read_ply(splat.with_name(name)).means[:, 2] > 2.0).sum())  # noqa: E731
     assert behind("o.ply") == 0 < 20 < behind("b.ply")
-    assert only["views"] == {"given": 6} and both["views"]["given"] == 6 and both["views"]["views"] >= 8
+    assert only["rig"] == {"given": 6} and both["rig"]["given"] == 6 and both["rig"]["views"] >= 8
     assert any("what they do not see may be removed" in note for note in only["notes"])
     assert len(rendered_dataset(PruneOptions(scene=splat, cameras=options["cameras"], holdout=3, seen_from_only=True)).test_indices) == 2
 

@@ -104,7 +104,7 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         after = measured(scene, dataset, job)
         levels = written_levels(scene, dataset, job)
     result = {**after, "scene": str(scene_path), "before": before, "after": after, "levels": levels, "first_cut": cut}
-    result |= run_facts(run, job, clock) | ({"views": dataset.facts} if isinstance(dataset, RenderedDataset) else {})
+    result |= run_facts(run, job, clock) | ({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {})
     if job.report:
         write_prune_report(job.report, scene_path.stem, pictures, scene, dataset, run, result, job.lpips_missing)
     return {**result, "time": time_facts(job, clock)}

@@ -149,7 +149,7 @@ def test_cameras_of_the_file_count_in_a_job(splat, shot, bridge, watch, views):
     assert "About 100 of 250 would stay" in said()
     result = run(watch)
     (job,) = watch.jobs.values()
-    facts = job.folder.result()["views"]
+    facts = job.folder.result()["rig"]
     assert bridge.count(result) == 100 and facts["given"] == 10 and ("seen" in facts) == (views == "ALSO")
 
 
