@@ -45,6 +45,7 @@ from .train_and_prune import CURVE_VIEWS
 
 TRAINING_POWER, LOOK_POWER = 0.4, 0.65
 SOME, GROWN, POWERS = 16, 0.3, (0.1, 0.6)  # power: measured with 1/SOME of the Gaussians, lowered by GROWN, within these limits
+MERGED_GROWN, MERGED_POWERS = 0.05, (0.1, 1.0)  # the same of a method that merges; measured with the share that stays
 STEP_SECONDS, STEPS, LEAST_STEPS = 0.5, 8, 3  # time limit of measuring steps after one that is not; most and fewest that are measured
 LOOKED_AT, MEASURED = 3, 2  # views of which the time of a look and of the measures of quality are measured
 GROWTH = (0, 3, 10, 40, 145), (1.0, 1.0, 2.2, 4.0, 5.5)  # densifications, and how much longer a step takes after them: means over seven scenes
@@ -207,9 +208,11 @@ def _power(step: float, scene: Scene, dataset: Dataset, plan: Plan) -> float:
     """The power of the share of the Gaussians in a step. step: seconds with all."""
     if any(phase.densify for phase in plan.phases):
         return TRAINING_POWER
-    some = scene.select(np.arange(scene.count) % SOME == 0)
-    grown = 0.0 if plan.method.merges else GROWN  # the power of merged ones is the measured one
-    return float(np.clip(math.log(step / _step(some, dataset, plan)) / math.log(SOME) - grown, *POWERS))
+    every, grown, limits = SOME, GROWN, POWERS
+    if plan.method.merges:  # it leaves a known number
+        every, grown, limits = min(SOME, max(2, round(1 / (plan.share or plan.target / scene.count)))), MERGED_GROWN, MERGED_POWERS
+    some = scene.select(np.arange(scene.count) % every == 0)
+    return float(np.clip(math.log(step / _step(some, dataset, plan)) / math.log(every) - grown, *limits))
 
 
 def _step(scene: Scene, dataset: Dataset, plan: Plan) -> float:
