@@ -21,7 +21,7 @@ from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from ..svrgs_addon.geometry.merge import merged
 from ..svrgs_addon.render.meshes import Surface, Triangles, surface
 from ..svrgs_addon.scene import Scene
-from . import bridge, bridge_cameras
+from . import bridge, bridge_cameras, bridge_order
 
 REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn
 HIDE_MODIFIER = "SVR-GS Removed"  # the modifier that hides marked Gaussians, and its node group
@@ -52,8 +52,8 @@ class PlacedScene:
 
 
 def visible_scene(obj: bpy.types.Object) -> Scene:
-    """The Gaussians of a splat that are not marked as removed."""
-    return bridge.scene_from_object(obj).select(visible_rows(obj))
+    """The Gaussians of a splat that are not marked as removed; of a quick result, those that the slider Keep shows."""
+    return bridge_order.shown(obj.original) or bridge.scene_from_object(obj).select(visible_rows(obj))
 
 
 def visible_rows(obj: bpy.types.Object) -> np.ndarray:

@@ -20,7 +20,7 @@ from bpy.props import BoolProperty, StringProperty
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.photographs.sources import find_cameras
 from . import bridge, bridge_cameras
-from .job_watch import FOLDER, folder_of
+from .job_paths import FOLDER, folder_of
 from .option_properties import RELATIVE
 
 UNDISTORTED = "images_undistorted"  # folder of undistorted copies in a dataset

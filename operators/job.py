@@ -17,7 +17,8 @@ from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
 from . import bridge, bridge_views, dataset_paths, depths, edit_guard, goals, job_queue, job_result
-from .job_watch import JOBS_FOLDER, current, delete_job, is_busy, is_resumable, job_of, link, load_result, start_timer
+from .job_paths import JOBS_FOLDER
+from .job_watch import current, delete_job, is_busy, is_resumable, job_of, link, load_result, start_timer
 from .native_check import native_problem
 from .preferences import PACKAGE, threads
 

@@ -26,8 +26,9 @@ from ..svrgs_addon.jobs.job_process import Job
 from ..svrgs_addon.memory import size_text
 from . import applied_jobs, bridge, dataset_paths, edit_guard, job_queue, job_result
 from .job import JobOperator, job_folders, resume, stop, stop_problem
+from .job_paths import folder_of
 from .job_queue import jobs
-from .job_watch import delete_job, folder_of, is_busy, is_resumable, load_result
+from .job_watch import delete_job, is_busy, is_resumable, load_result
 from .select import select
 
 SCAN_EVERY = 3.0  # seconds between two readings of the folders

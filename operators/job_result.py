@@ -21,12 +21,12 @@ from ..svrgs_addon.geometry.moved_points import common_motion
 from ..svrgs_addon.jobs.job_folder import JobFolder
 from ..svrgs_addon.jobs.kept_share import BOUNDARY, lowest, merged, numbered
 from ..svrgs_addon.scene import Scene
-from . import bridge
+from . import bridge, bridge_order
 from .bridge_graph import HIDE_MODIFIER, REMOVED
+from .pairs import ORIGINAL, PRUNED, join, original_of, pruned_of
 from .visibility import set_hidden
 
 SCORE, ROW, PROBABILITY = "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes, as is REMOVED
-ORIGINAL, PRUNED = "svrgs_original", "svrgs_pruned"  # properties of objects: the partner
 MERGED = "svrgs_merged"  # property of a pruned splat until Apply: it has merged Gaussians, and no ranking
 KEPT = "svrgs_kept"  # property of a pruned splat until Apply: the number of Gaussians that the job kept
 PSNR = "svrgs_psnr"  # property of the pruned splat: dB on the test photographs before and after
@@ -91,17 +91,12 @@ def _make_room(original: bpy.types.Object):
     original.pop(KEPT, None)  # earlier versions left it when a result was applied; with it, the original would look undecided
 
 
-def join(original: bpy.types.Object, pruned: bpy.types.Object):
-    """Stores in each splat that the other is its partner."""
-    original[PRUNED], pruned[ORIGINAL] = pruned, original
-
-
 def settle(original: bpy.types.Object | None, pruned: bpy.types.Object):
     """After Apply: both are ordinary splats, and the pruned one is shown."""
     for obj in filter(None, (original, pruned)):
         unmark(obj)
         set_hidden(obj, obj != pruned)
-    for name in (KEPT, PSNR, OWN_PSNR, MERGED):
+    for name in (KEPT, PSNR, OWN_PSNR, MERGED, bridge_order.SHOWN):
         pruned.pop(name, None)
 
 
@@ -115,21 +110,6 @@ def pair_of(obj: bpy.types.Object | None) -> tuple[bpy.types.Object | None, bpy.
     return (obj, pruned) if pruned is not None else (None, None)
 
 
-def pruned_of(obj: bpy.types.Object) -> bpy.types.Object | None:
-    """The splat that a job made of this one, if it is still in the file."""
-    return _in_file(obj.get(PRUNED))
-
-
-def original_of(pruned: bpy.types.Object) -> bpy.types.Object | None:
-    """The splat that this one was pruned from, if it is still in the file."""
-    return _in_file(pruned.get(ORIGINAL))
-
-
-def _in_file(obj: bpy.types.Object | None) -> bpy.types.Object | None:
-    """The object; None if it was deleted and only this pointer keeps it in memory."""
-    return obj if obj is not None and obj.users_collection else None
-
-
 def undecided(pruned: bpy.types.Object | None) -> bool:
     """Whether the splat is a result that was not applied yet."""
     return pruned is not None and KEPT in pruned and (REMOVED in pruned.data.attributes or pruned.get(MERGED, False))
@@ -140,10 +120,16 @@ def ranked(pruned: bpy.types.Object) -> bool:
     return not pruned.get(MERGED, False)
 
 
+def has_slider(pruned: bpy.types.Object) -> bool:
+    """Whether fewer or more Gaussians can be shown: by a ranking, or by the order of a quick job."""
+    return ranked(pruned) or bridge_order.available(pruned)
+
+
 def show(pruned: bpy.types.Object, count: int):
-    """Shows the `count` Gaussians with the highest rank and marks all others. Gaussians that the job had removed look as in the original. Without
-    a ranking, all of the result are shown."""
+    """Shows the `count` Gaussians with the highest rank and marks all others. Gaussians that the job had removed look as in the original. A result
+    without a ranking shows so many of its order, or all of its own."""
     if not ranked(pruned):
+        bridge_order.show(pruned, count, pruned[KEPT])
         return
     original = original_of(pruned)
     score = bridge.stored_values(original or pruned, SCORE)
@@ -166,16 +152,16 @@ def marked_count(obj: bpy.types.Object) -> int:
 def shown_count(pruned: bpy.types.Object) -> int:
     """Number of Gaussians that Apply would keep."""
     if not ranked(pruned):
-        return bridge.count(pruned)
+        return pruned[bridge_order.SHOWN] if bridge_order.is_shown(pruned) else bridge.count(pruned)
     original = original_of(pruned)
     return int((~bridge.stored_values(original or pruned, REMOVED)).sum())
 
 
 def shown_gaussians(pruned: bpy.types.Object) -> Scene:
     """The Gaussians that are not marked, in the original's order: recovered, or as in the original if the job had removed them."""
-    original, scene = original_of(pruned), bridge.scene_from_object(pruned)
     if not ranked(pruned):
-        return scene
+        return bridge_order.shown(pruned) or bridge.scene_from_object(pruned)
+    original, scene = original_of(pruned), bridge.scene_from_object(pruned)
     left = ~bridge.stored_values(pruned, REMOVED)
     rows, scene = bridge.stored_values(pruned, ROW)[left], scene.select(left)
     if original is None:

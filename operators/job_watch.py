@@ -10,7 +10,6 @@ An error with one job fails that job alone; the timer goes on with the others.
 from __future__ import annotations
 
 import contextlib
-import os
 
 import bpy
 from bpy.app.handlers import persistent
@@ -19,11 +18,10 @@ from ..svrgs_addon.errors import FormatError, SplatError
 from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
 from . import bridge, edit_guard, job_pictures, job_queue, job_result, train_result
+from .job_paths import FOLDER, folder_of
 from .job_queue import jobs
 from .select import in_view_layer
 
-FOLDER = "svrgs_job"  # property of a splat
-JOBS_FOLDER = "//svrgs_jobs"  # folder of jobs next to the .blend file
 INTERVAL = 0.2  # seconds between two calls of the timer
 RESUMABLE = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed")  # states in which a job can be resumed, unless it is in the queue
 BUSY = ("new", "starting", "running")
@@ -54,16 +52,6 @@ def job_of(obj: bpy.types.Object | None) -> Job | None:
     job = jobs[path]
     job.refresh()
     return job if job.state != "missing" else None
-
-
-def folder_of(obj: bpy.types.Object | None) -> str:
-    """The folder of the splat's job: where it was started, or next to the .blend file if both were moved; empty: no job."""
-    path = obj.get(FOLDER) if obj is not None else None
-    if obj is None or not isinstance(path, str) or not path:
-        return ""
-    path = os.path.normpath(bpy.path.abspath(path, library=obj.library))
-    moved = os.path.normpath(bpy.path.abspath(f"{JOBS_FOLDER}/{os.path.basename(path)}")) if bpy.data.filepath else path
-    return moved if not os.path.exists(path) and os.path.exists(moved) else path
 
 
 def current(context) -> tuple[bpy.types.Object, Job] | None:

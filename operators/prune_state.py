@@ -16,6 +16,7 @@ from ..svrgs_addon.finetune.methods.base import Method
 from ..svrgs_addon.jobs.job_process import Job
 from . import (
     bridge,
+    bridge_order,
     camera_match,
     dataset_paths,
     depths,
@@ -102,6 +103,9 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
     if job_result.OWN_PSNR in pruned:
         text = tr("Quality at {kept:,} Gaussians: PSNR {psnr:.2f} dB against the original's own pictures")
         texts.append(text.format(kept=kept, psnr=pruned[job_result.OWN_PSNR]))
+    if bridge_order.is_shown(pruned):
+        return [*texts, tr("Shown before fine-tuning: Fine-Tune does its steps for this number. Apply keeps what is shown")]
+    texts += filter(None, [bridge_order.problem(pruned)])
     return [*texts, tr("{count:,} more than were recovered: shown as in the original").format(count=count - kept)] if count > kept else texts
 
 
@@ -191,9 +195,14 @@ def _merges(_) -> bool:
     return depths.merges(bpy.context)
 
 
-def _ranked(_) -> bool:
+def _slider(_) -> bool:
     _, pruned = job_result.pair_of(bpy.context.object)
-    return pruned is not None and job_result.ranked(pruned)
+    return pruned is not None and job_result.has_slider(pruned)
+
+
+def _untuned(_) -> bool:
+    _, pruned = job_result.pair_of(bpy.context.object)
+    return pruned is not None and bridge_order.is_shown(pruned)
 
 
 def _original(_) -> str:
@@ -257,7 +266,8 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     orphan: StringProperty(get=_orphan)  # that a job of the active splat was found; else empty
     original: StringProperty(get=_original)  # name of the original of an applied result; empty: none
     merges: BoolProperty(get=_merges)  # Gaussians will be merged: the result has no slider
-    ranked: BoolProperty(get=_ranked)  # the result has a ranking, so that fewer or more Gaussians can be shown
+    slider: BoolProperty(get=_slider)  # fewer or more Gaussians than those of the result can be shown
+    untuned: BoolProperty(get=_untuned)  # the number that is shown was not fine-tuned
     method_help: StringProperty(get=_method_help)
     goal_help: StringProperty(get=_goal_help)
     strength_help: StringProperty(get=_strength_help)  # empty: the method has no λ_F

@@ -11,7 +11,7 @@ from bpy.app.handlers import persistent
 
 from ..svrgs_addon.geometry.morton_order import morton_order
 from ..svrgs_addon.scene import Scene
-from . import bridge, bridge_graph
+from . import bridge, bridge_graph, bridge_order
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Entry:
     """The visible Gaussians of a splat, or all of them, sorted along a Morton curve."""
 
     scene: Scene
-    rows: Any  # (N,) the row of each Gaussian in the object
+    rows: Any  # (N,) the row of each Gaussian in the object; None: it has others
     data: int  # session_uid of the object's data
     values: dict[str, Any] = field(default_factory=dict)  # (N,) of attributes that were asked for, None if there is none
     number: int = field(default_factory=itertools.count().__next__)  # every entry has another number
@@ -46,13 +46,15 @@ def read_values(obj: bpy.types.Object, name: str):
     """(N,) values of an attribute in the order of read(obj); None if there is no such attribute."""
     entry = _entry(obj)
     if name not in entry.values:
-        values = bridge.values(obj, name)
+        values = bridge.values(obj, name) if entry.rows is not None else None
         entry.values[name] = None if values is None else values[entry.rows]
     return entry.values[name]
 
 
 def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
     key = obj.original.session_uid, 0 if whole else obj.data.as_pointer(), whole
+    if key not in _entries and not whole and (shown := bridge_order.shown(obj.original)) is not None:
+        _entries[key] = Entry(shown, None, obj.original.data.session_uid)
     if key not in _entries:
         obj = obj.original if whole else obj
         scene, rows = bridge.scene_from_object(obj), bridge_graph.visible_rows(obj)

@@ -14,7 +14,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from ..svrgs_addon import native
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.selection.options import Criteria
-from . import bridge, bridge_selection, edit_guard
+from . import bridge, bridge_order, bridge_selection, edit_guard
 from .contribution import cameras_property, chosen_cameras, views
 from .preferences import threads
 from .splat_transforms import change_problem
@@ -49,6 +49,8 @@ class SplatOperator(bpy.types.Operator):
     @classmethod
     def problem(cls, context) -> str:
         """What the user must do first; empty if the operator can run on the active splat."""
+        if bridge_order.is_shown(context.object):
+            return tr("Apply the number of Gaussians that is shown first")
         return edit_guard.problem(context, context.object)
 
     @classmethod

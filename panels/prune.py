@@ -113,7 +113,7 @@ def draw_progress(layout, _, state):
 
 
 def draw_share(layout, _, state):
-    if state.ranked:
+    if state.slider:
         layout.prop(bpy.data.objects[state.subject], "svrgs_share", slider=True)
 
 
@@ -128,6 +128,9 @@ def draw_buttons(layout, stage: str, state):
         row.operator("svrgs.job_load", icon="IMPORT")
         row.operator("svrgs.job_discard", icon="TRASH")
     elif stage == "RESULT":
+        if state.untuned:
+            row.operator("svrgs.prune_again", icon="PLAY")
+            row = layout.row(align=True)
         row.operator("svrgs.apply", icon="CHECKMARK")
         row.operator("svrgs.discard", text="Discard Result", icon="TRASH").what = "RESULT"
     elif stage == "READY":

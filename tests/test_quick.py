@@ -11,6 +11,7 @@ import pytest
 from svrgs_addon.decimate.order import looks, order_of
 from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.jobs.context import JobContext
 from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.jobs.quick import prune_quick
 from svrgs_addon.metrics.evaluate import render_options
@@ -41,7 +42,7 @@ def splat(tmp_path):
 
 def run(path, **more) -> dict:
     options = {"target": 0.25, "out": path.with_name("small.ply"), "quick": True, "scene": path} | more
-    return prune_quick(PruneOptions(**options), lambda: False)
+    return prune_quick(PruneOptions(**options), JobContext(options["out"]))
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +169,7 @@ def test_a_stop_leaves_nothing_and_says_so(splat):
     options = PruneOptions(scene=splat, out=splat.with_name("small.ply"), target=0.25, quick=True)
     asked = iter([False, False, True])
     with pytest.raises(Cancelled, match="no checkpoint"):
-        prune_quick(options, lambda: next(asked))
+        prune_quick(options, JobContext(splat.with_name("small.ply"), stop=lambda: next(asked)))
     assert sorted(path.name for path in splat.parent.iterdir()) == ["ball.ply"]
 
 

@@ -35,15 +35,15 @@ class Order:
         return self.scene.count - len(self.merges.a)
 
     @cached_property
-    def _lives(self) -> tuple[np.ndarray, np.ndarray]:
-        """(N + M,) int64 each: the number of operations after which a row is there, and after which it is gone again."""
+    def lives(self) -> np.ndarray:
+        """(N + M, 2) int32: the number of operations after which a row is there, and after which it is gone again."""
         steps, merged = len(self.merges.a), self.merges.b != REMOVED
-        rows = self.scene.count + int(merged.sum())
-        born, gone = np.zeros(rows, np.int64), np.full(rows, steps + 1)
-        born[self.scene.count :] = np.flatnonzero(merged) + 1
-        gone[self.merges.a] = np.arange(1, steps + 1)
-        gone[self.merges.b[merged]] = np.flatnonzero(merged) + 1
-        return born, gone
+        lives = np.zeros((self.scene.count + int(merged.sum()), 2), np.int32)
+        lives[self.scene.count :, 0] = np.flatnonzero(merged) + 1
+        lives[:, 1] = steps + 1
+        lives[self.merges.a, 1] = np.arange(1, steps + 1)
+        lives[self.merges.b[merged], 1] = np.flatnonzero(merged) + 1
+        return lives
 
     def at(self, count: int) -> Scene:
         """The scene with `count` Gaussians, least to N: those of the original in their order, then those that are merged from several.
@@ -58,7 +58,7 @@ class Order:
     def rows_at(self, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """What at() is made of: the rows of the original, (K,) ascending, and the arrays of the merged Gaussians."""
         done = self.scene.count - count
-        born, gone = self._lives
+        born, gone = self.lives.T
         there = np.flatnonzero((born <= done) & (gone > done))
         kept = there[there < self.scene.count]
         return kept, {name: self.merges.results[name][there[len(kept) :] - self.scene.count] for name in PARAMETERS}

@@ -49,6 +49,13 @@ def transformed(scene: Scene, matrix: np.ndarray) -> Scene:
     )
 
 
+def scaled(scene: Scene, factor: float) -> Scene:
+    """The scene with all lengths multiplied by a factor above 0, around the origin."""
+    if factor == 1:
+        return scene
+    return replace(scene, means=(scene.means * factor).astype(np.float32), log_scales=(scene.log_scales + np.log(factor)).astype(np.float32))
+
+
 def _linear(matrix: np.ndarray) -> np.ndarray:
     """The linear part A (3, 3) float64 of a 4x4 matrix. Raises SceneError if it is singular or not finite."""
     A = np.asarray(matrix, np.float64)[:3, :3]

@@ -23,6 +23,7 @@ class JobContext:
     report: Path | None = None
     resume: bool = False
     engine: str = "native"
+    order: Path | None = None  # folder for the order of a quick job (decimate/saved_order.py)
     levels: tuple[float, ...] = ()  # shares of a nested result that are written too
     planned: TimePlan | None = None  # of a job with a time limit
     recorded: tuple[int, int] = (0, 0)  # views that the observer renders: for each point of the curves, and at the end

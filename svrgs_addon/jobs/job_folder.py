@@ -11,6 +11,7 @@
     recovered.ply.job  checkpoints; recovered.ply is the splat after the last step
     stop               flag file: the parent creates it, the child obeys (job_main.py)
     cameras.json       given views of a job without photographs, if there are any
+    merged.ply, order.npy   of a quick job: its order (decimate/saved_order.py)
 
     pruned.ply, kept.npy, score.npy, result.json     the result; result.json is written last
     probability.npy                                  if masks were learned
@@ -42,6 +43,7 @@ import numpy as np
 
 from .. import __version__
 from ..camera import Camera
+from ..decimate.saved_order import MERGED, ORDER
 from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write
 from ..files.ply_header import MAX_HEADER_BYTES, parse_header
@@ -72,7 +74,8 @@ FACTS = {  # keys of state.json and of messages that are read, and their types
 }  # fmt: skip
 _FILES = (
     "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy", "score.npy",
-    "probability.npy", "trained.ply", "result.json", CAMERAS, STOP, *FORMER_FLAGS, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
+    "probability.npy", "trained.ply", "result.json", MERGED, ORDER, CAMERAS, STOP, *FORMER_FLAGS, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*",
+    "job.json",
 )  # fmt: skip
 
 

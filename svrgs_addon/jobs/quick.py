@@ -19,11 +19,13 @@ import numpy as np
 from .. import memory
 from ..camera import Camera, evenly
 from ..decimate.order import Order, looks, lost_columns, order_of
+from ..decimate.saved_order import write_order
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
 from ..finetune.quality import LEAST
 from ..finetune.refit import refit
+from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
 from ..metrics.psnr import with_error
@@ -35,6 +37,7 @@ from ..rig.around import DISTANCE, cameras_around, middle_and_radius
 from ..rig.place import quick_rig
 from ..scene import Scene
 from ..system.file_names import real
+from .context import JobContext
 from .options import PruneOptions
 
 SIDE = 512  # pixels of the longer side of a picture
@@ -48,13 +51,14 @@ TAKES = (  # options; others are refused
     "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "max_drop", "quiet", "quick", "scene", "out",
 )  # fmt: skip
 MOSTLY = 0.6  # share of the Gaussians from which on the steps may be worse than none
+SMALLEST = 0.01  # share of the Gaussians down to which an order is kept
 LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee the time
 ASSUMED = with_error(math.inf, PHOTOGRAPHED)  # PSNR of the original in dB, if a drop is allowed
 NOT_FINISHED = "stopped; nothing was written, and a quick job has no checkpoint: start it again"
 
 
-def prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
-    """Does `svrgs prune --quick`. Returns the JSON result. Raises SplatError, Cancelled."""
+def prune_quick(options: PruneOptions, job: JobContext) -> dict:
+    """Does `svrgs prune --quick`; of the context, `order` and `stop` count. Returns the JSON result. Raises SplatError, Cancelled."""
     assert options.scene is not None and options.out is not None
     refuse_options(options)
     format_to_write(options.out)
@@ -62,7 +66,7 @@ def prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     if real(options.out) == real(options.scene):
         raise SceneError(f"{options.out}: is the input itself, which is never overwritten; choose another output")
     with reserved(options.out):
-        return _prune_quick(options, stop)
+        return _prune_quick(options, job)
 
 
 def like_quick(options: PruneOptions) -> tuple[PruneOptions, RenderedDataset]:
@@ -85,11 +89,12 @@ def refuse_options(options: PruneOptions):
         raise SceneError("--quick needs --target, --target-count or --max-drop: it does not choose how many Gaussians to keep")
 
 
-def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
+def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     assert options.scene is not None and options.out is not None
     begun = time.perf_counter()
     source = load_scene(options.scene).scene
-    scene = source.select(~invisible(source))
+    visible = np.flatnonzero(~invisible(source))
+    scene = source.select(visible)
     if not scene.count:
         raise SceneError(f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep")
     enlarged, factor = (scene, 1.0) if options.colmap else _enlarged(scene)
@@ -100,11 +105,16 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     if not options.colmap and (hidden := _hidden(sums)) > MOST_HIDDEN * scene.count:
         cameras, test, notes = _views_within(enlarged, options, hidden)
         sums, pictures = looks(enlarged, cameras, rasterizer, settings)
-    if stop():
+    if job.stop():
         raise Cancelled(NOT_FINISHED)
-    order = order_of(enlarged, sums, min(_least(options, source.count), scene.count))
-    small = _chosen(order, _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options), cameras, pictures, options, stop)
-    write_scene(options.out, _scaled(small, 1 / factor))
+    wanted = min(_wanted(options, source.count), scene.count)
+    order = order_of(enlarged, sums, min(wanted, math.ceil(SMALLEST * scene.count)) if job.order else wanted)
+    likeness = _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options)
+    count = _fewest_within(order, wanted, likeness, options.max_drop) if options.max_drop else wanted
+    small = _tuned(order, count, likeness, cameras, pictures, options, job.stop)
+    if job.order:
+        write_order(job.order, order, visible, source.count, 1 / factor)
+    write_scene(options.out, scaled(small, 1 / factor))
     facts: dict[str, Any] = {
         "method": "quick",
         "seconds": time.perf_counter() - begun,
@@ -119,8 +129,8 @@ def _prune_quick(options: PruneOptions, stop: Callable[[], bool]) -> dict:
     return {**after, "scene": str(options.scene), "out": str(options.out), "before": before, "after": after, **facts, "notes": notes}
 
 
-def _least(options: PruneOptions, count: int) -> int:
-    """The number of Gaussians down to which the order is needed, of `count` in the file."""
+def _wanted(options: PruneOptions, count: int) -> int:
+    """The number of Gaussians that is asked for, of `count` in the file; the smallest one if a drop is allowed."""
     if options.max_drop:
         return math.ceil(LEAST * count)
     return options.target_count or max(1, round((options.target or 1.0) * count))
@@ -146,10 +156,11 @@ class _Likeness:
         return rounded_to_8_bits(self._rasterizer.forward(scene, camera, self._settings)["rgb"])
 
 
-def _chosen(order: Order, likeness: _Likeness, cameras: list[Camera], pictures: list[np.ndarray], options: PruneOptions, stop: Callable[[], bool]) -> Scene:
-    """The result: as many Gaussians as the options ask for, fine-tuned on the pictures, unless that does harm. Raises Cancelled."""
-    count, total = _fewest_within(order, likeness, options.max_drop) if options.max_drop else order.least, order.scene.count
-    small = order.at(count)
+def _tuned(
+    order: Order, count: int, likeness: _Likeness, cameras: list[Camera], pictures: list[np.ndarray], options: PruneOptions, stop: Callable[[], bool]
+) -> Scene:
+    """The scene with `count` Gaussians, fine-tuned on the pictures, unless that does harm. Raises Cancelled."""
+    small, total = order.at(count), order.scene.count
     if count == total:
         return small
     try:
@@ -159,10 +170,10 @@ def _chosen(order: Order, likeness: _Likeness, cameras: list[Camera], pictures: 
     return small if count > MOSTLY * total and likeness.psnr(small) > likeness.psnr(tuned) else tuned
 
 
-def _fewest_within(order: Order, likeness: _Likeness, drop: float) -> int:
-    """The fewest Gaussians that hold the allowed drop in dB before the steps of fine-tuning, which win a part of it back; at least LEAST of all.
-    Bisection to 1 % of N."""
-    few, enough = order.least - 1, order.scene.count
+def _fewest_within(order: Order, least: int, likeness: _Likeness, drop: float) -> int:
+    """The fewest Gaussians, at least `least`, that hold the allowed drop in dB before the steps of fine-tuning, which win a part of it back. Bisection
+    to 1 % of N."""
+    few, enough = least - 1, order.scene.count
     while enough - few > max(1, order.scene.count // 100):
         middle = (few + enough) // 2
         few, enough = (few, middle) if likeness.psnr(order.at(middle)) >= ASSUMED - drop else (middle, enough)
@@ -218,14 +229,7 @@ def _enlarged(scene: Scene) -> tuple[Scene, float]:
     """The scene enlarged where cameras around it would be nearer than anything is drawn, and the factor."""
     _, radius = middle_and_radius(scene)
     least = NEAREST * thresholds().near / DISTANCE
-    return (scene, 1.0) if radius >= least else (_scaled(scene, least / radius), least / radius)
-
-
-def _scaled(scene: Scene, factor: float) -> Scene:
-    """The scene enlarged around the origin."""
-    if factor == 1:
-        return scene
-    return replace(scene, means=(scene.means * factor).astype(np.float32), log_scales=(scene.log_scales + np.log(factor)).astype(np.float32))
+    return (scene, 1.0) if radius >= least else (scaled(scene, least / radius), least / radius)
 
 
 def _measured(scene: Scene, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions) -> dict:

@@ -49,7 +49,7 @@ def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
     if options.quick:
         assert options.out is not None
         with StopRequest() as stop:
-            return prune_quick(options, adapt(JobContext(options.out, stop=stop)).stop)
+            return prune_quick(options, adapt(JobContext(options.out, stop=stop)))
     assert options.scene is not None and options.out is not None
     job, plan = replace(_context(options, options.out, options.report), levels=options.levels), plan_of_pruning(options)
     train_and_prune.check_outputs(job)

@@ -1,0 +1,107 @@
+"""Other numbers of Gaussians of a quick result than its job left: the job has kept the order of its removals and merges (decimate/saved_order.py).
+
+The data of the splat stay those of the job. What is drawn, compared, exported and applied has the number that the slider Keep shows.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
+
+from ..svrgs_addon.decimate.saved_order import ORDER, SavedOrder, read_order
+from ..svrgs_addon.errors import SceneError, SplatError
+from ..svrgs_addon.files.registry import read_scene
+from ..svrgs_addon.geometry.moved_points import common_motion
+from ..svrgs_addon.jobs.job_folder import JobFolder
+from ..svrgs_addon.scene import Scene
+from . import bridge, job_paths, pairs
+
+SHOWN = "svrgs_shown"  # property of a pruned splat: the number of Gaussians that is shown instead of the job's own
+
+
+@dataclass(frozen=True)
+class _Read:
+    """An order that was read, in the coordinates of its splat."""
+
+    folder: str
+    positions: np.ndarray  # of the splat's points at that time
+    order: SavedOrder
+
+
+_last: list[_Read] = []  # at most one: an order takes as much memory as the original and as much again
+_problems: dict[str, str] = {}  # by folder: why its order cannot be read
+
+
+def available(pruned: bpy.types.Object) -> bool:
+    """Whether other numbers can be shown."""
+    folder = job_paths.folder_of(pairs.original_of(pruned))
+    return bool(folder) and folder not in _problems and not pruned.modifiers and os.path.isfile(os.path.join(folder, ORDER))
+
+
+def problem(pruned: bpy.types.Object) -> str:
+    """Why other numbers cannot be shown although the job has kept an order; empty if they can, or if it has kept none."""
+    folder = job_paths.folder_of(pairs.original_of(pruned))
+    if not folder or not os.path.isfile(os.path.join(folder, ORDER)):
+        return ""
+    if pruned.modifiers:
+        return tr("Remove the modifiers of '{name}' to show other numbers of Gaussians").format(name=pruned.name)
+    return _problems.get(folder, "")
+
+
+def show(pruned: bpy.types.Object, count: int, own: int):
+    """Shows `count` Gaussians, or as many as there can be. own: those of the job, which are shown as it left them."""
+    if abs(count - own) <= 1 + own // 2**22:  # a percentage is a float32
+        pruned.pop(SHOWN, None)
+    elif available(pruned):
+        try:
+            pruned[SHOWN] = _order(pruned).clipped(count)
+        except SplatError as error:
+            _problems[job_paths.folder_of(pairs.original_of(pruned))] = str(error)
+            pruned.pop(SHOWN, None)
+    pruned.data.update_tag()
+
+
+def is_shown(pruned: bpy.types.Object) -> bool:
+    """Whether another number than the job's own is shown."""
+    return SHOWN in pruned and available(pruned)
+
+
+def shown(pruned: bpy.types.Object) -> Scene | None:
+    """The Gaussians that are shown instead of the splat's own; None: its own are shown. Raises SplatError."""
+    return _order(pruned).at(pruned[SHOWN]) if is_shown(pruned) else None
+
+
+def _order(pruned: bpy.types.Object) -> SavedOrder:
+    """The order of the splat's job, moved as the splat's points were. Raises FormatError, SceneError."""
+    folder = JobFolder(job_paths.folder_of(pairs.original_of(pruned)))
+    positions = bridge.stored_values(pruned, "position")
+    if _last and _last[0].folder == str(folder.path) and np.array_equal(_last[0].positions, positions):
+        return _last[0].order
+    _last.clear()
+    means = read_scene(folder / "pruned.ply").means
+    motion = common_motion(means, positions) if means.shape == positions.shape else None
+    if motion is None:
+        raise SceneError(tr("points of '{name}' were edited, so other numbers of Gaussians cannot be shown").format(name=pruned.name))
+    order = read_order(folder.path, read_scene(folder / "scene.ply")).moved(motion)
+    _last.append(_Read(str(folder.path), positions, order))
+    return order
+
+
+@persistent
+def _after_load(*_):
+    _last.clear()
+    _problems.clear()
+
+
+def register():
+    bpy.app.handlers.load_post.append(_after_load)
+
+
+def unregister():
+    bpy.app.handlers.load_post.remove(_after_load)
+    _after_load()

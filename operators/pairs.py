@@ -1,0 +1,27 @@
+"""An original and the splat that was pruned from it: each names the other in a property of its object."""
+
+from __future__ import annotations
+
+import bpy
+
+ORIGINAL, PRUNED = "svrgs_original", "svrgs_pruned"  # properties of objects: the partner
+
+
+def join(original: bpy.types.Object, pruned: bpy.types.Object):
+    """Stores in each splat that the other is its partner."""
+    original[PRUNED], pruned[ORIGINAL] = pruned, original
+
+
+def pruned_of(obj: bpy.types.Object) -> bpy.types.Object | None:
+    """The splat that a job made of this one, if it is still in the file."""
+    return _in_file(obj.get(PRUNED))
+
+
+def original_of(pruned: bpy.types.Object) -> bpy.types.Object | None:
+    """The splat that this one was pruned from, if it is still in the file."""
+    return _in_file(pruned.get(ORIGINAL))
+
+
+def _in_file(obj: bpy.types.Object | None) -> bpy.types.Object | None:
+    """The object; None if it was deleted and only this pointer keeps it in memory."""
+    return obj if obj is not None and obj.users_collection else None

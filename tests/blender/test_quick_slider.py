@@ -1,0 +1,159 @@
+"""The slider Keep on a quick result: any number of Gaussians is shown at once, by the order that the job has kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from extension import part
+from job_helpers import drawn, ended, follow, set_up
+
+
+@pytest.fixture
+def splat(splat):
+    """A splat without photographs."""
+    bpy.context.scene.svrgs_prune.colmap = ""
+    return splat
+
+
+@pytest.fixture
+def result(splat, watch):
+    """100 of 250 Gaussians."""
+    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40})
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: ended(job))
+    return bpy.context.object
+
+
+def said() -> str:
+    return bpy.context.window_manager.svrgs_prune_state.sentences
+
+
+def shown():
+    """All Gaussians that a render shows."""
+    return part("operators.bridge_graph").splats(bpy.context.evaluated_depsgraph_get()).scene
+
+
+def cached(obj):
+    """What a viewport draws of the splat."""
+    return part("operators.scene_cache").read(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+
+
+def test_it_shows_any_number_at_once_and_the_data_stay_those_of_the_job(result, bridge):
+    assert "svrgs_share" in drawn("prune") and "prune_again" not in drawn("prune")
+    own = bridge.scene_from_object(result).means
+    assert cached(result).count == 100
+    for share, count in ((20, 50), (80, 200), (100, 240), (0, 3)):
+        result.svrgs_share = share
+        assert cached(result).count == shown().count == part("operators.compare").shown_scene(result).count == count
+        assert f"{count} of 250 Gaussians" in said() and "Shown before fine-tuning" in said() and "prune_again" in drawn("prune")
+        assert (bridge.scene_from_object(result).means == own).all()
+    result.svrgs_share = 40
+    assert sorted(cached(result).means[:, 0]) == sorted(own[:, 0]) and "Shown before" not in said()
+
+
+def test_more_gaussians_look_more_like_the_original(result, splat, bridge):
+    original = bridge.scene_from_object(splat)
+    camera = part("svrgs_addon.rig.around").cameras_around(original, 8, 128)[3]
+    native, psnr = part("svrgs_addon.native"), part("svrgs_addon.metrics").psnr
+    draw = lambda scene: native.Rasterizer().forward(scene, camera)["rgb"].copy()  # noqa: E731
+    whole, values = draw(original), []
+    for share in (5, 30, 90):
+        result.svrgs_share = share
+        values.append(psnr(draw(cached(result)), whole))
+    assert values[0] < values[1] < values[2]
+
+
+def test_apply_keeps_what_is_shown(result, splat, bridge):
+    result.svrgs_share = 70
+    means = np.sort(cached(result).means, axis=0)
+    bpy.ops.svrgs.apply()
+    assert bridge.count(result) == 175 and (np.sort(bridge.scene_from_object(result).means, axis=0) == means).all()
+    assert "svrgs_shown" not in result and not part("operators.job_result").undecided(result) and bridge.count(splat) == 250
+    assert shown().count == 175
+
+
+def test_export_writes_what_is_shown(result, ply, tmp_path):
+    result.svrgs_share = 20
+    bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "out.ply"))
+    assert ply.read_ply(tmp_path / "out.ply").count == 50
+
+
+def test_undo_brings_the_former_number_back(result):
+    name = result.name
+    result.svrgs_share = 20
+    bpy.ops.ed.undo_push(message="before")
+    result.svrgs_share = 80
+    bpy.ops.ed.undo_push(message="after")
+    bpy.ops.ed.undo()
+    result = bpy.data.objects[name]
+    assert result.svrgs_share == pytest.approx(20) and cached(result).count == 50
+
+
+def test_a_saved_file_still_shows_it(result, tmp_path):
+    name = result.name
+    result.svrgs_share = 20
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    result = bpy.data.objects[name]
+    assert cached(result).count == 50
+    result.svrgs_share = 60
+    assert cached(result).count == 150
+
+
+def test_the_result_moves_with_its_object_and_with_its_points(result, bridge):
+    result.location.x += 5
+    result.svrgs_share = 20
+    assert cached(result).means.mean(axis=0) == pytest.approx(bridge.scene_from_object(result).means.mean(axis=0), abs=0.3)
+    moved = bridge.values(result, "position") + np.array([0, 0, 7], np.float32)
+    bridge.set_values(result, "position", "FLOAT_VECTOR", moved)
+    result.svrgs_share = 30
+    assert cached(result).means[:, 2].mean() == pytest.approx(moved[:, 2].mean(), abs=0.3)
+
+
+def test_edited_points_keep_the_number_of_the_job(result, bridge):
+    moved = bridge.values(result, "position")
+    moved[:40] += np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32)
+    bridge.set_values(result, "position", "FLOAT_VECTOR", moved)
+    result.svrgs_share = 20
+    assert cached(result).count == 100 and "were edited" in said() and "100 of 250" in said()
+
+
+def test_modifiers_keep_the_number_of_the_job(result):
+    result.svrgs_share = 20
+    result.modifiers.new("mine", "NODES")
+    assert "svrgs_share" not in drawn("prune") and "Remove the modifiers" in said() and "100 of 250" in said()
+
+
+@pytest.mark.parametrize("name", ["order.npy", "merged.ply"])
+def test_without_its_files_the_number_of_the_job_is_shown(result, splat, name):
+    (Path(part("operators.job_paths").folder_of(splat)) / name).write_bytes(b"broken")
+    result.svrgs_share = 20
+    assert cached(result).count == 100 and "100 of 250" in said() and name in said()
+    assert "svrgs_share" not in drawn("prune")
+    (Path(part("operators.job_paths").folder_of(splat)) / "order.npy").unlink()
+    assert "svrgs_share" not in drawn("prune") and "100 of 250" in said() and name not in said()
+
+
+def test_selecting_asks_to_apply_first(result):
+    assert bpy.ops.svrgs.select_gaussians.poll()
+    result.svrgs_share = 20
+    assert not bpy.ops.svrgs.select_gaussians.poll()
+
+
+def test_fine_tune_prunes_again_to_what_is_shown(result, splat, watch, bridge):
+    former = Path(part("operators.job_paths").folder_of(splat))
+    result.svrgs_share = 20
+    untuned = cached(result)
+    bpy.ops.svrgs.prune_again()
+    assert not former.exists() and bpy.context.object == splat and not splat.hide_get()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: ended(job))
+    again = bpy.context.object
+    assert again != splat and bridge.count(again) == 50 and again.svrgs_share == pytest.approx(20) and "Shown before" not in said()
+    assert not np.array_equal(np.sort(bridge.scene_from_object(again).sh, axis=0), np.sort(untuned.sh, axis=0))
+    again.svrgs_share = 40
+    assert cached(again).count == 100

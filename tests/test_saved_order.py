@@ -1,0 +1,105 @@
+"""The files of an order: from them, any number of Gaussians is put together at once."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from svrgs_addon.decimate.order import looks, order_of
+from svrgs_addon.decimate.saved_order import MERGED, ORDER, read_order, write_order
+from svrgs_addon.errors import SplatError
+from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.jobs.context import JobContext
+from svrgs_addon.jobs.options import PruneOptions
+from svrgs_addon.jobs.quick import prune_quick
+from svrgs_addon.metrics.evaluate import render_options
+from svrgs_addon.native import Rasterizer
+from svrgs_addon.native_library import PARAMETERS
+from svrgs_addon.rig.around import cameras_around
+from svrgs_addon.scene import Scene
+from test_quick import ball
+
+
+def sorted_rows(scene: Scene) -> np.ndarray:
+    """The values of all Gaussians, one row each, in an order of their own."""
+    rows = np.concatenate([getattr(scene, name).reshape(scene.count, -1) for name in PARAMETERS], axis=1)
+    return rows[np.lexsort(rows.T)]
+
+
+@pytest.fixture(scope="module")
+def ordered():
+    """A scene with some invisible Gaussians, the rows of the others, and the order of those."""
+    scene = ball(600)
+    scene.opacity_logits[::10] = -12
+    rows = np.flatnonzero(np.arange(600) % 10)
+    visible = scene.select(rows)
+    sums, _ = looks(visible, cameras_around(visible, 12, 128), Rasterizer(), render_options(visible), pictures=False)
+    return scene, rows, order_of(visible, sums, 7)
+
+
+@pytest.fixture
+def saved(ordered, tmp_path):
+    scene, rows, order = ordered
+    write_order(tmp_path, order, rows, scene.count, 1.0)
+    return tmp_path
+
+
+@pytest.mark.parametrize("count", [7, 8, 100, 333, 539, 540])
+def test_it_gives_what_the_order_gives(ordered, saved, count):
+    scene, _, order = ordered
+    found = read_order(saved, scene)
+    assert (found.least, found.most) == (7, 540)
+    assert (sorted_rows(found.at(count)) == sorted_rows(order.at(count))).all()
+
+
+def test_numbers_beyond_its_ends_give_the_ends(ordered, saved):
+    found = read_order(saved, ordered[0])
+    assert [found.at(count).count for count in (-5, 0, 600)] == [7, 7, 540] and found.clipped(0) == 7
+
+
+def test_lengths_are_those_of_the_source(ordered, tmp_path):
+    scene, rows, order = ordered
+    write_order(tmp_path, order, rows, scene.count, 0.5)
+    small = dataclasses.replace(scene, means=0.5 * scene.means, log_scales=scene.log_scales + np.float32(np.log(0.5)))
+    halved, whole = read_order(tmp_path, small).at(7), order.at(7)
+    assert np.sort(halved.means.ravel()) == pytest.approx(np.sort(0.5 * whole.means.ravel()), abs=1e-6)
+    assert np.sort(halved.log_scales.ravel()) == pytest.approx(np.sort(whole.log_scales.ravel() + np.log(0.5)), abs=1e-5)
+
+
+def test_it_moves_as_the_scene_does(ordered, saved):
+    matrix = np.eye(4)
+    matrix[:3, 3] = 1, 2, 3
+    found = read_order(saved, ordered[0])
+    assert found.moved(matrix).at(50).means == pytest.approx(found.at(50).means + np.array([1, 2, 3], np.float32), abs=1e-5)
+
+
+@pytest.mark.parametrize("case", ["absent", "cut", "shape", "row", "twice", "born", "gap", "merged"])
+def test_damaged_files_get_one_sentence(ordered, saved, case):
+    table = np.load(saved / ORDER)
+    if case == "absent":
+        (saved / ORDER).unlink()
+    elif case == "cut":
+        (saved / ORDER).write_bytes((saved / ORDER).read_bytes()[:-50])
+    elif case == "merged":
+        made = read_ply(saved / MERGED)
+        write_ply(saved / MERGED, made.select(np.arange(made.count - 1)))
+    else:
+        changed = {"shape": table[:, :2], "row": table + [[10_000, 0, 0]], "twice": np.concatenate([table[:1], table[:-1]])}
+        changed |= {"born": np.where([[0, 1, 0]], table + 50, table), "gap": table[1:]}
+        np.save(saved / ORDER, changed[case].astype(np.int32))
+    with pytest.raises(SplatError) as raised:
+        read_order(saved, ordered[0])
+    assert str(saved) in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_a_quick_job_writes_it_down_to_a_hundredth(tmp_path):
+    write_ply(tmp_path / "ball.ply", ball())
+    options = PruneOptions(scene=tmp_path / "ball.ply", out=tmp_path / "small.ply", target=0.5, quick=True)
+    plain = prune_quick(options, JobContext(tmp_path / "small.ply"))
+    first = (tmp_path / "small.ply").read_bytes()
+    assert prune_quick(options, JobContext(tmp_path / "small.ply", order=tmp_path))["psnr"] == plain["psnr"]
+    assert (tmp_path / "small.ply").read_bytes() == first
+    found = read_order(tmp_path, read_ply(tmp_path / "ball.ply"))
+    assert (found.least, found.most) == (20, 2_000)
