@@ -15,6 +15,8 @@ from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SceneError
 
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
+DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras
+CLIP_END = 100  # in extents of all cameras
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
 
 
@@ -51,6 +53,17 @@ def camera_to_object(camera: Camera, obj: bpy.types.Object):
     data[SIZE], data[ASPECT], data[IMAGE] = (camera.width, camera.height), lens.aspect, camera.name
     obj.rotation_mode = "QUATERNION"  # Euler angles lose digits near the poles
     obj.matrix_basis = Matrix(np.linalg.inv(camera.viewmat) @ FLIP)
+
+
+def new_camera(camera: Camera, extent: float, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A camera object with a view. extent: of all cameras that belong together, in the view's unit of length."""
+    data = bpy.data.cameras.new(camera.name)
+    obj = bpy.data.objects.new(camera.name, data)
+    camera_to_object(camera, obj)
+    data.display_size = DISPLAY_SIZE * extent
+    data.clip_start, data.clip_end = 1e-3 * extent, CLIP_END * extent
+    collection.objects.link(obj)
+    return obj
 
 
 def render_size(scene: bpy.types.Scene) -> tuple[int, int]:

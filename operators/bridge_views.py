@@ -18,6 +18,7 @@ ITEMS = [  # the numbers are stored in .blend files
     ("ALSO", "Also This File's", "Cameras are placed, and those of this file count too", "NONE", 1),
     ("ONLY", "Only This File's", "Count only what the cameras of this file see. What they never see may be removed", "NONE", 2),
 ]
+PLACED = "svrgs_placed"  # property of a camera's data: placed for a splat, its parent
 FRAMES = 64  # of a moving camera, evenly spread over the frames of the scene
 
 
@@ -30,6 +31,22 @@ def views(context, splat: bpy.types.Object) -> list[Camera]:
     if not found:
         raise SceneError(tr("this file has no camera whose views could count: add one, or choose placed cameras"))
     return [Camera(c.viewmat, c.K, c.width, c.height, f"{number:04}", c.orthographic) for number, c in enumerate(found)]
+
+
+def placed(splat: bpy.types.Object) -> list[bpy.types.Object]:
+    """The cameras that were placed for a splat and are still in the file."""
+    return [obj for obj in splat.children if obj.type == "CAMERA" and PLACED in obj.data and obj.users_collection]
+
+
+def place(splat: bpy.types.Object, cameras: list[Camera], collection: bpy.types.Collection):
+    """Adds cameras below the splat, in its coordinates, in place of those that were placed before."""
+    for obj in placed(splat):
+        bpy.data.cameras.remove(obj.data)
+    middle = np.mean([camera.position for camera in cameras], axis=0)
+    extent = max(float(np.linalg.norm(camera.position - middle)) for camera in cameras)
+    for camera in cameras:
+        obj = bridge_cameras.new_camera(camera, extent or 1.0, collection)
+        obj.parent, obj.data[PLACED] = splat, True
 
 
 def _of_frames(scene: bpy.types.Scene) -> Iterator[Camera]:
@@ -52,7 +69,7 @@ def _of_frames(scene: bpy.types.Scene) -> Iterator[Camera]:
 
 
 def _standing(scene: bpy.types.Scene) -> Iterator[Camera]:
-    """The other cameras of the scene, as they are now, without those of photographs."""
+    """The other cameras of the scene, as they are now: those that were placed too, those of photographs not."""
     for obj in sorted(scene.objects, key=lambda obj: obj.name):
-        if obj.type == "CAMERA" and obj != scene.camera and bridge_cameras.SIZE not in obj.data and obj.data.type in ("PERSP", "ORTHO"):
+        if obj.type == "CAMERA" and obj != scene.camera and obj.data.type in ("PERSP", "ORTHO") and (PLACED in obj.data or bridge_cameras.SIZE not in obj.data):
             yield bridge_cameras.camera_from_object(obj, scene)

@@ -16,16 +16,12 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
-from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import SplatError
 from . import bridge, bridge_cameras, dataset_paths, undistort
 from .bridge_framing import level
 from .frame import frame
 from .select import select
 from .translation import OWN
-
-DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras
-CLIP_END = 100  # in extents of all cameras
 
 
 class SVRGS_OT_import_colmap(bpy.types.Operator):
@@ -104,7 +100,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         root[bridge.POINTS] = len(photos.points)
         if self.points and len(photos.points):
             points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
-        cameras = [_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras]
+        cameras = [bridge_cameras.new_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras]
         for obj in points + cameras:
             obj.parent = root
         context.scene.camera = cameras[0]
@@ -137,16 +133,6 @@ def root_for(obj: bpy.types.Object | None, folder: Path, collection: bpy.types.C
     root = bridge.new_root(folder.name, collection, obj.matrix_world)
     bridge.parent_to_root(obj, root)
     return root
-
-
-def _camera(camera: Camera, extent: float, collection: bpy.types.Collection) -> bpy.types.Object:
-    data = bpy.data.cameras.new(camera.name)
-    obj = bpy.data.objects.new(camera.name, data)
-    bridge_cameras.camera_to_object(camera, obj)
-    data.display_size = DISPLAY_SIZE * extent
-    data.clip_start, data.clip_end = 1e-3 * extent, CLIP_END * extent
-    collection.objects.link(obj)
-    return obj
 
 
 def menu(self, context):

@@ -28,6 +28,7 @@ from . import (
     job_queue,
     job_result,
     orphan_jobs,
+    place_cameras,
 )  # fmt: skip
 from .job import resume_sentence
 from .job_watch import current, is_busy, is_resumable
@@ -73,7 +74,10 @@ def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
     texts: list[str] = [tr("Estimating from some views …")] if found.get("busy") else estimate.sentences(context.object) if found else []
     texts += filter(None, [camera_match.sentence(context), edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
-    return [*texts, *filter(None, [depths.problem(context), orphan_jobs.sentence(context), _of_applied(context.object)])]
+    return [
+        *texts,
+        *filter(None, [depths.problem(context), place_cameras.sentence(context.object), orphan_jobs.sentence(context), _of_applied(context.object)]),
+    ]
 
 
 def _of_job(job: Job) -> list[str]:

@@ -73,6 +73,7 @@ def draw_settings(layout, context, state):
         column.prop(settings, "colmap", placeholder=state.dataset)
     if settings.depth == "TUNED":
         column.prop(settings, "views")
+        column.operator("svrgs.place_cameras", icon="OUTLINER_OB_CAMERA")
     if settings.depth != "QUICK":
         column.prop(settings, "method_choice")
     wrapped_label(column, state.method_help)

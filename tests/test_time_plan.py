@@ -259,6 +259,16 @@ def test_steps_gain_less_from_fewer_gaussians_where_pixels_take_most_of_their_ti
     assert duration._power(0.1, scene, data, train_settings("3dgs", 300, 0)) == duration.TRAINING_POWER
 
 
+@pytest.mark.parametrize(("share", "every"), [(0.5, 2), (0.25, 4), (0.01, 16), (0.9, 2), (None, 16)])
+def test_steps_on_merged_gaussians_are_measured_with_as_many_as_stay(tiny, data, monkeypatch, share, every):
+    """Without a known number (an allowed drop), as for other methods."""
+    scene, counts = read_ply(tiny.splat), []
+    monkeypatch.setattr(duration, "_step", lambda some, dataset, plan: counts.append(some.count) or 0.1 / every**0.8)
+    plan = replace(whole("merge"), target=round(share * scene.count) if share else 0)
+    assert duration._power(0.1, scene, data, plan) == pytest.approx(0.75)
+    assert counts == [-(-scene.count // every)]
+
+
 def test_an_estimate_chooses_the_schedule_of_a_time(tiny, monkeypatch):
     from svrgs_addon.jobs import estimate as module
 

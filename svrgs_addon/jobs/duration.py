@@ -209,8 +209,9 @@ def _power(step: float, scene: Scene, dataset: Dataset, plan: Plan) -> float:
     if any(phase.densify for phase in plan.phases):
         return TRAINING_POWER
     every, grown, limits = SOME, GROWN, POWERS
-    if plan.method.merges:  # it leaves a known number
-        every, grown, limits = min(SOME, max(2, round(1 / (plan.share or plan.target / scene.count)))), MERGED_GROWN, MERGED_POWERS
+    if plan.method.merges:
+        share = plan.share or plan.target / scene.count or 1 / SOME
+        every, grown, limits = min(SOME, max(2, round(1 / share))), MERGED_GROWN, MERGED_POWERS
     some = scene.select(np.arange(scene.count) % every == 0)
     return float(np.clip(math.log(step / _step(some, dataset, plan)) / math.log(every) - grown, *limits))
 

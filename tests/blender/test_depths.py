@@ -160,6 +160,45 @@ def test_without_a_camera_it_says_so(splat):
         bpy.ops.svrgs.job_start()
 
 
+# --- the placed cameras, as objects
+
+
+def test_placed_cameras_are_children_of_the_splat_and_look_at_it(splat, bridge):
+    splat.location.x += 3
+    set_up({"depth": "TUNED"})
+    assert "place_cameras" in drawn("prune")
+    bpy.ops.svrgs.place_cameras()
+    bridge_views = part("operators.bridge_views")
+    placed = bridge_views.placed(splat)
+    assert len(placed) > 32 and len(bpy.data.cameras) == len(placed) and bpy.context.object == splat
+    bpy.context.view_layer.update()
+    middle = np.array(splat.matrix_world) @ [*bridge.scene_from_object(splat).means.mean(axis=0), 1]
+    towards = [(middle[:3] - obj.matrix_world.translation) @ -np.array(obj.matrix_world)[:3, 2] > 0 for obj in placed]
+    assert np.mean(towards) > 0.8
+    bpy.ops.svrgs.place_cameras()
+    assert len(bridge_views.placed(splat)) == len(bpy.data.cameras) == len(placed) and len(bpy.data.collections) == 1
+
+
+def test_a_job_uses_what_is_left_of_the_placed_cameras(splat, watch):
+    set_up({"depth": "TUNED", "views": "ONLY", "goal": "SHARE", "share": 40, "recovery": 20})
+    bpy.ops.svrgs.place_cameras()
+    placed = part("operators.bridge_views").placed(splat)
+    bpy.data.batch_remove([obj.data for obj in placed[10:]])
+    run(watch)
+    (job,) = watch.jobs.values()
+    assert job.folder.result()["rig"]["given"] == 10
+
+
+def test_cameras_that_cannot_be_placed_are_explained(splat, bridge):
+    scene = bridge.scene_from_object(splat)
+    scene.opacity_logits[:] = -12
+    bridge.replace_gaussians(splat, scene)
+    set_up({"depth": "TUNED"})
+    with pytest.raises(RuntimeError, match="transparent"):
+        bpy.ops.svrgs.place_cameras()
+    assert "transparent" in said() and not bpy.data.cameras
+
+
 # --- what may come next
 
 

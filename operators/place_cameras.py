@@ -1,0 +1,124 @@
+"""Place Cameras: adds the cameras to the file from which a job without photographs takes its pictures, to look at, move, add to or delete.
+
+They are children of the splat. A child process finds the places (`svrgs rig`); Blender stays usable.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+
+from ..svrgs_addon.blender import subprocess_python
+from ..svrgs_addon.errors import SplatError
+from ..svrgs_addon.files.registry import write_scene
+from ..svrgs_addon.photographs.camera_files import load_cameras
+from . import bridge, bridge_graph, bridge_views, edit_guard
+from .job import JobOperator
+from .job_watch import redraw_panels
+from .native_check import native_problem
+from .preferences import threads
+
+INTERVAL = 0.1  # seconds between two looks whether it is done
+
+_answers: dict[int, dict | None] = {}  # by session_uid of the splat: the result of `svrgs rig` with its cameras; None until it is there
+_problems: dict[int, str] = {}  # by session_uid of the splat: why no cameras were placed
+_threads: list[threading.Thread] = []
+
+
+def sentence(obj: bpy.types.Object) -> str:
+    """What the panel says on it; mostly empty."""
+    return tr("Placing cameras …") if obj.session_uid in _answers else _problems.get(obj.session_uid, "")
+
+
+class SVRGS_OT_place_cameras(JobOperator):
+    bl_idname = "svrgs.place_cameras"
+    bl_label = "Place Cameras"
+    bl_description = (
+        "Add the cameras from which a fine-tuned job without photographs takes its pictures, to look at or to change. "
+        "With Only This File's as Views, a job uses what you leave of them. They replace those that were placed for this splat before"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        problem = native_problem() or (edit_guard.problem(context, context.object) if bridge.is_splat(context.object) else tr("Select a Gaussian splat first"))
+        if not problem and context.object.session_uid in _answers:
+            problem = tr("Placing cameras …")
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
+
+    def work(self, context) -> str:
+        obj, folder = context.object, tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
+        write_scene(Path(folder.name) / "scene.ply", bridge_graph.visible_scene(obj))
+        words = ["--seed", str(context.scene.svrgs_prune.seed), "--threads", str(threads(context)), "--json"]
+        _problems.pop(obj.session_uid, None)
+        _answers[obj.session_uid] = None
+        thread = threading.Thread(target=_place, args=(obj.session_uid, folder, words))
+        _threads.append(thread)
+        thread.start()
+        if not bpy.app.background:
+            bpy.app.timers.register(_finished, first_interval=INTERVAL)
+            return tr("Placing cameras …")
+        thread.join()
+        _finished()
+        if obj.session_uid in _problems:
+            raise SplatError(_problems[obj.session_uid])
+        return tr("Placed {count:,} cameras").format(count=len(bridge_views.placed(obj)))
+
+
+def _place(uid: int, folder: tempfile.TemporaryDirectory, words: list[str]):
+    """In a thread, which must not use bpy."""
+    with folder:
+        out = Path(folder.name) / "cameras.json"
+        status, result = subprocess_python.run(["rig", str(Path(folder.name) / "scene.ply"), "--out", str(out), *words])
+        try:
+            _answers[uid] = {"error": result.get("error", f"svrgs rig: exit status {status}")} if status else {"cameras": load_cameras(out)}
+        except SplatError as error:
+            _answers[uid] = {"error": str(error)}
+
+
+def _finished() -> float | None:
+    """Adds the cameras that have been found since."""
+    for uid, answer in [(uid, answer) for uid, answer in _answers.items() if answer is not None]:
+        del _answers[uid]
+        obj = next((obj for obj in bpy.data.objects if obj.session_uid == uid and obj.users_collection), None)
+        if "error" in answer:
+            _problems[uid] = answer["error"]
+        elif obj is not None:
+            _add(obj, answer["cameras"])
+    redraw_panels()
+    if _answers:
+        return INTERVAL
+    _threads.clear()
+    return None
+
+
+def _add(splat: bpy.types.Object, cameras: list):
+    """Adds the cameras to the file, in a collection of their own."""
+    name = tr("{name} Cameras").format(name=splat.name)
+    collection = bpy.data.collections.get(name) or bpy.data.collections.new(name)
+    if not collection.users:
+        splat.users_collection[0].children.link(collection)
+    bridge_views.place(splat, cameras, collection)
+    if not bpy.app.background:
+        bpy.ops.ed.undo_push(message="Place Cameras")
+
+
+def register():
+    bpy.utils.register_class(SVRGS_OT_place_cameras)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_OT_place_cameras)
+    if bpy.app.timers.is_registered(_finished):
+        bpy.app.timers.unregister(_finished)
+    for thread in _threads:
+        thread.join()
+    _threads.clear()
+    _answers.clear()
+    _problems.clear()
