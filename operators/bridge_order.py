@@ -71,6 +71,11 @@ def is_shown(pruned: bpy.types.Object) -> bool:
     return SHOWN in pruned and available(pruned)
 
 
+def count(obj: bpy.types.Object) -> int:
+    """Number of Gaussians of a splat; of a quick result, of those that are shown."""
+    return obj[SHOWN] if is_shown(obj) else bridge.count(obj)
+
+
 def shown(pruned: bpy.types.Object) -> Scene | None:
     """The Gaussians that are shown instead of the splat's own; None: its own are shown. Raises SplatError."""
     return _order(pruned).at(pruned[SHOWN]) if is_shown(pruned) else None

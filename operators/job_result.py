@@ -152,7 +152,7 @@ def marked_count(obj: bpy.types.Object) -> int:
 def shown_count(pruned: bpy.types.Object) -> int:
     """Number of Gaussians that Apply would keep."""
     if not ranked(pruned):
-        return pruned[bridge_order.SHOWN] if bridge_order.is_shown(pruned) else bridge.count(pruned)
+        return bridge_order.count(pruned)
     original = original_of(pruned)
     return int((~bridge.stored_values(original or pruned, REMOVED)).sum())
 

@@ -1,8 +1,8 @@
 """Splats in Solid and Material Preview viewports.
 
 While the view moves, the graphics card draws quads of some Gaussians, sorted by depth. If a frame takes more than 0.12 s, the next one
-has fewer quads and pixels. When the view is at rest, a thread draws the exact picture with the native library, which is then drawn
-over the viewport.
+has fewer quads and pixels. When the view is at rest, a thread draws the picture with the native library, first every 2nd pixel and then
+all, which is then drawn over the viewport. If the Gaussians change and the view does not, the last picture stays until the new one is there.
 
 Blender draws the points of a splat itself, and they would hide the Gaussians. So splats have the display type BOUNDS here.
 """
@@ -33,6 +33,8 @@ from .viewport import redraw
 
 SHADING = {"SOLID", "MATERIAL"}
 REST_SECONDS = 0.2  # without movement; then the view is at rest
+WAIT_SECONDS = 0.02  # between two looks whether a better picture is there
+COARSE = 2  # a pixel of the first picture at rest covers 2 x 2 pixels
 SLOW_FRAME, FAST_FRAME = 0.12, 0.03  # seconds; after a slower frame there are fewer quads and pixels, after a faster one more
 LEVELS = 5  # each has half the quads of the one before, and half its pixels per side, down to a quarter
 LARGEST_SCALE = 4.0  # of the size of a Gaussian that is drawn in place of others
@@ -47,20 +49,31 @@ class DrawRequest:
     hidden: Any  # (H, W) depth of everything else in the viewport, in units of the scene
 
 
-def draw_exact(rasterizer, request: DrawRequest, _) -> tuple:
-    """(H, W, 4) display sRGB times alpha, and the colours (n, 3) of the quads from this view."""
-    scene, rows = request.cloud.scene, request.cloud.quads.rows
-    return overlay_rgba(rasterizer, scene, request.camera, request.hidden), colors(scene, rows, request.camera)
+def draw_at_rest(rasterizer, request: DrawRequest, reduction: int) -> tuple:
+    """(H, W, 4) display sRGB times alpha; with all pixels also the colours (n, 3) of the quads from this view, if there are quads; else None."""
+    scene, quads_made, camera = request.cloud.scene, request.cloud.quads, request.camera.reduced(reduction)
+    hidden = request.hidden[: camera.height * reduction : reduction, : camera.width * reduction : reduction]
+    rgba = overlay_rgba(rasterizer, scene, camera, hidden)
+    return rgba, colors(scene, quads_made.rows, camera) if quads_made and reduction == 1 else None
 
 
 class Cloud:
-    """The visible splats as one scene, and the quads of some of its Gaussians on the graphics card."""
+    """The visible splats as one scene. Once the view moves: the quads of some of its Gaussians on the graphics card."""
 
     def __init__(self, key: tuple, placed: bridge_graph.PlacedScene, scene: Scene, count: int):
-        self.key, self.placed, self.scene = key, placed, scene
-        self.quads: Quads = quads(scene, count)
-        self.geometry = bridge_gpu.texture(self.quads.geometry.reshape(-1, 4), "RGBA32F")
+        self.key, self.placed, self.scene, self.count = key, placed, scene, count
+        self.quads: Quads | None = None
+        self.geometry: gpu.types.GPUTexture | None = None
         self.colors: gpu.types.GPUTexture | None = None
+
+    def with_quads(self, camera: Camera) -> Quads:
+        """The quads; if there are none yet, they get the colours that the camera sees."""
+        if self.quads is None:
+            self.quads = quads(self.scene, self.count)
+            self.geometry = bridge_gpu.texture(self.quads.geometry.reshape(-1, 4), "RGBA32F")
+        if self.colors is None:
+            self.set_colors(colors(self.scene, self.quads.rows, camera))
+        return self.quads
 
     def set_colors(self, rgb):
         self.colors = bridge_gpu.texture(rgb, "RGBA16F")
@@ -70,7 +83,7 @@ class View:
     """What is drawn in one viewport."""
 
     def __init__(self):
-        self.live = LiveView(draw_exact, reductions=(1,))
+        self.live = LiveView(draw_at_rest, reductions=(COARSE, 1))
         self.last_key, self.since, self.level = b"", 0.0, 0
         self.target: bridge_gpu.Target | None = None
         self.texture: tuple[Picture, gpu.types.GPUTexture] | None = None
@@ -160,33 +173,33 @@ class Overlay:
     def draw_cloud(self, context, cloud: Cloud, view: View, camera: Camera, depth, columns: tuple[float, float]):
         """Draws in some columns of the viewport. depth: its depth buffer (H, W)."""
         space, local = context.space_data, cloud.placed.seen_by(camera)
-        view_key = local.key + repr(cloud.key).encode()
-        if view.is_at_rest(view_key):
-            key = view_key, self.changes, space.shading.type, space.shading.show_xray, space.overlay.show_overlays
+        if view.is_at_rest(local.key):
+            key = local.key, cloud.key, self.changes, space.shading.type, space.shading.show_xray, space.overlay.show_overlays
             view.live.request(key, DrawRequest(cloud, local, depth_of_projection(context.region_data.window_matrix, depth) / cloud.placed.unit))
             picture = view.live.picture()
-            if picture is not None and picture.key == key and picture.error is None:
-                bridge_gpu.draw_over_viewport(self.shaders, self.exact_texture(view, cloud, picture), columns)
+            if picture is not None and picture.key[0] == local.key and picture.error is None:
+                bridge_gpu.draw_over_viewport(self.shaders, self.texture_at_rest(view, cloud, picture), columns)
+                if view.live.busy:
+                    _redraw_in(WAIT_SECONDS)
                 return
-        if not bpy.app.timers.is_registered(_redraw_once):
-            bpy.app.timers.register(_redraw_once, first_interval=REST_SECONDS / 2)
+        _redraw_in(REST_SECONDS / 2)
         started = time.perf_counter()
         bridge_gpu.draw_over_viewport(self.shaders, self.draw_quads(context, view, cloud, camera, depth), columns)
         view.adapt(time.perf_counter() - started)
 
-    def exact_texture(self, view: View, cloud: Cloud, picture: Picture) -> gpu.types.GPUTexture:
+    def texture_at_rest(self, view: View, cloud: Cloud, picture: Picture) -> gpu.types.GPUTexture:
         if view.texture is None or view.texture[0] is not picture:
             pixels, quad_colors = picture.result
             view.texture = picture, bridge_gpu.picture_texture(pixels)
-            cloud.set_colors(quad_colors)
+            if quad_colors is not None and picture.key[1] == cloud.key:
+                cloud.set_colors(quad_colors)
         return view.texture[1]
 
     def draw_quads(self, context, view: View, cloud: Cloud, camera: Camera, depth) -> gpu.types.GPUTexture:
         modelview = context.region_data.view_matrix @ cloud.placed.matrix
-        if cloud.colors is None:
-            cloud.set_colors(colors(cloud.scene, cloud.quads.rows, cloud.placed.seen_by(camera)))
-        count, reduction = max(1, len(cloud.quads.rows) >> view.level), min(1 << view.level, 4)
-        order = native.depth_order(cloud.quads.means[:count], -modelview.row[2].xyz)
+        made = cloud.with_quads(cloud.placed.seen_by(camera))
+        count, reduction = max(1, len(made.rows) >> view.level), min(1 << view.level, 4)
+        order = native.depth_order(made.means[:count], -modelview.row[2].xyz)
         width, height = (max(1, side // reduction) for side in (camera.width, camera.height))
         if view.target is None or (view.target.width, view.target.height) != (width, height):
             view.target = bridge_gpu.Target(width, height)
@@ -216,6 +229,11 @@ def switch(settings, context):
 def changed(settings, context):
     """After the user has changed a setting of the drawing."""
     redraw(SHADING)
+
+
+def _redraw_in(seconds: float):
+    if not bpy.app.timers.is_registered(_redraw_once):
+        bpy.app.timers.register(_redraw_once, first_interval=seconds)
 
 
 def _redraw_once():

@@ -248,7 +248,8 @@ def _size(_) -> str:
     obj = bpy.context.object
     if not bridge.is_splat(obj):
         return ""
-    return tr("{kept:,} Gaussians, {size}").format(kept=bridge.count(obj), size=size_text(obj, bridge.count(obj)))
+    count = bridge_order.count(obj)
+    return tr("{kept:,} Gaussians, {size}").format(kept=count, size=size_text(obj, count))
 
 
 def _marked(_) -> int:

@@ -7,7 +7,7 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.render import color_maps
-from . import bridge, bridge_selection, camera_match, mask_image, overlay, splat_layer, splat_transforms, undistort, viewport_wipe
+from . import bridge, bridge_order, bridge_selection, camera_match, mask_image, overlay, splat_layer, splat_transforms, undistort, viewport_wipe
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
@@ -31,7 +31,7 @@ def _about(_) -> str:
     obj = bpy.context.object
     if not bridge.is_splat(obj):
         return ""
-    return tr("{count:,} Gaussians, SH degree {degree}").format(count=bridge.count(obj), degree=bridge.sh_degree(obj))
+    return tr("{count:,} Gaussians, SH degree {degree}").format(count=bridge_order.count(obj), degree=bridge.sh_degree(obj))
 
 
 def _moved(_) -> int:

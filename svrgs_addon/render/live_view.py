@@ -21,7 +21,7 @@ COARSE = 4  # a pixel of the coarse picture covers 4 x 4 pixels of the view
 class Picture:
     """The result of a request, or its error."""
 
-    key: object  # key of the request
+    key: Any  # of the request
     reduction: int  # 1: exact; else a pixel covers reduction x reduction pixels of the view
     result: Any = None
     error: Exception | None = None

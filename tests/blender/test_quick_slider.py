@@ -80,6 +80,7 @@ def test_export_writes_what_is_shown(result, ply, tmp_path):
     result.svrgs_share = 20
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "out.ply"))
     assert ply.read_ply(tmp_path / "out.ply").count == 50
+    assert "50 Gaussians, " in drawn("export") and "50 Gaussians, SH" in drawn("scene")
 
 
 def test_undo_brings_the_former_number_back(result):
