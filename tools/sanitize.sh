@@ -8,7 +8,7 @@ bin=$1/bin
 python=$bin/python
 cxx=${CXX:-g++}
 out=$PWD/build/sanitize
-tests=(tests/test_native_{loss,adam,sampling,stress,poison,arguments,lifetimes,invariants,repeatability,scores,threads,update,removal}.py
+tests=(tests/test_native_{loss,adam,sampling,stress,poison,arguments,lifetimes,invariants,repeatability,scores,threads,update,removal,decimation,order}.py
     tests/test_meshes.py tests/test_panorama.py)
 address=(-O1 -g "-fsanitize=address,undefined" -fno-sanitize-recover=all)
 thread=(-O1 -g "-fsanitize=thread")

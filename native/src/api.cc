@@ -356,7 +356,8 @@ int32_t svrgs_decimate(int32_t level, const svrgs_decimation* scene, const int32
   return guarded([&] {
     require(scene && out && steps && merges, "an argument is missing");
     check({scene->count, scene->sh_coefficients, scene->means, scene->log_scales, scene->quats, scene->opacity_logits, scene->sh, nullptr});
-    require(scene->visibility && scene->count > 0 && scene->least > 0 && scene->least <= scene->count, "least must be 1 to count");
+    require(scene->visibility, "an argument is missing");
+    require(scene->count > 0 && scene->least > 0 && scene->least <= scene->count, "least must be 1 to count");
     require(2 * scene->count < kMaxCount, "the scene's count must be below 2^30");
     require(std::isfinite(scene->unit) && scene->unit > 0, "unit must be a finite length above 0");
     for (const double x : scene->middle) require(std::isfinite(x), "middle must be finite");

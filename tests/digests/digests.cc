@@ -83,6 +83,23 @@ void without_level(Lines& lines) {
   lines.refuse("add_view_of_nothing", svrgs_add_view(nullptr, &picture), SVRGS_INVALID);
 }
 
+// Logarithms and exponentials are those of the C library.
+void decimation(Lines& lines, int32_t level) {
+  Decimation made;
+  svrgs_decimation scene = made.scene();
+  const svrgs_merges out = made.merges();
+  int64_t steps = 0, merges = 0;
+  lines.require(svrgs_decimate(level, &scene, nullptr, &out, &steps, &merges) == SVRGS_OK, "decimate");
+  lines.add("decimate_order", Digest(kWhole).add(made.a.data(), steps).add(made.b.data(), steps).add(&merges, 1));
+  lines.add("decimate_results", Digest(kCoarse).add(made.costs.data(), steps).add(made.to_means).add(made.to_scales).add(made.to_logits).add(made.to_sh));
+  const int32_t set = 1;
+  lines.refuse("decimate_cancel", svrgs_decimate(level, &scene, &set, &out, &steps, &merges), SVRGS_CANCELLED);
+  scene.least = 0;
+  lines.refuse("decimate_to_none", svrgs_decimate(level, &scene, nullptr, &out, &steps, &merges), SVRGS_INVALID);
+  scene.least = 1, scene.visibility = nullptr;
+  lines.refuse("decimate_unseen", svrgs_decimate(level, &scene, nullptr, &out, &steps, &merges), SVRGS_INVALID);
+}
+
 void triangles(Lines& lines) {
   Triangles made;
   svrgs_triangles t = made.view();
@@ -129,6 +146,7 @@ Lines run(const std::string& name, int32_t level, int32_t threads) {
   optimiser<T>(lines, level);
   without_level(lines);
   triangles(lines);
+  decimation(lines, level);
   return lines;
 }
 

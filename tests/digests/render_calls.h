@@ -61,6 +61,9 @@ class View {
     add("slopes", Digest(kDouble ? kMillionths : kCoarse).add(slopes));  // exp2 of the C library in float, too
     require(svrgs_dominance(context, dominance.data()), "dominance");
     add("dominance", digest().add(dominance));
+    std::vector<double> visibility(SVRGS_VISIBILITY * kCount);
+    require(svrgs_visibility(context, visibility.data()), "visibility");
+    add("visibility", digest().add(visibility));
   }
 
   // Gradients straight into an Adam step; what is not updated is asked for.
@@ -160,6 +163,7 @@ void refusals(Lines& lines, int32_t level) {
   std::vector<double> sums(SVRGS_MOMENTS * kCount);
   lines.refuse("scores_without_view", svrgs_scores(v.context, sums.data(), nullptr, nullptr, nullptr), SVRGS_INVALID);
   lines.refuse("moments_without_view", svrgs_moments(v.context, sums.data()), SVRGS_INVALID);
+  lines.refuse("visibility_without_view", svrgs_visibility(v.context, sums.data()), SVRGS_INVALID);
   const svrgs_image_grads none = {};
   const svrgs_grads out = {};
   lines.refuse("backward_without_view", svrgs_backward(v.context, &none, &out), SVRGS_INVALID);

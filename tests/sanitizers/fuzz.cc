@@ -11,10 +11,10 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   if (!contexts[level]) views::require(svrgs_context_create(level, &contexts[level]) == SVRGS_OK, "a context");
   const views::Case c(bytes);
   svrgs_set_threads(1);
-  const views::Results one = views::run(c, contexts[level]);
+  const views::Results one = views::run(c, contexts[level], level);
   views::require(views::finite(one), "finite images and gradients");
   svrgs_set_threads(3);
-  const views::Results three = views::run(c, contexts[level]);
+  const views::Results three = views::run(c, contexts[level], level);
   views::require(one.drawn == three.drawn && one.values.size() == three.values.size(), "the same for any number of threads");
   views::require(one.values.empty() || !std::memcmp(one.values.data(), three.values.data(), one.values.size() * sizeof(float)),
                  "the same bits for any number of threads");

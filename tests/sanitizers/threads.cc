@@ -22,7 +22,7 @@ views::Results drawn(unsigned seed, int32_t level) {
   c.camera.fx = c.camera.fy = 40;
   svrgs_context* context;
   views::require(svrgs_context_create(level, &context) == SVRGS_OK, "a context");
-  views::Results r = views::run(c, context);
+  views::Results r = views::run(c, context, level);
   svrgs_context_destroy(context);
   return r;
 }

@@ -139,6 +139,34 @@ class View {
     for (const auto& part : {rgb, depth, alpha, mask, left, d_rgb, means, scales, quats, logits, sh, d_masks, means2d}) append(results, part);
   }
 
+  // The order of removals and merges down to one Gaussian: each operation is on Gaussians that are there.
+  void decimate(int32_t level) {
+    std::vector<double> seen(SVRGS_VISIBILITY * c.count);
+    require(svrgs_visibility(context, seen.data()) == SVRGS_OK, "visibility");
+    for (const double x : seen) require(x >= 0, "visibility of at least 0");
+    if (c.count < 2) return;
+    const int64_t n = c.count;
+    std::vector<uint32_t> a(n), b(n);
+    std::vector<float> costs(n), to_means(3 * n), to_scales(3 * n), to_quats(4 * n), to_logits(n), to_sh(3 * c.k * n);
+    const svrgs_decimation from = {n, c.k, 0, scene.means, scene.log_scales, scene.quats, scene.opacity_logits, scene.sh, seen.data(), {0, 0, 0}, 0.1, 1};
+    const svrgs_merges to = {a.data(), b.data(), costs.data(), to_means.data(), to_scales.data(), to_quats.data(), to_logits.data(), to_sh.data()};
+    int64_t steps = 0, merges = 0, made = 0;
+    require(svrgs_decimate(level, &from, nullptr, &to, &steps, &merges) == SVRGS_OK && steps == n - 1, "an order down to one Gaussian");
+    std::vector<uint8_t> there(n, 1);
+    for (int64_t k = 0; k < steps; ++k) {
+      require(a[k] < there.size() && there[a[k]], "a Gaussian that is there");
+      there[a[k]] = 0;
+      if (b[k] == UINT32_MAX) continue;
+      require(b[k] < there.size() && there[b[k]], "a second one that is there");
+      there[b[k]] = 0, there.push_back(1), ++made;
+    }
+    require(made == merges, "as many results as merges");
+    costs.resize(steps), to_means.resize(3 * merges), to_scales.resize(3 * merges), to_quats.resize(4 * merges), to_logits.resize(merges);
+    to_sh.resize(3 * c.k * merges);
+    for (const auto& part : {costs, to_means, to_scales, to_quats, to_logits, to_sh}) append(results, part);
+    results.values.insert(results.values.end(), a.begin(), a.begin() + steps);
+  }
+
   void draw_with_depth_limits() {
     svrgs_options limited = c.options;
     limited.depth_limit = c.depth_limit.data();
@@ -184,12 +212,13 @@ class View {
   svrgs_grads out;
 };
 
-// Forward, loss, backward, statistics and an Adam step of a case.
-inline Results run(const Case& c, svrgs_context* context) {
+// Forward, loss, backward, statistics, an order of removals and merges, and an Adam step of a case. level: that of the context.
+inline Results run(const Case& c, svrgs_context* context, int32_t level) {
   View view(c, context);
   if (!view.drawn()) return view.results;
   view.differentiate();
   view.measure();
+  view.decimate(level);
   view.draw_with_depth_limits();
   view.update();
   return view.results;

@@ -26,16 +26,30 @@ inline Blended blend_again(const LocalGaussian& l, int block, int h, V& T) {
   return {e.hit, live, keep(live, weight), keep(live, before)};
 }
 
+// Calls visit(entry, blocks, Gaussian in the tile's coordinates) for each entry of a tile's list that hits blocks and is drawn, from the nearest
+// on, and fetches those behind it: the list is in order, the Gaussians it names are not. The slots of other entries are never read.
+template <class F>
+[[gnu::always_inline]] inline void for_hit_entries(const Frame& f, int64_t tile, TileOrigin o, F&& visit) {
+  const TileEntry* const end = f.entries + f.tile_begin[tile + 1];
+  for (const TileEntry* entry = f.entries + f.tile_begin[tile]; entry < end; ++entry) {
+    if (entry + kEntriesAhead < end) {
+      prefetch_gaussian(f, entry + kEntriesAhead, end);
+      __builtin_prefetch(f.hits + entry[kEntriesAhead].slot);
+    }
+    const BlockMask blocks = f.hits[entry->slot];
+    if (!blocks) continue;
+    const LocalGaussian l = to_local(gaussian_of(f, *entry), o);
+    if (l.mask != 0) visit(*entry, blocks, l);
+  }
+}
+
 // Writes to the slot of each (Gaussian, tile) pair: the sum of alpha T, its maximum, the pixels blended, and the sum of T.
 void scores_tile(const Frame& f, int64_t tile, void* slots) {
   const TileOrigin o = tile_origin(f, tile);
   Transmittance t(f, o);
-  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
-    const TileEntry entry = f.entries[e];
-    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
-    if (l.mask == 0) continue;
+  for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     V total = broadcast(0), best = broadcast(0), pixels = broadcast(0), transmittance = broadcast(0);
-    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+    for (BlockMask left = blocks; left; left &= left - 1)
       for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const Blended w = blend_again(l, b, h, t.T[b][h]);
         total += w.weight;
@@ -45,7 +59,7 @@ void scores_tile(const Frame& f, int64_t tile, void* slots) {
       }
     R* slot = static_cast<R*>(slots) + static_cast<int64_t>(entry.slot) * kSlotWidth;
     slot[0] = sum(total), slot[1] = largest(best), slot[2] = sum(pixels), slot[3] = sum(transmittance);
-  }
+  });
 }
 
 void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end, const Scores& out) {
@@ -108,12 +122,9 @@ inline V sensitivity(const LocalGaussian& l, const Hit& e, V& T, V left[3]) {
 void visibility_tile(const Frame& f, int64_t tile, void* slots) {
   const TileOrigin o = tile_origin(f, tile);
   RemainingColour t(f, tile);
-  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
-    const TileEntry entry = f.entries[e];
-    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
-    if (l.mask == 0) continue;
+  for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     V weights = broadcast(0), transmittance = broadcast(0), pixels = broadcast(0), squares = broadcast(0), d[3] = {};
-    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+    for (BlockMask left = blocks; left; left &= left - 1)
       for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const Lanes& lanes = all_lanes().block[b];
         const V before = t.T[b][h];
@@ -125,8 +136,8 @@ void visibility_tile(const Frame& f, int64_t tile, void* slots) {
       }
     R* slot = static_cast<R*>(slots) + static_cast<int64_t>(entry.slot) * kSlotWidth;
     sum4(weights, transmittance, pixels, squares, slot);
-    for (int c = 0; c < 3; ++c) slot[4 + c] = sum(d[c]);
-  }
+    sum4(d[0], d[1], d[2], broadcast(0), slot + 4);
+  });
 }
 
 // Adds the slots of each Gaussian among rows [begin, end) of the visible ones; if it is blended, also this view and its pixels per area.
@@ -154,19 +165,16 @@ void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slo
   RemainingColour t(f, tile);
   R residual[kBlocks][3][kBlockPixels] = {};
   for_blocks(f, tile, [&](int b, BlockPlace place) { read_block<3>(f, place, residuals, residual[b]); });
-  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
-    const TileEntry entry = f.entries[e];
-    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
-    if (l.mask == 0) continue;
+  for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     V cost = broadcast(0);
-    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+    for (BlockMask left = blocks; left; left &= left - 1)
       for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const Lanes& lanes = all_lanes().block[b];
         const ColourShare s = share(l, evaluate(l, lanes.x[h], lanes.y[h]), t.T[b][h], t.rgb[b][h]);
         for (int c = 0; c < 3; ++c) cost = fma(s.rgb[c], s.rgb[c] - R(2) * load(residual[b][c] + h * W), cost);
       }
     static_cast<R*>(slots)[entry.slot] = sum(cost);
-  }
+  });
 }
 
 // Writes to the slot of each pair the sum over pixels of (sum over the channels of dC/dG)^2, G the value of the Gaussian, alpha = opacity G:
@@ -174,12 +182,9 @@ void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slo
 void slopes_tile(const Frame& f, int64_t tile, void* slots) {
   const TileOrigin o = tile_origin(f, tile);
   RemainingColour t(f, tile);
-  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
-    const TileEntry entry = f.entries[e];
-    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
-    if (l.mask == 0) continue;
+  for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     V total = broadcast(0);
-    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+    for (BlockMask left = blocks; left; left &= left - 1)
       for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const Lanes& lanes = all_lanes().block[b];
         const Hit hit = evaluate(l, lanes.x[h], lanes.y[h]);
@@ -188,29 +193,26 @@ void slopes_tile(const Frame& f, int64_t tile, void* slots) {
         total = fma(slope, slope, total);
       }
     static_cast<R*>(slots)[entry.slot] = sum(total) * std::exp2(2 * l.log2_opacity);
-  }
+  });
 }
 
 // Writes to the slot of each pair the number of pixels in which the Gaussian has the largest alpha T of all; of equal ones the nearest.
 void dominance_tile(const Frame& f, int64_t tile, void* slots) {
-  const int64_t begin = f.tile_begin[tile], end = f.tile_begin[tile + 1];
+  const int64_t end = f.tile_begin[tile + 1];
   const TileOrigin o = tile_origin(f, tile);
   Transmittance t(f, o);
   V best[kBlocks][kVectorsPerBlock] = {};
   int64_t who[kBlocks][kBlockPixels];
   for (int b = 0; b < kBlocks; ++b) std::fill_n(who[b], kBlockPixels, end);
-  for (int64_t e = begin; e < end; ++e) {
-    const TileEntry entry = f.entries[e];
-    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
+  for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     static_cast<R*>(slots)[entry.slot] = 0;
-    if (l.mask == 0) continue;
-    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+    for (BlockMask left = blocks; left; left &= left - 1)
       for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const V weight = blend_again(l, b, h, t.T[b][h]).weight;
-        for (uint32_t more = bits(less(best[b][h], weight)); more; more &= more - 1) who[b][h * W + __builtin_ctz(more)] = e;
+        for (uint32_t more = bits(less(best[b][h], weight)); more; more &= more - 1) who[b][h * W + __builtin_ctz(more)] = &entry - f.entries;
         best[b][h] = max(best[b][h], weight);
       }
-  }
+  });
   for (int b = 0; b < kBlocks; ++b)
     for (const int64_t e : who[b])
       if (e < end) static_cast<R*>(slots)[f.entries[e].slot] += 1;
@@ -231,12 +233,9 @@ void sums_range(const Frame& f, const void* slots, int64_t begin, int64_t end, d
 void moments_tile(const Frame& f, int64_t tile, void* slots) {
   const TileOrigin o = tile_origin(f, tile);
   RemainingColour t(f, tile);
-  for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e) {
-    const TileEntry entry = f.entries[e];
-    const LocalGaussian l = to_local(gaussian_of(f, entry), o);
-    if (l.mask == 0) continue;
+  for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     V m[SVRGS_MOMENTS] = {};
-    for (BlockMask left = f.hits[entry.slot]; left; left &= left - 1)
+    for (BlockMask left = blocks; left; left &= left - 1)
       for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const Lanes& lanes = all_lanes().block[b];
         const Hit hit = evaluate(l, lanes.x[h], lanes.y[h]);
@@ -247,7 +246,7 @@ void moments_tile(const Frame& f, int64_t tile, void* slots) {
       }
     R* slot = static_cast<R*>(slots) + static_cast<int64_t>(entry.slot) * SVRGS_MOMENTS;
     for (int k = 0; k < SVRGS_MOMENTS; ++k) slot[k] = sum(m[k]);
-  }
+  });
 }
 
 // Rows [begin, end) of the visible Gaussians.
