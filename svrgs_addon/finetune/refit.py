@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from ..camera import Camera
 from ..errors import Cancelled
 from ..geometry.morton_order import morton_order
 from ..native import RenderOptions
+from ..native_library import PARAMETERS
 from ..scene import Scene
 from .engine import NativeEngine, Step
 from .model import Model
@@ -21,10 +23,11 @@ POSITION = 0.025  # rate of position, in median middle scales: Gaussians move by
 
 
 def refit(
-    scene: Scene, cameras: Sequence[Camera], pictures: Sequence[np.ndarray], steps: int, options: RenderOptions, seed: int, stop: Callable[[], bool]
-) -> Scene:
-    """The scene after so many Adam steps on the loss of 3DGS, on one picture each. pictures: (H, W, 3) float32 of each camera. Raises Cancelled
-    if stop() says so."""
+    scene: Scene, cameras: Sequence[Camera], pictures: Sequence[np.ndarray], steps: int, pace: float, options: RenderOptions, seed: int,
+    stop: Callable[[], bool],
+) -> Scene:  # fmt: skip
+    """The scene after so many Adam steps on the loss of 3DGS, on one picture each. pictures: (H, W, 3) float32 of each camera. pace: times all rates.
+    Raises Cancelled if stop() says so."""
     model, engine, rng = Model.of(scene), NativeEngine(), np.random.default_rng([seed, 7])
     if scene.count > 1:
         model.reorder(morton_order(model.means))
@@ -34,11 +37,19 @@ def refit(
         if stop():
             raise Cancelled
         views = views or rng.permutation(len(cameras)).tolist()
-        view, share = views.pop(), LAST ** (k / max(1, steps - 1))
+        view, share = views.pop(), pace * LAST ** (k / max(1, steps - 1))
         usual = Rates().at(1, 0.0)
         rates = {name: factor * share * usual[name] for name, factor in FASTER.items()} | {"means": POSITION * middle * share}
         engine.step(model, Step(cameras[view], pictures[view], k + 1, rates, options))
     return model.into_scene()
+
+
+def between(first: Scene, second: Scene, share: float) -> Scene:
+    """The scene a share of the way from the first to the second; their rows belong together."""
+    if share in (0, 1):
+        return second if share else first
+    arrays = {name: (1 - share) * getattr(first, name) + share * getattr(second, name) for name in PARAMETERS}
+    return replace(second, **{name: array.astype(np.float32) for name, array in arrays.items()})
 
 
 def middle_scale(scene: Scene | Model) -> float:

@@ -24,7 +24,7 @@ from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
 from ..finetune.quality import LEAST
-from ..finetune.refit import refit
+from ..finetune.refit import between, refit
 from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
@@ -42,15 +42,15 @@ from .options import PruneOptions
 
 SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
-STEPS = 60  # of fine-tuning; more where few Gaussians are left
-MOST_STEPS = 120
+STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
+USUAL = 0.25  # share of the Gaussians
+WAYS = (1.0, 0.75, 0.5, 0.25, 0.0)  # shares of the way from the merged to the fine-tuned scene
 HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
 MOST_HIDDEN = 0.3  # share of the Gaussians that may be hidden from outside
 NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 TAKES = (  # options; others are refused
     "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "max_drop", "quiet", "quick", "scene", "out",
 )  # fmt: skip
-MOSTLY = 0.6  # share of the Gaussians from which on the steps may be worse than none
 SMALLEST = 0.01  # share of the Gaussians down to which an order is kept
 LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee the time
 ASSUMED = with_error(math.inf, PHOTOGRAPHED)  # PSNR of the original in dB, if a drop is allowed
@@ -159,15 +159,23 @@ class _Likeness:
 def _tuned(
     order: Order, count: int, likeness: _Likeness, cameras: list[Camera], pictures: list[np.ndarray], options: PruneOptions, stop: Callable[[], bool]
 ) -> Scene:
-    """The scene with `count` Gaussians, fine-tuned on the pictures, unless that does harm. Raises Cancelled."""
-    small, total = order.at(count), order.scene.count
-    if count == total:
+    """The scene with `count` Gaussians, fine-tuned on the pictures. Of the way to the fine-tuned one, only as much is gone as makes it look more like
+    the original in other views. Raises Cancelled."""
+    small, share = order.at(count), count / order.scene.count
+    if share == 1:
         return small
     try:
-        tuned = refit(small, cameras, pictures, _steps(count / total), render_options(small, options.background), options.seed, stop)
+        pace = min(1.0, USUAL / share)
+        tuned = refit(small, cameras, pictures, _steps(share), pace, render_options(small, options.background), options.seed, stop)
     except Cancelled:
         raise Cancelled(NOT_FINISHED) from None
-    return small if count > MOSTLY * total and likeness.psnr(small) > likeness.psnr(tuned) else tuned
+    best, highest = tuned, likeness.psnr(tuned)
+    for way in WAYS[1:]:
+        scene = between(small, tuned, way)
+        if (found := likeness.psnr(scene)) <= highest:
+            break
+        best, highest = scene, found
+    return best
 
 
 def _fewest_within(order: Order, least: int, likeness: _Likeness, drop: float) -> int:
@@ -192,7 +200,7 @@ def _of_hidden(count: int) -> list[str]:
 
 def _steps(share: float) -> int:
     """The number of steps of fine-tuning for this share of the Gaussians: with few of them, a step is quick and more is to be gained."""
-    return round(min(MOST_STEPS, max(STEPS, STEPS * (0.25 / share) ** 0.5)))
+    return round(min(MOST_STEPS, STEPS * (USUAL / share) ** (0.5 if share < USUAL else 0.25)))
 
 
 def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Camera], list[str]]:
