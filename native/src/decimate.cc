@@ -281,6 +281,7 @@ void Decimation::store(const Operation& op, MergeRow& made) const {
   const double measured = static_cast<double>(a.removal + b.removal), foreseen = std::max(square_of(a) + square_of(b), 1e-20);
   made.removal = static_cast<float>(square_of(made) * std::clamp(measured / foreseen, 1 / kCalibration, kCalibration));
   for (int k = 0; k < 3; ++k) out_.means[3 * at + k] = static_cast<float>(static_cast<double>(made.mean[k]) * in_.unit + in_.middle[k]);
+  if (std::isnan(made.amplitude)) made.amplitude = 0;  // of areas beyond all floats
   const double opacity = std::clamp(static_cast<double>(made.amplitude / made.transmittance), 1e-6, kAlphaMax);
   out_.opacity_logits[at] = static_cast<float>(std::log(opacity / (1 - opacity)));
   std::copy_n(made.cov, 6, covariances_.get() + 6 * at);

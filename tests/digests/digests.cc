@@ -83,15 +83,15 @@ void without_level(Lines& lines) {
   lines.refuse("add_view_of_nothing", svrgs_add_view(nullptr, &picture), SVRGS_INVALID);
 }
 
-// Logarithms and exponentials are those of the C library.
+// Logarithms and exponentials are those of the C library, so of two neighbours that choose each other either may come first.
 void decimation(Lines& lines, int32_t level) {
   Decimation made;
   svrgs_decimation scene = made.scene();
   const svrgs_merges out = made.merges();
   int64_t steps = 0, merges = 0;
   lines.require(svrgs_decimate(level, &scene, nullptr, &out, &steps, &merges) == SVRGS_OK, "decimate");
-  lines.add("decimate_order", Digest(kWhole).add(made.a.data(), steps).add(made.b.data(), steps).add(&merges, 1));
-  lines.add("decimate_results", Digest(kCoarse).add(made.costs.data(), steps).add(made.to_means).add(made.to_scales).add(made.to_logits).add(made.to_sh));
+  lines.add("decimate",
+            Digest(kCoarse).add(&merges, 1).add(made.costs.data(), steps).add(made.to_means).add(made.to_scales).add(made.to_logits).add(made.to_sh));
   const int32_t set = 1;
   lines.refuse("decimate_cancel", svrgs_decimate(level, &scene, &set, &out, &steps, &merges), SVRGS_CANCELLED);
   scene.least = 0;

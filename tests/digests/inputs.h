@@ -58,17 +58,15 @@ struct Decimation {
   static constexpr int32_t kRows = 400, kLeast = 10, kCoefficients = 4;
   std::vector<float> means = values<float>(80, 3 * kRows, -4, 4), log_scales = values<float>(81, 3 * kRows, -3, 0), quats = values<float>(82, 4 * kRows, 1, 3),
                      logits = values<float>(83, kRows, -4, 4), sh = values<float>(84, 3 * kRows * kCoefficients, -1, 1);
-  std::vector<double> visibility = values<double>(85, kRows * SVRGS_VISIBILITY, 0, 9);
+  std::vector<double> visibility = values<double>(85, kRows* SVRGS_VISIBILITY, 0, 9);
   std::vector<uint32_t> a = std::vector<uint32_t>(kRows), b = a;
-  std::vector<float> costs = std::vector<float>(kRows), to_means = std::vector<float>(3 * kRows), to_scales = to_means, to_quats = std::vector<float>(4 * kRows),
-                     to_logits = costs, to_sh = std::vector<float>(3 * kRows * kCoefficients);
+  std::vector<float> costs = std::vector<float>(kRows), to_means = std::vector<float>(3 * kRows), to_scales = to_means,
+                     to_quats = std::vector<float>(4 * kRows), to_logits = costs, to_sh = std::vector<float>(3 * kRows * kCoefficients);
 
   svrgs_decimation scene() const {
     return {kRows, kCoefficients, 0, means.data(), log_scales.data(), quats.data(), logits.data(), sh.data(), visibility.data(), {0, 0, 0}, 0.0625, kLeast};
   }
-  svrgs_merges merges() {
-    return {a.data(), b.data(), costs.data(), to_means.data(), to_scales.data(), to_quats.data(), to_logits.data(), to_sh.data()};
-  }
+  svrgs_merges merges() { return {a.data(), b.data(), costs.data(), to_means.data(), to_scales.data(), to_quats.data(), to_logits.data(), to_sh.data()}; }
 };
 
 struct Triangles {

@@ -141,14 +141,15 @@ class View {
 
   // The order of removals and merges down to one Gaussian: each operation is on Gaussians that are there.
   void decimate(int32_t level) {
+    if (c.count < 2) return;
     std::vector<double> seen(SVRGS_VISIBILITY * c.count);
     require(svrgs_visibility(context, seen.data()) == SVRGS_OK, "visibility");
-    for (const double x : seen) require(x >= 0, "visibility of at least 0");
-    if (c.count < 2) return;
+    for (size_t i = 0; i < seen.size(); ++i) require(seen[i] >= 0 || (i % SVRGS_VISIBILITY >= 4 && i % SVRGS_VISIBILITY < 7), "sums of at least 0");
     const int64_t n = c.count;
     std::vector<uint32_t> a(n), b(n);
     std::vector<float> costs(n), to_means(3 * n), to_scales(3 * n), to_quats(4 * n), to_logits(n), to_sh(3 * c.k * n);
-    const svrgs_decimation from = {n, c.k, 0, scene.means, scene.log_scales, scene.quats, scene.opacity_logits, scene.sh, seen.data(), {0, 0, 0}, 0.1, 1};
+    const svrgs_decimation from = {n,         c.k, 0, c.means.data(), c.log_scales.data(), c.quats.data(), c.logits.data(), c.sh.data(), seen.data(),
+                                   {0, 0, 0}, 0.1, 1};
     const svrgs_merges to = {a.data(), b.data(), costs.data(), to_means.data(), to_scales.data(), to_quats.data(), to_logits.data(), to_sh.data()};
     int64_t steps = 0, merges = 0, made = 0;
     require(svrgs_decimate(level, &from, nullptr, &to, &steps, &merges) == SVRGS_OK && steps == n - 1, "an order down to one Gaussian");
