@@ -77,7 +77,7 @@ def _place(uid: int, folder: tempfile.TemporaryDirectory, words: list[str]):
         out = Path(folder.name) / "cameras.json"
         status, result = subprocess_python.run(["rig", str(Path(folder.name) / "scene.ply"), "--out", str(out), *words])
         try:
-            _answers[uid] = {"error": result.get("error", f"svrgs rig: exit status {status}")} if status else {"cameras": load_cameras(out)}
+            _answers[uid] = {"error": result.get("error", ""), "status": status} if status else {"cameras": load_cameras(out)}
         except SplatError as error:
             _answers[uid] = {"error": str(error)}
 
@@ -88,7 +88,7 @@ def _finished() -> float | None:
         del _answers[uid]
         obj = next((obj for obj in bpy.data.objects if obj.session_uid == uid and obj.users_collection), None)
         if "error" in answer:
-            _problems[uid] = answer["error"]
+            _problems[uid] = answer["error"] or tr("placing cameras ended with status {status}").format(**answer)
         elif obj is not None:
             _add(obj, answer["cameras"])
     redraw_panels()
