@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import threading
 from pathlib import Path
 
 import bpy
@@ -13,16 +12,15 @@ from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import write_scene
 from . import bridge
+from .child_work import ChildWork
 from .job import JobOperator, given_views, options_of, start_problem
 from .job_watch import redraw_panels
 from .splat_size import size_text
 
 MODULE = "svrgs_addon.jobs.estimate"
-INTERVAL = 0.1  # seconds between two looks whether it is done
-
 _found: dict[int, dict] = {}  # by session_uid of the splat: the estimate; {"busy": True} until it is there
 _inputs: dict[int, dict] = {}  # by session_uid of the splat: the inputs of its last estimate
-_threads: list[threading.Thread] = []
+_child_work = ChildWork(done=redraw_panels)
 
 
 def of(obj: bpy.types.Object | None) -> dict:
@@ -95,14 +93,9 @@ class SVRGS_OT_estimate(JobOperator):
             write_cameras_json(Path(temp_dir.name) / "cameras.json", cameras)
             options["cameras"] = str(Path(temp_dir.name) / "cameras.json")
         _found[obj.session_uid], _inputs[obj.session_uid] = {"busy": True}, _inputs_now(obj)
-        thread = threading.Thread(target=_work, args=(obj.session_uid, {"scene": str(Path(temp_dir.name) / "scene.ply"), "options": options}, temp_dir))
-        _threads.append(thread)
-        thread.start()
+        _child_work.start(_work, obj.session_uid, {"scene": str(Path(temp_dir.name) / "scene.ply"), "options": options}, temp_dir)
         if not bpy.app.background:
-            bpy.app.timers.register(_finished, first_interval=INTERVAL)
             return tr("Estimating from some views")
-        thread.join()
-        _finished()
         found = of(obj)
         if "error" in found:
             raise SplatError(sentences(obj)[0])
@@ -115,24 +108,12 @@ def _work(key: int, request: dict, temp_dir: tempfile.TemporaryDirectory):
     _found[key] = result if "kept" in result else {"error": result.get("error", ""), "status": status}
 
 
-def _finished() -> float | None:
-    if any(thread.is_alive() for thread in _threads):
-        return INTERVAL
-    _threads.clear()
-    redraw_panels()
-    return None
-
-
 def register():
     bpy.utils.register_class(SVRGS_OT_estimate)
 
 
 def unregister():
     bpy.utils.unregister_class(SVRGS_OT_estimate)
-    if bpy.app.timers.is_registered(_finished):
-        bpy.app.timers.unregister(_finished)
-    for thread in _threads:
-        thread.join()
-    _threads.clear()
+    _child_work.close()
     _found.clear()
     _inputs.clear()

@@ -6,7 +6,6 @@ They are children of the splat. A child process finds the places (`svrgs rig`); 
 from __future__ import annotations
 
 import tempfile
-import threading
 from pathlib import Path
 
 import bpy
@@ -17,16 +16,14 @@ from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import write_scene
 from ..svrgs_addon.photographs.camera_files import load_cameras
 from . import bridge, bridge_graph, bridge_views, edit_guard
+from .child_work import ChildWork
 from .job import JobOperator
 from .job_watch import redraw_panels
 from .native_check import native_problem
 from .preferences import threads
 
-INTERVAL = 0.1  # seconds between two looks whether it is done
-
 _answers: dict[int, dict | None] = {}  # by session_uid of the splat: the result of `svrgs rig` with its cameras; None until it is there
 _problems: dict[int, str] = {}  # by session_uid of the splat: why no cameras were placed
-_threads: list[threading.Thread] = []
 
 
 def sentence(obj: bpy.types.Object) -> str:
@@ -58,14 +55,9 @@ class SVRGS_OT_place_cameras(JobOperator):
         words = ["--seed", str(context.scene.svrgs_prune.seed), "--threads", str(threads(context)), "--json"]
         _problems.pop(obj.session_uid, None)
         _answers[obj.session_uid] = None
-        thread = threading.Thread(target=_place, args=(obj.session_uid, folder, words))
-        _threads.append(thread)
-        thread.start()
+        _child_work.start(_place, obj.session_uid, folder, words)
         if not bpy.app.background:
-            bpy.app.timers.register(_finished, first_interval=INTERVAL)
             return tr("Placing cameras …")
-        thread.join()
-        _finished()
         if obj.session_uid in _problems:
             raise SplatError(_problems[obj.session_uid])
         return tr("Placed {count:,} cameras").format(count=len(bridge_views.placed(obj)))
@@ -82,7 +74,7 @@ def _place(uid: int, folder: tempfile.TemporaryDirectory, words: list[str]):
             _answers[uid] = {"error": str(error)}
 
 
-def _finished() -> float | None:
+def _finished():
     """Adds the cameras that have been found since."""
     for uid, answer in [(uid, answer) for uid, answer in _answers.items() if answer is not None]:
         del _answers[uid]
@@ -92,10 +84,6 @@ def _finished() -> float | None:
         elif obj is not None:
             _add(obj, answer["cameras"])
     redraw_panels()
-    if _answers:
-        return INTERVAL
-    _threads.clear()
-    return None
 
 
 def _add(splat: bpy.types.Object, cameras: list):
@@ -109,16 +97,15 @@ def _add(splat: bpy.types.Object, cameras: list):
         bpy.ops.ed.undo_push(message="Place Cameras")
 
 
+_child_work = ChildWork(done=_finished)
+
+
 def register():
     bpy.utils.register_class(SVRGS_OT_place_cameras)
 
 
 def unregister():
     bpy.utils.unregister_class(SVRGS_OT_place_cameras)
-    if bpy.app.timers.is_registered(_finished):
-        bpy.app.timers.unregister(_finished)
-    for thread in _threads:
-        thread.join()
-    _threads.clear()
+    _child_work.close()
     _answers.clear()
     _problems.clear()

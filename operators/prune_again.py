@@ -24,10 +24,10 @@ class SVRGS_OT_prune_again(JobOperator):
     @classmethod
     def poll(cls, context):
         original, pruned = job_result.pair_of(context.object)
-        if original is None or pruned is None or not job_result.undecided(pruned) or not bridge_order.is_shown(pruned):
+        if pruned is None or not job_result.undecided(pruned) or not bridge_order.is_shown(pruned) or job_of(original) is None:
             problem = tr("Choose another number of Gaussians with the slider Keep first")
         else:
-            problem = edit_guard.problem(context, original)
+            problem = edit_guard.problem(context, original)  # it is there: its job has kept the order
         if problem:
             cls.poll_message_set(problem)
         return not problem

@@ -108,7 +108,7 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
         text = tr("Quality at {kept:,} Gaussians: PSNR {psnr:.2f} dB against the original's own pictures")
         texts.append(text.format(kept=kept, psnr=pruned[job_result.OWN_PSNR]))
     if bridge_order.is_shown(pruned):
-        return [*texts, tr("Shown before fine-tuning: Fine-Tune does its steps for this number. Apply keeps what is shown")]
+        return [*texts, tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")]
     texts += filter(None, [bridge_order.problem(pruned)])
     return [*texts, tr("{count:,} more than were recovered: shown as in the original").format(count=count - kept)] if count > kept else texts
 
@@ -270,7 +270,7 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     lost_dataset: StringProperty(get=_lost_dataset)  # that the dataset of the imported cameras is not where it was; else empty
     orphan: StringProperty(get=_orphan)  # that a job of the active splat was found; else empty
     original: StringProperty(get=_original)  # name of the original of an applied result; empty: none
-    merges: BoolProperty(get=_merges)  # Gaussians will be merged: the result has no slider
+    merges: BoolProperty(get=_merges)  # Gaussians will be merged
     slider: BoolProperty(get=_slider)  # fewer or more Gaussians than those of the result can be shown
     untuned: BoolProperty(get=_untuned)  # the number that is shown was not fine-tuned
     method_help: StringProperty(get=_method_help)

@@ -50,7 +50,7 @@ class SplatOperator(bpy.types.Operator):
     def problem(cls, context) -> str:
         """What the user must do first; empty if the operator can run on the active splat."""
         if bridge_order.is_shown(context.object):
-            return tr("Apply the number of Gaussians that is shown first")
+            return tr("Apply or discard the result first")
         return edit_guard.problem(context, context.object)
 
     @classmethod

@@ -11,6 +11,7 @@ import pytest
 from svrgs_addon.decimate.order import looks, order_of
 from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.finetune.refit import interpolated
 from svrgs_addon.jobs.context import JobContext
 from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.jobs.quick import prune_quick
@@ -178,6 +179,35 @@ def test_lost_columns_are_named(tmp_path):
     columns = {"nx": np.zeros(300, np.float32), "label": np.arange(300, dtype=np.float32)}
     write_ply(tmp_path / "s.ply", dataclasses.replace(scene, attributes=columns))
     assert run(tmp_path / "s.ply")["notes"][-1] == "these columns of the file were left out: label"
+
+
+@pytest.mark.parametrize("target", [0.2, 0.9])
+def test_steps_that_do_harm_are_taken_back(splat, monkeypatch, target):
+    """The steps of this test paint all Gaussians grey."""
+    from svrgs_addon.jobs import quick
+
+    before = []
+    monkeypatch.setattr(quick, "refit", lambda scene, *_: before.append(scene) or dataclasses.replace(scene, sh=np.zeros_like(scene.sh)))
+    run(splat, target=target)
+    assert (read_ply(splat.with_name("small.ply")).sh == before[0].sh).all()
+
+
+def test_scenes_are_interpolated():
+    first, second = ball(50), ball(50, seed=1)
+    for share in (0.0, 0.25, 1.0):
+        found = interpolated(first, second, share)
+        for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
+            assert getattr(found, name) == pytest.approx((1 - share) * getattr(first, name) + share * getattr(second, name), abs=1e-6)
+
+
+def test_a_full_disk_costs_the_order_and_not_the_result(splat, monkeypatch, tmp_path):
+    def full(*_):
+        raise SceneError("the disk is full")
+
+    monkeypatch.setattr("svrgs_addon.jobs.quick.write_order", full)
+    out = splat.with_name("small.ply")
+    result = prune_quick(PruneOptions(scene=splat, out=out, target=0.5, quick=True), JobContext(out, order=tmp_path))
+    assert read_ply(out).count == result["count"] == 1_000 and "the disk is full" in result["notes"][-1]
 
 
 def test_the_input_is_never_replaced(splat):

@@ -41,6 +41,7 @@ class SavedOrder:
         return self.scene.select(np.flatnonzero((self.born <= done) & (self.gone > done)))
 
     def clipped(self, count: int) -> int:
+        """The number of Gaussians that at(count) has."""
         return min(max(count, self.least), self.most)
 
     def moved(self, matrix: np.ndarray) -> SavedOrder:

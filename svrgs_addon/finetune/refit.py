@@ -44,12 +44,10 @@ def refit(
     return model.into_scene()
 
 
-def between(first: Scene, second: Scene, share: float) -> Scene:
-    """The scene a share of the way from the first to the second; their rows belong together."""
-    if share in (0, 1):
-        return second if share else first
-    arrays = {name: (1 - share) * getattr(first, name) + share * getattr(second, name) for name in PARAMETERS}
-    return replace(second, **{name: array.astype(np.float32) for name, array in arrays.items()})
+def interpolated(first: Scene, second: Scene, share: float) -> Scene:
+    """(1 - share) of the first scene and `share` of the second, which have the same Gaussians in the same order. share: 0 to 1."""
+    arrays = {name: np.float32(1 - share) * getattr(first, name) + np.float32(share) * getattr(second, name) for name in PARAMETERS}
+    return replace(second, **arrays)
 
 
 def middle_scale(scene: Scene | Model) -> float:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from statistics import fmean
 from typing import Any
 
@@ -24,7 +25,7 @@ from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
 from ..finetune.quality import LEAST
-from ..finetune.refit import between, refit
+from ..finetune.refit import interpolated, refit
 from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
@@ -44,7 +45,7 @@ SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
 USUAL = 0.25  # share of the Gaussians
-WAYS = (1.0, 0.75, 0.5, 0.25, 0.0)  # shares of the way from the merged to the fine-tuned scene
+SHARES = (0.75, 0.5, 0.25, 0.0)  # of the fine-tuned scene in the result, the rest is the merged one; tried after 1
 HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
 MOST_HIDDEN = 0.3  # share of the Gaussians that may be hidden from outside
 NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
@@ -112,9 +113,8 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     likeness = _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options)
     count = _fewest_within(order, wanted, likeness, options.max_drop) if options.max_drop else wanted
     small = _tuned(order, count, likeness, cameras, pictures, options, job.stop)
-    if job.order:
-        write_order(job.order, order, visible, source.count, 1 / factor)
     write_scene(options.out, scaled(small, 1 / factor))
+    notes += _kept(job.order, order, visible, source.count, 1 / factor) if job.order else []
     facts: dict[str, Any] = {
         "method": "quick",
         "seconds": time.perf_counter() - begun,
@@ -127,6 +127,15 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
     notes += [*_of_hidden(facts["hidden"]), *lost_columns(source, small)]
     return {**after, "scene": str(options.scene), "out": str(options.out), "before": before, "after": after, **facts, "notes": notes}
+
+
+def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float) -> list[str]:
+    """Writes the order. The result counts without it: a sentence if it cannot be written."""
+    try:
+        write_order(folder, order, rows, total, factor)
+    except SceneError as error:
+        return [f"other numbers of Gaussians cannot be shown: {error}"]
+    return []
 
 
 def _wanted(options: PruneOptions, count: int) -> int:
@@ -159,8 +168,8 @@ class _Likeness:
 def _tuned(
     order: Order, count: int, likeness: _Likeness, cameras: list[Camera], pictures: list[np.ndarray], options: PruneOptions, stop: Callable[[], bool]
 ) -> Scene:
-    """The scene with `count` Gaussians, fine-tuned on the pictures. Of the way to the fine-tuned one, only as much is gone as makes it look more like
-    the original in other views. Raises Cancelled."""
+    """The scene with `count` Gaussians, fine-tuned on the pictures. Where that does harm in other views, it is interpolated with the scene before the
+    steps. Raises Cancelled."""
     small, share = order.at(count), count / order.scene.count
     if share == 1:
         return small
@@ -170,8 +179,8 @@ def _tuned(
     except Cancelled:
         raise Cancelled(NOT_FINISHED) from None
     best, highest = tuned, likeness.psnr(tuned)
-    for way in WAYS[1:]:
-        scene = between(small, tuned, way)
+    for part in SHARES:
+        scene = interpolated(small, tuned, part)
         if (found := likeness.psnr(scene)) <= highest:
             break
         best, highest = scene, found

@@ -49,10 +49,10 @@ def test_it_shows_any_number_at_once_and_the_data_stay_those_of_the_job(result, 
     for share, count in ((20, 50), (80, 200), (100, 240), (0, 3)):
         result.svrgs_share = share
         assert cached(result).count == shown().count == part("operators.compare").shown_scene(result).count == count
-        assert f"{count} of 250 Gaussians" in said() and "Shown before fine-tuning" in said() and "prune_again" in drawn("prune")
+        assert f"{count} of 250 Gaussians" in said() and "not fine-tuned yet" in said() and "prune_again" in drawn("prune")
         assert (bridge.scene_from_object(result).means == own).all()
     result.svrgs_share = 40
-    assert sorted(cached(result).means[:, 0]) == sorted(own[:, 0]) and "Shown before" not in said()
+    assert sorted(cached(result).means[:, 0]) == sorted(own[:, 0]) and "not fine-tuned yet" not in said()
 
 
 def test_more_gaussians_look_more_like_the_original(result, splat, bridge):
@@ -154,7 +154,7 @@ def test_fine_tune_prunes_again_to_what_is_shown(result, splat, watch, bridge):
     (job,) = watch.jobs.values()
     follow(watch, lambda: ended(job))
     again = bpy.context.object
-    assert again != splat and bridge.count(again) == 50 and again.svrgs_share == pytest.approx(20) and "Shown before" not in said()
+    assert again != splat and bridge.count(again) == 50 and again.svrgs_share == pytest.approx(20) and "not fine-tuned yet" not in said()
     assert not np.array_equal(np.sort(bridge.scene_from_object(again).sh, axis=0), np.sort(untuned.sh, axis=0))
     again.svrgs_share = 40
     assert cached(again).count == 100
