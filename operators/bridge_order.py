@@ -22,6 +22,7 @@ from ..svrgs_addon.scene import Scene
 from . import bridge, job_paths, pairs
 
 SHOWN = "svrgs_shown"  # property of a pruned splat: the number of Gaussians that is shown instead of the job's own
+JOB = "svrgs_order"  # property of a pruned splat: name of the folder of its job. After an undo its original may have another job
 
 
 @dataclass(frozen=True)
@@ -39,16 +40,14 @@ _problems: dict[str, str] = {}  # by folder: why its order cannot be read
 
 def available(pruned: bpy.types.Object) -> bool:
     """Whether other numbers can be shown."""
-    folder = job_paths.folder_of(pairs.original_of(pruned))
-    return bool(folder) and folder not in _problems and not pruned.modifiers and os.path.isfile(os.path.join(folder, ORDER))
+    folder = _folder(pruned)
+    return bool(folder) and folder not in _problems and not pruned.modifiers
 
 
 def problem(pruned: bpy.types.Object) -> str:
     """Why other numbers cannot be shown although the job has kept an order; empty if they can, or if it has kept none."""
-    folder = job_paths.folder_of(pairs.original_of(pruned))
-    if not folder or not os.path.isfile(os.path.join(folder, ORDER)):
-        return ""
-    if pruned.modifiers:
+    folder = _folder(pruned)
+    if folder and pruned.modifiers:
         return tr("Remove the modifiers of '{name}' to show other numbers of Gaussians").format(name=pruned.name)
     return _problems.get(folder, "")
 
@@ -61,7 +60,7 @@ def show(pruned: bpy.types.Object, count: int, own: int):
         try:
             pruned[SHOWN] = _order(pruned).clipped(count)
         except SplatError as error:
-            _problems[job_paths.folder_of(pairs.original_of(pruned))] = str(error)
+            _problems[_folder(pruned)] = str(error)
             pruned.pop(SHOWN, None)
     pruned.data.update_tag()
 
@@ -81,9 +80,15 @@ def shown(pruned: bpy.types.Object) -> Scene | None:
     return _order(pruned).at(pruned[SHOWN]) if is_shown(pruned) else None
 
 
+def _folder(pruned: bpy.types.Object) -> str:
+    """The folder of the splat's job, if it has kept an order; else empty."""
+    folder = job_paths.folder_of(pairs.original_of(pruned))
+    return folder if os.path.basename(folder) == pruned.get(JOB) and os.path.isfile(os.path.join(folder, ORDER)) else ""
+
+
 def _order(pruned: bpy.types.Object) -> SavedOrder:
     """The order of the splat's job, moved as the splat's points were. Raises FormatError, SceneError."""
-    folder = JobFolder(job_paths.folder_of(pairs.original_of(pruned)))
+    folder = JobFolder(_folder(pruned))
     positions = bridge.stored_values(pruned, "position")
     if _last and _last[0].folder == str(folder.path) and np.array_equal(_last[0].positions, positions):
         return _last[0].order

@@ -63,7 +63,7 @@ def _load_merged(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> 
     """As load(), of a job that merged Gaussians: they have no place in a ranking of the original's, so nothing is marked in it."""
     pruned = _beside(obj, recovered, folder)
     join(obj, pruned)
-    pruned[KEPT], pruned[MERGED] = recovered.count, True
+    pruned[KEPT], pruned[MERGED], pruned[bridge_order.JOB] = recovered.count, True, folder.path.name
     set_hidden(obj, True)
     set_hidden(pruned, False)
     return pruned
@@ -96,7 +96,7 @@ def settle(original: bpy.types.Object | None, pruned: bpy.types.Object):
     for obj in filter(None, (original, pruned)):
         unmark(obj)
         set_hidden(obj, obj != pruned)
-    for name in (KEPT, PSNR, OWN_PSNR, MERGED, bridge_order.SHOWN):
+    for name in (KEPT, PSNR, OWN_PSNR, MERGED, bridge_order.SHOWN, bridge_order.JOB):
         pruned.pop(name, None)
 
 

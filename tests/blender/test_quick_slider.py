@@ -158,3 +158,17 @@ def test_fine_tune_prunes_again_to_what_is_shown(result, splat, watch, bridge):
     assert not np.array_equal(np.sort(bridge.scene_from_object(again).sh, axis=0), np.sort(untuned.sh, axis=0))
     again.svrgs_share = 40
     assert cached(again).count == 100
+
+
+def test_after_an_undo_of_fine_tune_the_former_result_has_its_own_number_and_no_slider(result, watch):
+    result.svrgs_share = 20
+    bpy.ops.ed.undo_push(message="slider")
+    bpy.ops.svrgs.prune_again()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: ended(job))
+    bpy.ops.ed.undo_push(message="result")
+    name = bpy.context.object.name
+    bpy.ops.ed.undo()
+    former = bpy.data.objects[name]
+    bpy.context.view_layer.objects.active = former
+    assert cached(former).count == 100 and "100 of 250" in said() and "svrgs_share" not in drawn("prune")
