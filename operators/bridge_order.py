@@ -6,6 +6,7 @@ The data of the splat stay those of the job. What is drawn, compared, exported a
 from __future__ import annotations
 
 import os
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import bpy
@@ -23,6 +24,7 @@ from . import bridge, job_paths, pairs
 
 SHOWN = "svrgs_shown"  # property of a pruned splat: the number of Gaussians that is shown instead of the job's own
 JOB = "svrgs_order"  # property of a pruned splat: name of the folder of its job. After an undo its original may have another job
+MOST_AHEAD = 1_000_000  # Gaussians of the original up to which an order is read before it is needed: it takes memory
 
 
 @dataclass(frozen=True)
@@ -34,8 +36,19 @@ class _Read:
     order: SavedOrder
 
 
+_ahead: dict[str, Future] = {}  # by folder, at most one: its order, while it is read
 _last: list[_Read] = []  # at most one: an order takes as much memory as the original and as much again
 _problems: dict[str, str] = {}  # by folder: why its order cannot be read
+
+
+def read_ahead(folder: JobFolder):
+    """Begins to read the order of a job, if it has kept one, in a thread: the first position of the slider need not wait for it."""
+    if bpy.app.background or not os.path.isfile(folder / ORDER) or folder.request()["count"] > MOST_AHEAD:
+        return
+    _forget()
+    pool = ThreadPoolExecutor(1)
+    _ahead[str(folder.path)] = pool.submit(_files, folder)
+    pool.shutdown(wait=False)
 
 
 def available(pruned: bpy.types.Object) -> bool:
@@ -93,18 +106,30 @@ def _order(pruned: bpy.types.Object) -> SavedOrder:
     if _last and _last[0].folder == str(folder.path) and np.array_equal(_last[0].positions, positions):
         return _last[0].order
     _last.clear()
-    means = read_scene(folder / "pruned.ply").means
+    reading = _ahead.pop(str(folder.path), None)
+    means, order = reading.result() if reading else _files(folder)
     motion = common_motion(means, positions) if means.shape == positions.shape else None
     if motion is None:
         raise SceneError(tr("points of '{name}' were edited, so other numbers of Gaussians cannot be shown").format(name=pruned.name))
-    order = read_order(folder.path, read_scene(folder / "scene.ply")).moved(motion)
+    order = order.moved(motion)
     _last.append(_Read(str(folder.path), positions, order))
     return order
 
 
+def _files(folder: JobFolder) -> tuple[np.ndarray, SavedOrder]:
+    """The positions (N, 3) of the job's result, and its order; both as in the files. Raises FormatError, SceneError."""
+    return read_scene(folder / "pruned.ply").means, read_order(folder.path, read_scene(folder / "scene.ply"))
+
+
+def _forget():
+    """Frees the memory of what was read."""
+    _last.clear()
+    _ahead.clear()
+
+
 @persistent
 def _after_load(*_):
-    _last.clear()
+    _forget()
     _problems.clear()
 
 

@@ -66,6 +66,7 @@ def _load_merged(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> 
     pruned[KEPT], pruned[MERGED], pruned[bridge_order.JOB] = recovered.count, True, folder.path.name
     set_hidden(obj, True)
     set_hidden(pruned, False)
+    bridge_order.read_ahead(folder)
     return pruned
 
 

@@ -130,7 +130,7 @@ def test_a_larger_allowed_drop_keeps_fewer(splat):
 def test_a_report_and_levels_are_written(splat):
     result = prune(splat, report=splat.with_name("report"), levels=(0.5,))
     page = splat.with_name("report").joinpath("index.html").read_text()
-    assert "photograph:" not in page and f"PSNR {result['psnr']:.2f}"[:7] in page and "∞" not in page
+    assert "photograph:" not in page and f"{result['psnr']:.2f} dB" in page and "∞" not in page
     assert [level["count"] for level in result["levels"]] == [125]
 
 

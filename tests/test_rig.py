@@ -9,10 +9,11 @@ import pytest
 
 from svrgs_addon import native
 from svrgs_addon.errors import SceneError
+from svrgs_addon.geometry.merge import merged
 from svrgs_addon.native import Rasterizer, RenderOptions, thresholds
 from svrgs_addon.rig import Rig, place_rig, quick_rig
 from svrgs_addon.rig.around import cameras_around, middle_and_radius
-from svrgs_addon.rig.place import MOST
+from svrgs_addon.rig.place import MOST, OUTSIDE
 from svrgs_addon.rig.preview import COLORS, preview
 from svrgs_addon.scene import Scene
 
@@ -57,11 +58,30 @@ def test_an_object_is_looked_at_from_outside(rig_of):
     assert len(rig.held_out) == 6
 
 
-@pytest.mark.parametrize("rig_of", (place_rig, quick_rig))
-def test_a_room_is_looked_at_from_inside(rig_of):
-    rig = rig_of(room(), held_out=6)
-    assert rig.inside_out
-    assert (np.abs(eyes(rig)) < 3.0 - thresholds().near).all(), "a camera is in a wall or outside"
+def within_the_room(rig: Rig) -> np.ndarray:
+    """(P,) bool: cameras inside, and not in a wall."""
+    return (np.abs(eyes(rig)) < 3.0 - thresholds().near).all(axis=1)
+
+
+def test_a_room_is_looked_at_from_inside():
+    rig = quick_rig(room(), held_out=6)
+    assert rig.inside_out and within_the_room(rig).all()
+
+
+def test_a_room_whose_walls_show_from_outside_is_looked_at_from_there_too():
+    rig = place_rig(room(), held_out=8)
+    outside = ~within_the_room(rig)
+    assert rig.inside_out and outside[: len(rig.cameras)].sum() == OUTSIDE and outside[len(rig.cameras) :].sum() == 2
+    assert (np.linalg.norm(eyes(rig)[outside], axis=1) > 3 * 3**0.5).all(), "a camera is in a wall"
+
+
+def test_what_hides_behind_the_walls_of_a_room_is_looked_at_from_inside_alone():
+    """A room full of small things, with walls that let nothing through."""
+    walls, things = room(), solid(30_000, 1.5)
+    walls = dataclasses.replace(walls, opacity_logits=np.full(walls.count, 6, np.float32), log_scales=walls.log_scales + np.float32(np.log(2)))
+    scene = merged([walls, dataclasses.replace(things, log_scales=things.log_scales - 2)])
+    rig = place_rig(scene, held_out=8)
+    assert rig.inside_out and within_the_room(rig).all()
 
 
 @pytest.mark.parametrize("scene", (dense(), room()), ids=("object", "room"))

@@ -19,6 +19,7 @@ from .settings import Rates
 
 FASTER = {"sh": 3.0, "sh_rest": 24.0, "log_scales": 3.0, "quats": 3.0, "opacity_logits": 1.5}  # times the rates of 3DGS; they fall to LAST of that
 LAST = 0.1
+USUAL = 0.25  # share of the Gaussians down to which the rates are smaller
 POSITION = 0.025  # rate of position, in median middle scales: Gaussians move by fractions of their size
 
 
@@ -48,6 +49,11 @@ def interpolated(first: Scene, second: Scene, share: float) -> Scene:
     """(1 - share) of the first scene and `share` of the second, which have the same Gaussians in the same order. share: 0 to 1."""
     arrays = {name: np.float32(1 - share) * getattr(first, name) + np.float32(share) * getattr(second, name) for name in PARAMETERS}
     return replace(second, **arrays)
+
+
+def pace_at(share: float) -> float:
+    """Factor on all rates with this share of the Gaussians. Where most of them stay, little is to be gained, and large steps do harm in other views."""
+    return min(1.0, USUAL / share)
 
 
 def middle_scale(scene: Scene | Model) -> float:

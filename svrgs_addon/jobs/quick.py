@@ -25,7 +25,7 @@ from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, write_scene
 from ..finetune.quality import LEAST
-from ..finetune.refit import interpolated, refit
+from ..finetune.refit import USUAL, interpolated, pace_at, refit
 from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
@@ -44,7 +44,6 @@ from .options import PruneOptions
 SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
-USUAL = 0.25  # share of the Gaussians
 SHARES = (0.75, 0.5, 0.25, 0.0)  # of the fine-tuned scene in the result, the rest is the merged one; tried after 1
 HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
 MOST_HIDDEN = 0.3  # share of the Gaussians that may be hidden from outside
@@ -174,8 +173,7 @@ def _tuned(
     if share == 1:
         return small
     try:
-        pace = min(1.0, USUAL / share)
-        tuned = refit(small, cameras, pictures, _steps(share), pace, render_options(small, options.background), options.seed, stop)
+        tuned = refit(small, cameras, pictures, _steps(share), pace_at(share), render_options(small, options.background), options.seed, stop)
     except Cancelled:
         raise Cancelled(NOT_FINISHED) from None
     best, highest = tuned, likeness.psnr(tuned)

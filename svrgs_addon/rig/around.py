@@ -29,7 +29,11 @@ def middle_and_radius(scene: Scene) -> tuple[np.ndarray, float]:
 def cameras_around(scene: Scene, count: int, side: int, turn: float = 0.0, nearer: float = 1.0) -> list[Camera]:
     """`count` cameras on a sphere around the scene that look at its middle; pictures are side x side pixels. turn: of all cameras around the
     vertical axis, radians. nearer: factor on their distance. Raises SceneError."""
+    return [view.camera(side, f"around_{number:03}") for number, view in enumerate(views_around(scene, count, turn, nearer))]
+
+
+def views_around(scene: Scene, count: int, turn: float = 0.0, nearer: float = 1.0) -> list[View]:
+    """The views of cameras_around()."""
     middle, radius = middle_and_radius(scene)
     directions = sphere(count, turn)[:, [0, 2, 1]]  # its axis is vertical
-    views = (View(middle + nearer * DISTANCE * radius * direction, middle, math.tan(AROUND_FOV / 2)) for direction in directions)
-    return [view.camera(side, f"around_{number:03}") for number, view in enumerate(views)]
+    return [View(middle + nearer * DISTANCE * radius * direction, middle, math.tan(AROUND_FOV / 2)) for direction in directions]

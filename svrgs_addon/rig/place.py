@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..camera import Camera
+from ..native import thresholds
 from ..scene import Scene
+from .around import views_around
 from .coverage import TIMES, Choice, Coverage
 from .space import Matter, Space, matter_of, usable_rows
 from .viewpoints import Around, View, Within, setting_of, side_of
@@ -16,6 +18,7 @@ FIRST, SECOND = 96, 48  # candidates: spread over the scene; aimed at what few o
 LEAST, MOST, ENOUGH = 32, 128, 0.995  # views that are chosen by what they see; share of what can be seen that TIMES of them must see
 USUAL = 192  # views of a rig: steps would fit fewer pictures, but not what lies between them
 HELD_OUT, QUICK_HELD_OUT = 16, 8
+OUTSIDE, OPEN = 32, 0.7  # views from outside of a scene that is seen from within, if they show at least this share of its Gaussians, too
 SCORED = 384  # side, in pixels, at which candidates are looked at, at most
 LARGE = 1_000_000  # a scene with more Gaussians has the fewer candidates, at least half as many
 
@@ -26,7 +29,7 @@ class Rig:
 
     cameras: list[Camera]  # rig_000 ...
     held_out: list[Camera]  # off_000 ...: from other places, in other directions
-    inside_out: bool  # the splat is a room, a street or a sky, seen from within
+    inside_out: bool  # the splat is a room, a street or a sky, seen from within; some cameras may stand outside all the same
     seen: float | None  # share of what can be seen that at least 3 of the cameras see, weighted by the largest alpha T; None: not measured
 
     @property
@@ -57,12 +60,15 @@ def place_rig(scene: Scene, *, views: int | None = None, held_out: int = HELD_OU
     rng = np.random.default_rng([seed, 0])
     setting = _setting(scene)
     side = side_of(setting)
-    coverage, looked, choice = _candidates(scene, setting, min(side, SCORED), rng)
+    outside = _outside(scene, min(side, SCORED)) if setting.inside_out else []
+    looked, choice = _candidates(scene, setting, outside, min(side, SCORED), rng)
     choice.run(views or LEAST, views or MOST, 2.0 if views else ENOUGH)
     chosen = [looked[view] for view in choice.chosen] or looked[: views or LEAST]
     if not views:
-        chosen += setting.views(max(0, USUAL - len(chosen)), rng)[: USUAL - len(chosen)]
-    others = setting.other_views(held_out, np.random.default_rng([seed, 1]))
+        chosen += [looked[view] for view in range(len(outside)) if view not in choice.chosen]
+        chosen += setting.views(max(0, USUAL - len(chosen)), rng)[: max(0, USUAL - len(chosen))]
+    others = views_around(scene, held_out // 4, turn=1.0, nearer=0.9) if outside else []
+    others += setting.other_views(held_out - len(others), np.random.default_rng([seed, 1]))
     return Rig(_named(chosen, "rig", side), _named(others, "off", side), setting.inside_out, choice.share())
 
 
@@ -84,20 +90,33 @@ def _setting(scene: Scene) -> Around | Within:
     return setting_of(matter, Space.of(matter))
 
 
-def _candidates(scene: Scene, setting: Around | Within, side: int, rng: np.random.Generator) -> tuple[Coverage, list[View], Choice]:
-    """The candidate views, what they see, and the choice among them."""
+def _outside(scene: Scene, side: int) -> list[View]:
+    """Views from outside of the whole scene, if they show most of it: then it will be looked at from there, too."""
+    views, coverage = views_around(scene, OUTSIDE), _coverage(scene)
+    coverage.add([view.camera(side) for view in views])
+    return views if (coverage.peaks >= thresholds().alpha_cut).mean() >= OPEN else []
+
+
+def _coverage(scene: Scene) -> Coverage:
+    """Of the Gaussians that can be seen at all, without any views."""
     rows = usable_rows(scene)
     scene = replace(scene.select(rows), sh=np.ascontiguousarray(scene.sh[rows][:, :1]))
-    coverage = Coverage(scene, _widths(scene))
+    return Coverage(scene, _widths(scene))
+
+
+def _candidates(scene: Scene, setting: Around | Within, outside: list[View], side: int, rng: np.random.Generator) -> tuple[list[View], Choice]:
+    """The candidate views, those from outside first, and the choice among them."""
+    coverage = _coverage(scene)
+    scene = coverage.scene
     share = min(1.0, max(0.5, LARGE / scene.count))
-    looked = setting.views(int(share * FIRST), rng)
+    looked = outside + setting.views(int(share * FIRST), rng)
     coverage.add([view.camera(side) for view in looked])
     choice = Choice(coverage)
     if choice.possible() >= ENOUGH:
-        return coverage, looked, choice
+        return looked, choice
     more = _aimed(scene, setting, looked, choice, int(share * SECOND), rng)
     coverage.add([view.camera(side) for view in more])
-    return coverage, looked + more, Choice(coverage)
+    return looked + more, Choice(coverage)
 
 
 def _aimed(scene: Scene, setting: Around | Within, looked: list[View], choice: Choice, count: int, rng: np.random.Generator) -> list[View]:

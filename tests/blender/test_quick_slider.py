@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -137,6 +138,18 @@ def test_without_its_files_the_number_of_the_job_is_shown(result, splat, name):
     assert "svrgs_share" not in drawn("prune")
     (Path(part("operators.job_paths").folder_of(splat)) / "order.npy").unlink()
     assert "svrgs_share" not in drawn("prune") and "100 of 250" in said() and name not in said()
+
+
+def test_the_order_can_be_read_before_it_is_needed(result, splat, monkeypatch):
+    bridge_order, folder = part("operators.bridge_order"), Path(part("operators.job_paths").folder_of(splat))
+    with monkeypatch.context() as patch:
+        patch.setattr(bridge_order, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
+        bridge_order.read_ahead(part("svrgs_addon.jobs.job_folder").JobFolder(folder))
+    (reading,) = bridge_order._ahead.values()
+    reading.result(timeout=60)
+    (folder / "order.npy").write_bytes(b"broken after it was read")
+    result.svrgs_share = 20
+    assert cached(result).count == 50 and not bridge_order._ahead
 
 
 def test_selecting_asks_to_apply_first(result):
