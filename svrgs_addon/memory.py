@@ -34,6 +34,12 @@ def reading(file_bytes: int) -> int:
     return int(READING * file_bytes)
 
 
+def unpacking(count: int, coefficients: int) -> int:
+    """Bytes of memory needed to read `count` Gaussians out of a compressed file: in parts, which are then joined. coefficients: SH coefficients per
+    channel, K."""
+    return 2 * 4 * (11 + 3 * coefficients) * count
+
+
 def rendering(count: int, width: int, height: int) -> int:
     """Bytes of memory needed to render one view of width x height pixels of `count` Gaussians that are in memory already."""
     return PROJECTED * count + RENDERED_PIXEL * width * height

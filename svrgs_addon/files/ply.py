@@ -10,8 +10,7 @@ import contextlib
 import logging
 import os
 import re
-from collections.abc import Iterable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from typing import BinaryIO
 
 import numpy as np
@@ -19,16 +18,15 @@ import numpy as np
 from .. import memory
 from ..errors import FormatError, SceneError
 from ..scene import SH_COEFFICIENTS, Scene
+from . import compressed_ply
 from .atomic import atomic_write, check_space, start_writeback
+from .opened import MAX_COUNT, opened, refuse_many, size_of
 from .ply_body import MAX_ASCII_BYTES, Body, blocks, empty_arrays, named_columns
-from .ply_header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, is_comment, parse_header
+from .ply_header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, parse_header
+from .ply_text import is_mip, written_comments
 from .splat_format import SplatFormat
 
-MAX_COUNT = 20_000_000  # Gaussians
 NORMALS = ("nx", "ny", "nz")  # 3DGS writes these properties; they are always 0
-MIP_COMMENT = "SplatRenderMode: mip"
-MIP_PATTERN = re.compile(r"\s*(SplatRenderMode:\s*mip|antialiased\s+1)\s*", re.IGNORECASE)  # written by Brush; by Postshot
-MODE_PATTERN = re.compile(r"\s*(SplatRenderMode:|antialiased\s).*", re.IGNORECASE)
 
 log = logging.getLogger(__name__)
 
@@ -78,21 +76,14 @@ def file_size(scene: Scene) -> int:
 def _layout(scene: Scene, columns: dict[str, np.ndarray]) -> tuple[bytes, np.dtype]:
     """The header, and the dtype of one row (one Gaussian) of the body."""
     properties = [(name, column.dtype.str[1:]) for name, column in columns.items()]
-    return format_header(_file_comments(scene), scene.count, properties), np.dtype([(name, "<" + code) for name, code in properties])
+    return format_header(written_comments(scene), ("vertex", scene.count, properties)), np.dtype([(name, "<" + code) for name, code in properties])
 
 
 @contextlib.contextmanager
 def _opened(path: str | os.PathLike, max_count: int) -> Iterator[Body]:
     """Yields the body of a file whose header was checked. Errors of the header and of the block become FormatErrors that name the file."""
-    try:
-        if not Path(path).is_file():
-            raise FormatError("is not a file")
-        with open(path, "rb") as file:
-            yield _checked_body(file, path, max_count)
-    except FormatError as error:
-        raise FormatError(f"{path} {error}") from None
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+    with opened(path) as file:
+        yield _checked_body(file, path, max_count)
 
 
 def _checked_body(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Body:
@@ -100,14 +91,13 @@ def _checked_body(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Bo
     header = parse_header(file.read(MAX_HEADER_BYTES))
     vertex = _vertex_element(header)
     coefficients = _check_properties(vertex)
-    if vertex.count > max_count:
-        raise FormatError(f"holds {vertex.count} Gaussians, more than the limit of {max_count}")
-    _check_size(header, vertex, os.fstat(file.fileno()).st_size)
+    refuse_many(vertex.count, max_count)
+    _check_size(header, vertex, size_of(file))
     if len(header.elements) > 1:
         others = ", ".join(element.name for element in header.elements[1:])
         log.warning("%s: elements after the Gaussians are ignored: %s", path, others)
     file.seek(header.size)
-    return Body(file, header, coefficients, _is_mip(header.comments))
+    return Body(file, header, coefficients, is_mip(header.comments))
 
 
 def _vertex_element(header: Header) -> Element:
@@ -117,7 +107,7 @@ def _vertex_element(header: Header) -> Element:
         raise FormatError("has no vertex element, so it is not a 3DGS splat")
     vertex = header.elements[names.index("vertex")]
     if "chunk" in names or any(name.startswith("packed_") for name, _ in vertex.properties):
-        raise FormatError("is a PlayCanvas compressed PLY, which is not supported; convert it to a plain 3DGS PLY first")
+        raise FormatError("is a compressed PLY with a header that is not understood; export it again")
     if names[0] != "vertex":
         raise FormatError(f"has the element {names[0]} before its vertices, which is not supported; export it with the vertices first")
     if vertex.list_property:
@@ -171,32 +161,15 @@ def _file_columns(scene: Scene) -> dict[str, np.ndarray]:
     return kept | columns
 
 
-def _file_comments(scene: Scene) -> list[str]:
-    """The comments to write: those that were read, with the antialiasing comment corrected if the flag has changed.
-
-    Raises SceneError for a comment that a PLY cannot store.
-    """
-    comments = list(scene.comments)
-    if scene.antialiased != _is_mip(comments):
-        comments = [text for text in comments if not MODE_PATTERN.fullmatch(text)]
-        comments += [MIP_COMMENT] * scene.antialiased
-    if not all(is_comment(text) for text in comments):
-        raise SceneError("a comment of the scene is not one line of text, so it cannot be stored in a PLY; remove it first")
-    return comments
-
-
-def _is_mip(comments: Iterable[str]) -> bool:
-    """Whether a comment marks the scene as antialiased."""
-    return any(MIP_PATTERN.fullmatch(text) for text in comments)
-
-
 FORMAT = SplatFormat(
     name="ply",
     label="3D Gaussian Splat",
     suffixes=(".ply",),
-    sniff=lambda head: head.startswith(b"ply"),
+    sniff=lambda head: head.startswith(b"ply") and not compressed_ply.sniff(head),
     read=read_ply,
     read_parts=read_ply_parts,
     write=write_ply,
     size=file_size,
+    lossless=True,
+    carries=("attributes", "antialiased", "order"),
 )

@@ -65,12 +65,12 @@ def parse_header(data: bytes) -> Header:
     return Header(encodings[0], tuple(elements), tuple(comments), size)
 
 
-def format_header(comments: list[str], count: int, properties: list[tuple[str, str]]) -> bytes:
-    """A binary-little-endian header with one vertex element of `count` rows. properties: (name, NumPy type code)."""
+def format_header(comments: list[str], *elements: tuple[str, int, list[tuple[str, str]]]) -> bytes:
+    """A binary-little-endian header. elements: name, number of rows, and (name, NumPy type code) of each property."""
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [f"comment {text}" for text in comments]
-    lines += [f"element vertex {count}"]
-    lines += [f"property {TYPE_NAMES[code]} {name}" for name, code in properties]
+    for element, count, properties in elements:
+        lines += [f"element {element} {count}", *(f"property {TYPE_NAMES[code]} {name}" for name, code in properties)]
     return "\n".join([*lines, "end_header", ""]).encode(errors="surrogateescape")
 
 

@@ -17,12 +17,14 @@ from ..errors import FormatError, SceneError
 from ..native_library import thresholds
 from ..scene import Scene
 from ..system.file_names import extended
-from . import ply
+from . import compressed_ply, dot_splat, ksplat, ply, spz
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
-FORMATS: tuple[SplatFormat, ...] = (ply.FORMAT,)  # the first one is written where no format is named
-SNIFFED_BYTES = 512  # bytes at the start of a file that decide between formats with the same suffix
+FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format is named
+    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
+)  # fmt: skip
+SNIFFED_BYTES = 4096  # bytes at the start of a file that decide between formats with the same suffix
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class Loaded:
 
 def suffixes(written: bool = False) -> tuple[str, ...]:
     """Suffixes with the dot, of all formats or only of those that can be written."""
-    return tuple(suffix for splat_format in FORMATS if splat_format.write or not written for suffix in splat_format.suffixes)
+    found = [suffix for splat_format in FORMATS if splat_format.write or not written for suffix in splat_format.suffixes]
+    return tuple(dict.fromkeys(found))
 
 
 def labels(written: bool = False) -> tuple[str, ...]:
@@ -46,10 +49,11 @@ def labels(written: bool = False) -> tuple[str, ...]:
 
 def format_to_write(path: str | Path) -> SplatFormat:
     """The format for writing a file with this name, by its suffix. Raises SceneError if no format has it."""
-    for splat_format in FORMATS:
-        if splat_format.write and _ends_with(extended(path), splat_format):
-            return splat_format
-    raise SceneError(f"{path}: scenes are written as {' or '.join(suffixes(written=True))}")
+    name = extended(path).name.lower()
+    fitting = [(len(suffix), -place) for place, one in enumerate(FORMATS) if one.write for suffix in one.suffixes if name.endswith(suffix)]
+    if not fitting:
+        raise SceneError(f"{path}: scenes are written as {' or '.join(suffixes(written=True))}")
+    return FORMATS[-max(fitting)[1]]  # the longest suffix counts
 
 
 def format_to_read(path: str | Path) -> SplatFormat:
@@ -81,7 +85,7 @@ def read_scene(path: str | Path) -> Scene:
     """Reads the scene with values as stored. Raises FormatError, or SceneError if the file is missing or memory does not suffice."""
     splat_format = format_to_read(path)
     memory.refuse_excess(f"{path}: reading it", memory.reading(extended(path).stat().st_size))
-    return splat_format.read(extended(path))
+    return splat_format.whole(extended(path))
 
 
 def check_readable(path: str | Path):
@@ -108,10 +112,28 @@ def load_scene(path: str | Path) -> Loaded:
 
 
 def write_scene(path: str | Path, scene: Scene):
-    """Writes the scene atomically, in the format of the suffix of `path`. Raises SceneError."""
-    write = format_to_write(path).write
-    assert write is not None
-    write(extended(path), scene)
+    """Writes the scene atomically, in the format of the suffix of `path`. What the format cannot hold is logged. Raises SceneError."""
+    splat_format = format_to_write(path)
+    assert splat_format.write is not None
+    splat_format.write(extended(path), scene)
+    for sentence in left_out(scene, splat_format):
+        logging.warning("%s: %s", path, sentence)
+
+
+def stored(path: str | Path, scene: Scene) -> Scene:
+    """The scene as the file holds it to which it was just written: itself if the format stores all values as they are. Raises FormatError."""
+    return scene if format_to_write(path).lossless else read_scene(path)
+
+
+def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:
+    """A sentence on each thing of the scene that the format cannot hold."""
+    columns = [name for name in scene.attributes if name not in ply.NORMALS]
+    sentences = [f"a {splat_format.label} cannot hold further columns, {', '.join(columns)} are left out"] * bool(
+        columns and "attributes" not in splat_format.carries
+    )
+    if scene.antialiased and "antialiased" not in splat_format.carries:
+        sentences.append(f"a {splat_format.label} cannot say that the scene is antialiased, so programs will draw small Gaussians too thick")
+    return sentences
 
 
 def file_size(scene: Scene) -> int:

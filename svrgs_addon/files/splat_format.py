@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from ..native_library import PARAMETERS
 from ..scene import Scene
 
 
@@ -18,9 +21,21 @@ class SplatFormat:
 
     name: str  # shown by `svrgs info`
     label: str  # shown in menus
-    suffixes: tuple[str, ...]  # lower case, with the dot
+    suffixes: tuple[str, ...]  # lower case, with the dot; the first one is written
     sniff: Callable[[bytes], bool]  # whether a file that begins with these bytes may be of this format
-    read: Callable[[Path], Scene]  # the scene with values as stored, not repaired
-    read_parts: Callable[[Path], Iterator[Scene]]  # the same in parts of a few thousand Gaussians; each part overwrites the arrays of the previous one
+    read_parts: Callable[[Path], Iterator[Scene]]  # the scene with values as stored, not repaired, in parts of some thousand Gaussians, at least one
+    read: Callable[[Path], Scene] | None = None  # the same as one scene, if each part overwrites the arrays of the previous one
     write: Callable[[Path, Scene], None] | None = None  # atomic; None: the format is read only
-    size: Callable[[Scene], int] | None = None  # size in bytes of the file that write would make
+    size: Callable[[Scene], int] | None = None  # size in bytes of the file that write would make; None: it depends on the values
+    lossless: bool = False  # whether all values are stored as they are
+    carries: tuple[str, ...] = ()  # what it can hold besides: attributes, antialiased, order (of the Gaussians)
+
+    def whole(self, path: Path) -> Scene:
+        """The scene with values as stored, not repaired. Raises FormatError."""
+        return self.read(path) if self.read else joined(list(self.read_parts(path)))
+
+
+def joined(parts: list[Scene]) -> Scene:
+    """One scene of the parts of a file, which have no further columns."""
+    first = parts[0]
+    return first if len(parts) == 1 else replace(first, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in PARAMETERS})

@@ -23,7 +23,7 @@ from ..decimate.order import Order, looks, lost_columns, order_of
 from ..decimate.saved_order import write_order
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
-from ..files.registry import format_to_write, invisible, load_scene, write_scene
+from ..files.registry import format_to_write, invisible, load_scene, stored, write_scene
 from ..finetune.quality import LEAST
 from ..finetune.refit import USUAL, interpolated, pace_at, refit
 from ..geometry.affine import scaled
@@ -112,7 +112,7 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     likeness = _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options)
     count = _fewest_within(order, wanted, likeness, options.max_drop) if options.max_drop else wanted
     small = _tuned(order, count, likeness, cameras, pictures, options, job.stop)
-    write_scene(options.out, scaled(small, 1 / factor))
+    small = _written(options.out, small, factor)
     notes += _kept(job.order, order, visible, source.count, 1 / factor) if job.order else []
     facts: dict[str, Any] = {
         "method": "quick",
@@ -126,6 +126,13 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
     notes += [*_of_hidden(facts["hidden"]), *lost_columns(source, small)]
     return {**after, "scene": str(options.scene), "out": str(options.out), "before": before, "after": after, **facts, "notes": notes}
+
+
+def _written(path: Path, scene: Scene, factor: float) -> Scene:
+    """Writes an enlarged scene in its own size. The enlarged scene as the file holds it."""
+    own = scaled(scene, 1 / factor)
+    write_scene(path, own)
+    return scene if (found := stored(path, own)) is own else scaled(found, factor)
 
 
 def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float) -> list[str]:

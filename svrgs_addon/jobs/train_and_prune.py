@@ -15,7 +15,7 @@ from .. import memory
 from ..decimate.order import NORMALS, lost_columns
 from ..errors import SceneError
 from ..files.atomic import check_writable, reserved
-from ..files.registry import format_to_write, invisible, load_scene, write_scene
+from ..files.registry import FORMATS, format_to_write, invisible, load_scene, stored, write_scene
 from ..finetune import checkpoint, loop, masks, scores
 from ..finetune.engine import NativeEngine
 from ..finetune.model import Model, scene_from_points
@@ -64,7 +64,7 @@ def _train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int, room: 
     del start  # frees memory as soon as the model has other arrays
     run, scene = fine_tune(model, dataset, plan, job, clock, room)
     with clock.phase("evaluate"):
-        after = measured(scene, dataset, job)
+        after = measured(stored(job.out, scene), dataset, job)
     return {**after, **run_facts(run, job, clock), "time": time_facts(job, clock)}
 
 
@@ -83,6 +83,7 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
 
 def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room: DiskRoom) -> dict:
     check_request(dataset, plan)
+    refuse_lost_order(plan, job)
     clock = Clock()
     with clock.phase("read"):
         source = load_scene(scene_path).scene
@@ -101,8 +102,9 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
     del source  # frees memory for the optimiser
     run, scene = fine_tune(model, dataset, plan, job, clock, room, held)
     with clock.phase("evaluate after"):
-        after = measured(scene, dataset, job)
         levels = written_levels(scene, dataset, job)
+        scene = stored(job.out, scene)
+        after = measured(scene, dataset, job)
     result = {**after, "scene": str(scene_path), "before": before, "after": after, "levels": levels, "first_cut": cut}
     result |= run_facts(run, job, clock) | ({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {})
     if job.report:
@@ -150,6 +152,13 @@ def check_request(dataset: Dataset, plan: Plan):
         raise SceneError(f"method '{method.name}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
     if asked and not method.ranks and not plan.prunes:
         raise SceneError(CANNOT_REACH.format(plan.method.name))
+
+
+def refuse_lost_order(plan: Plan, job: JobContext):
+    """Raises SceneError if the order of the Gaussians is what is asked for, and the format of the output has one of its own."""
+    if plan.nested and not job.level_files and "order" not in format_to_write(job.out).carries:
+        fitting = [splat_format.suffixes[0] for splat_format in FORMATS if splat_format.write and "order" in splat_format.carries]
+        raise SceneError(f"{job.out}: this format has an order of its own, and a nested result is an order of the Gaussians: write a {' or '.join(fitting)}")
 
 
 def refuse_unseen_points(dataset: Dataset):
@@ -293,7 +302,7 @@ def written_levels(scene: Scene, dataset: Dataset, job: JobContext) -> list[dict
     for share, path in job.level_files.items():
         level = scene.select(np.arange(max(1, round(share * scene.count))))
         write_scene(path, level)
-        levels.append({"share": share, "out": str(path), **measured(level, dataset, job, path)})
+        levels.append({"share": share, "out": str(path), **measured(stored(path, level), dataset, job, path)})
     return levels
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 from pathlib import Path
@@ -9,14 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from fuzz.targets import SPLATS, Checkpoint, Colmap, cameras_json, transforms_json
+from ksplat_file import ksplat_of
 from svrgs_addon.bench.scenes import room
+from svrgs_addon.files import spz
 from svrgs_addon.files.registry import FORMATS
 
 
 def target(name: str, folder: Path):
     """(target, its seeds) by a name from fuzz.NAMES; folder: for what a target needs beside its bytes."""
     if name in SPLATS:
-        return SPLATS[name], ply_seeds(folder) if name == "ply" else splat_seeds(name, folder)
+        return SPLATS[name], SEEDS[name](folder) if name in SEEDS else splat_seeds(name, folder)
     if name == "cameras-json":
         return cameras_json, [json.dumps(camera_entries()).encode()]
     if name == "transforms-json":
@@ -37,6 +40,21 @@ def splat_seeds(name: str, folder: Path) -> list[bytes]:
     return found
 
 
+def ksplat_seeds(folder: Path) -> list[bytes]:
+    """Each level of compression."""
+    return [ksplat_of([room(3, 2), room(2, 2)], level, bucket=2) for level in range(3)]
+
+
+def spz_seeds(folder: Path) -> list[bytes]:
+    """Each version that is written; streams that are stored, so that changes reach what is in them."""
+    found = []
+    for version in (2, 3, 4):
+        spz.write(folder / "seed", room(5, 1), version)
+        found.append((folder / "seed").read_bytes())
+    plain = gzip.compress(gzip.decompress(found[1]), 0)
+    return [*found, plain]
+
+
 def ply_seeds(folder: Path) -> list[bytes]:
     """SH degrees 0 and 1; a file of doubles, an ASCII one, one with more elements."""
     found = splat_seeds("ply", folder)
@@ -49,6 +67,9 @@ def ply_seeds(folder: Path) -> list[bytes]:
     found.append(header.replace(b"binary_little_endian", b"ascii") + b"end_header\n" + text.getvalue())
     more = b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     return [*found, header + more + body + b"\3" + bytes(12)]
+
+
+SEEDS = {"ply": ply_seeds, "spz": spz_seeds, "ksplat": ksplat_seeds}
 
 
 def camera_entries(count: int = 2) -> list[dict]:

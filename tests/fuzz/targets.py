@@ -39,7 +39,7 @@ DRAWN = 1000  # Gaussians: smaller scenes are also drawn
 def splat(splat_format: SplatFormat, data: bytes) -> bool:
     """The whole file and its parts agree, and what is left after repair is finite."""
     with _file(data, splat_format.suffixes[0]) as path:
-        accepted, scene = _held(lambda: splat_format.read(path), len(data))
+        accepted, scene = _held(lambda: splat_format.whole(path), len(data))
         parted, parts = _held(lambda: [part.select(slice(None)) for part in splat_format.read_parts(path)], len(data))
         assert accepted == parted
         if accepted:

@@ -1,0 +1,216 @@
+"""The compressed PLY of PlayCanvas: 256 Gaussians in a row share ranges, within which their values have 8 to 11 bits.
+
+element chunk    ranges of position, log-scale and base colour; early files have no ranges of the colour, which is then 0 to 1
+element vertex   packed_position, packed_scale: 11, 10, 11 bits; packed_rotation: position of the largest component, 2 bits, and the others, 10
+                 bits each, of (w, x, y, z); packed_color: red, green, blue, opacity, 8 bits each
+element sh       f_rest_0 ..., 8 bits each, from -4 to 4, in the order of 3DGS; left out for degree 0
+
+Axes are those of 3DGS. A writer orders the Gaussians by their places, so that ranges are small.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+
+from ..errors import FormatError
+from ..geometry.morton_order import morton_order
+from ..scene import SH_COEFFICIENTS, Scene
+from .atomic import atomic_write, check_space
+from .opened import MAX_COUNT, opened, refuse_unpacking, rows_at, size_of
+from .ply_header import MAX_HEADER_BYTES, Header, format_header, parse_header
+from .ply_text import is_mip, written_comments
+from .quantised import alphas_of, colors_of_sh, logits_of, quats_of_three, sh_of_colors, three_of_quats
+from .splat_format import SplatFormat
+
+CHUNK = 256  # Gaussians
+PART = 64 * CHUNK  # Gaussians that are converted together
+POSITION_BITS = SCALE_BITS = (11, 10, 11)
+PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+RANGES = tuple(f"{end}_{name}" for group in (("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")) for end in ("min", "max") for name in group)
+WITHOUT_COLOR = 12  # ranges in files of the first version
+LARGEST_LOG_SCALE = 20.0  # of the ranges
+HALF_SQRT2 = np.float32(0.5**0.5)
+BROKEN = "; export the file again"
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the parts of a checked file are."""
+
+    count: int
+    ranges: int  # columns of element chunk
+    coefficients: int  # K, SH coefficients per channel
+    chunks_at: int  # offsets in bytes
+    rows_at: int
+    sh_at: int
+    comments: tuple[str, ...]
+
+    @property
+    def end(self) -> int:
+        return self.sh_at + self.count * 3 * (self.coefficients - 1)
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file that begins with these bytes is a compressed PLY."""
+    return head.startswith(b"ply") and b"\nelement chunk " in head
+
+
+def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
+    """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
+    with opened(path) as file:
+        layout = _checked(file, max_count)
+        for start in range(0, max(layout.count, 1), PART):
+            yield _part(file, layout, start, min(PART, layout.count - start))
+
+
+def write(path: str | os.PathLike, scene: Scene):
+    """Writes the scene atomically, with its Gaussians in Morton order. Raises SceneError."""
+    head = _header(scene)
+    rest = 3 * (scene.sh.shape[1] - 1)
+    check_space(path, len(head) + file_body(scene))
+    order = morton_order(scene.means)
+    parts = [scene.select(order[start : start + PART]) for start in range(0, scene.count, PART)]
+    packed = [_packed(part) for part in parts]
+    with atomic_write(path) as file:
+        file.write(head)
+        for column in range(2):
+            for arrays in packed:
+                file.write(np.ascontiguousarray(arrays[column]).data)
+        for part in parts if rest else ():
+            file.write(_sh_bytes(part.sh).data)
+
+
+def file_body(scene: Scene) -> int:
+    """Bytes after the header of the file that write() would make."""
+    chunks = -(-scene.count // CHUNK)
+    return 4 * len(RANGES) * chunks + scene.count * (4 * len(PACKED) + 3 * (scene.sh.shape[1] - 1))
+
+
+def file_size(scene: Scene) -> int:
+    """Size in bytes of the file that write() would make."""
+    return len(_header(scene)) + file_body(scene)
+
+
+def _header(scene: Scene) -> bytes:
+    elements = [("chunk", -(-scene.count // CHUNK), [(name, "f4") for name in RANGES]), ("vertex", scene.count, [(name, "u4") for name in PACKED])]
+    rest = 3 * (scene.sh.shape[1] - 1)
+    elements += [("sh", scene.count, [(f"f_rest_{k}", "u1") for k in range(rest)])] if rest else []
+    return format_header(written_comments(scene), *elements)
+
+
+def _checked(file: BinaryIO, max_count: int) -> _Layout:
+    """Checks header and size of the file. Raises FormatError (without the name of the file)."""
+    header = parse_header(file.read(MAX_HEADER_BYTES))
+    count, ranges, coefficients = _checked_elements(header)
+    refuse_unpacking(count, coefficients, max_count)
+    rows = header.size + 4 * ranges * -(-count // CHUNK)
+    layout = _Layout(count, ranges, coefficients, header.size, rows, rows + 4 * len(PACKED) * count, header.comments)
+    if (size := size_of(file)) != layout.end:
+        problem = "is incomplete" if size < layout.end else "is too long"
+        raise FormatError(f"{problem}: {size:,} of {layout.end:,} bytes; copy or export it again")
+    return layout
+
+
+def _checked_elements(header: Header) -> tuple[int, int, int]:
+    """(count, columns of ranges, K) of a header that has the elements of this format. Raises FormatError (without the name of the file)."""
+    if header.encoding != "binary_little_endian":
+        raise FormatError(f"is a compressed PLY in {header.encoding}, which no program writes{BROKEN}")
+    names = [element.name for element in header.elements]
+    if names not in (["chunk", "vertex"], ["chunk", "vertex", "sh"]):
+        raise FormatError(f"has the elements {', '.join(names)}; a compressed PLY has chunk, vertex and perhaps sh{BROKEN}")
+    chunk, vertex, *sh = header.elements
+    if chunk.properties not in ([(name, "f4") for name in RANGES[:n]] for n in (WITHOUT_COLOR, len(RANGES))) or chunk.list_property:
+        raise FormatError(f"has other ranges in its chunks than a compressed PLY{BROKEN}")
+    if vertex.properties != [(name, "u4") for name in PACKED] or vertex.list_property or chunk.count != -(-vertex.count // CHUNK):
+        raise FormatError(f"has other packed values, or another number of chunks, than a compressed PLY{BROKEN}")
+    rest = len(sh[0].properties) if sh else 0
+    if sh and (sh[0].count != vertex.count or sh[0].list_property or sh[0].properties != [(f"f_rest_{k}", "u1") for k in range(rest)]):
+        raise FormatError(f"has other SH coefficients than a compressed PLY{BROKEN}")
+    if rest % 3 or 1 + rest // 3 not in SH_COEFFICIENTS:
+        raise FormatError(f"has {rest} f_rest properties; SH degrees 0 to 3 have 0, 9, 24 or 45")
+    return vertex.count, len(chunk.properties), 1 + rest // 3
+
+
+def _part(file: BinaryIO, layout: _Layout, start: int, count: int) -> Scene:
+    """The Gaussians from `start` on, which begins a chunk."""
+    first, chunks, rest = start // CHUNK, -(-count // CHUNK), 3 * (layout.coefficients - 1)
+    ranges = rows_at(file, layout.chunks_at + 4 * layout.ranges * first, np.dtype(("<f4", layout.ranges)), chunks)
+    ranges = np.repeat(ranges, CHUNK, axis=0)[:count]
+    position, rotation, scale, color = rows_at(file, layout.rows_at + 4 * len(PACKED) * start, np.dtype(("<u4", len(PACKED))), count).T
+    colors = _unpacked(color >> 8, (8, 8, 8))
+    sh = np.empty((count, layout.coefficients, 3), np.float32)
+    sh[:, 0] = sh_of_colors(colors if layout.ranges == WITHOUT_COLOR else _within(colors, ranges[:, 12:15], ranges[:, 15:18]))
+    if rest:
+        stored = rows_at(file, layout.sh_at + rest * start, np.dtype(("u1", rest)), count)
+        sh[:, 1:] = _SH_VALUES[stored].reshape(count, 3, -1).transpose(0, 2, 1)
+    three = (_unpacked(rotation, (10, 10, 10)) - np.float32(0.5)) / HALF_SQRT2
+    return Scene(
+        _within(_unpacked(position, POSITION_BITS), ranges[:, 0:3], ranges[:, 3:6]), _within(_unpacked(scale, SCALE_BITS), ranges[:, 6:9], ranges[:, 9:12]),
+        quats_of_three(three, rotation >> 30), logits_of(color & 255), sh, antialiased=is_mip(layout.comments), comments=layout.comments,
+    )  # fmt: skip
+
+
+_SH_VALUES = ((np.where(np.arange(256) % 255 == 0, np.arange(256) / 255, (np.arange(256) + 0.5) / 256) - 0.5) * 8).astype(np.float32)
+
+
+def _sh_bytes(sh: np.ndarray) -> np.ndarray:
+    """(N, 3 (K - 1)) uint8 of SH coefficients (N, K, 3)."""
+    channels = sh[:, 1:].transpose(0, 2, 1).reshape(len(sh), -1)
+    return np.clip(np.floor((channels / 8 + np.float32(0.5)) * 256), 0, 255).astype(np.uint8)
+
+
+def _packed(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """The ranges (C, 18) float32 and the packed values (N, 4) uint32."""
+    starts = np.arange(0, scene.count, CHUNK)
+    logs = np.clip(scene.log_scales, -LARGEST_LOG_SCALE, LARGEST_LOG_SCALE)
+    columns, ranges, shares = (scene.means, logs, colors_of_sh(scene.sh[:, 0])), [], []
+    for values in columns:
+        low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
+        ranges += [low, high]
+        width = np.repeat(high - low, CHUNK, axis=0)[: scene.count]
+        shares.append((values - np.repeat(low, CHUNK, axis=0)[: scene.count]) / np.where(width > 0, width, 1))
+    three, largest = three_of_quats(scene.quats)
+    rotation = _bits(three * HALF_SQRT2 + np.float32(0.5), (10, 10, 10)) | (largest.astype(np.uint32) << 30)
+    color = (_bits(shares[2], (8, 8, 8)) << 8) | alphas_of(scene.opacity_logits)
+    packed = np.column_stack([_bits(shares[0], POSITION_BITS), rotation, _bits(shares[1], SCALE_BITS), color])
+    return np.concatenate(ranges, axis=1).astype("<f4"), packed.astype("<u4")
+
+
+def _bits(shares: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
+    """(N,) uint32: three shares (N, 3), 0 to 1, rounded to so many bits each, the first one in the highest bits."""
+    packed = np.zeros(len(shares), np.uint32)
+    for share, width in zip(shares.T, bits, strict=True):
+        packed = (packed << np.uint32(width)) | np.clip(np.rint(share * (2**width - 1)), 0, 2**width - 1).astype(np.uint32)
+    return packed
+
+
+def _unpacked(packed: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
+    """The inverse of _bits(): (N, 3) float32, 0 to 1."""
+    shares, shift = np.empty((len(packed), 3), np.float32), sum(bits)
+    for k, width in enumerate(bits):
+        shift -= width
+        shares[:, k] = ((packed >> np.uint32(shift)) & np.uint32(2**width - 1)) * np.float32(1 / (2**width - 1))
+    return shares
+
+
+def _within(shares: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Values at these shares of ranges. Ranges of a damaged file may be infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return low * (1 - shares) + high * shares
+
+
+FORMAT = SplatFormat(
+    name="compressed-ply",
+    label="Compressed PLY",
+    suffixes=(".compressed.ply", ".ply"),
+    sniff=sniff,
+    read_parts=read_parts,
+    write=write,
+    size=file_size,
+    carries=("antialiased",),
+)

@@ -1,0 +1,59 @@
+"""Opens a splat file for a reader: every error that follows names the file."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from .. import memory
+from ..errors import FormatError
+
+MAX_COUNT = 20_000_000  # Gaussians in a file
+SHORTER = "became shorter while it was read; try again when no program writes it"
+
+
+@contextlib.contextmanager
+def opened(path: str | os.PathLike) -> Iterator[BinaryIO]:
+    """Yields the file. FormatErrors of the block get its name in front; an OSError becomes a FormatError."""
+    try:
+        if not Path(path).is_file():
+            raise FormatError("is not a file")
+        with open(path, "rb") as file:
+            yield file
+    except FormatError as error:
+        raise FormatError(f"{path} {error}") from None
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def size_of(file: BinaryIO) -> int:
+    """The size of an open file in bytes."""
+    return os.fstat(file.fileno()).st_size
+
+
+def refuse_many(count: int, most: int = MAX_COUNT):
+    """Raises FormatError (without the name of the file) for more Gaussians than a file may hold."""
+    if count > most:
+        raise FormatError(f"holds {count} Gaussians, more than the limit of {most}")
+
+
+def refuse_unpacking(count: int, coefficients: int, most: int = MAX_COUNT):
+    """As refuse_many(), and if memory is too short for so many Gaussians out of a compressed file. coefficients: SH coefficients per channel."""
+    refuse_many(count, most)
+    if sentence := memory.shortage("", memory.unpacking(count, coefficients)):
+        raise FormatError(sentence.lstrip())
+
+
+def rows_at(file: BinaryIO, offset: int, dtype: np.dtype, count: int) -> np.ndarray:
+    """`count` values of this type from a place of the file on. Raises FormatError (without the name of the file) if it ends before."""
+    rows = np.empty(count, dtype)
+    file.seek(offset)
+    readable: Any = file  # typing.BinaryIO lacks readinto
+    if readable.readinto(rows.view(np.uint8).reshape(-1)) != rows.nbytes:
+        raise FormatError(SHORTER)
+    return rows

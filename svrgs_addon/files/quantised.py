@@ -1,0 +1,51 @@
+"""Values that several compressed formats store in few bits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import SH_C0
+
+SPARED = 0.25  # steps that an opacity of 8 bits keeps from 0 and 1, where its logit would be infinite
+
+
+def logits_of(alphas: np.ndarray) -> np.ndarray:
+    """Opacity logits, float32, of opacities in 8 bits. 0 and 255 count as a quarter of a step inside: 0 stays invisible."""
+    share = np.clip(np.arange(256), SPARED, 255 - SPARED) / 255
+    return np.log(share / (1 - share)).astype(np.float32)[alphas]
+
+
+def alphas_of(logits: np.ndarray) -> np.ndarray:
+    """The opacities in 8 bits, rounded, of opacity logits."""
+    return np.rint(255 / (1 + np.exp(-np.clip(logits, -80, 80)))).astype(np.uint8)
+
+
+def sh_of_colors(colors: np.ndarray) -> np.ndarray:
+    """SH coefficients of degree 0 of base colours, 0 to 1."""
+    with np.errstate(over="ignore"):  # ranges of a damaged file may be those of float32
+        return (colors - np.float32(0.5)) / np.float32(SH_C0)
+
+
+def colors_of_sh(sh: np.ndarray) -> np.ndarray:
+    """Base colours of SH coefficients of degree 0."""
+    return sh * np.float32(SH_C0) + np.float32(0.5)
+
+
+def quats_of_three(three: np.ndarray, largest: np.ndarray) -> np.ndarray:
+    """Unit quaternions (N, 4), float32. three: (N, 3) the components other than the largest one, in order; largest: (N,) its position, 0 to 3."""
+    quats = np.empty((len(three), 4), np.float32)
+    rows = np.arange(len(three))
+    places = np.arange(3)[None] + (np.arange(3)[None] >= largest[:, None])
+    quats[rows[:, None], places] = three
+    quats[rows, largest] = np.sqrt(np.maximum(0, 1 - np.square(three, dtype=np.float32).sum(axis=1)))
+    return quats
+
+
+def three_of_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(three, largest) as quats_of_three() takes them, of quaternions (N, 4) of any length, with the sign that makes the largest one positive."""
+    norms = np.linalg.norm(quats, axis=1, keepdims=True)
+    unit = np.where(norms > 0, quats / np.where(norms > 0, norms, 1), np.array([1, 0, 0, 0], np.float32)).astype(np.float32)
+    rows, largest = np.arange(len(quats)), np.abs(unit).argmax(axis=1)
+    unit *= np.where(unit[rows, largest] < 0, -1, 1)[:, None].astype(np.float32)
+    places = np.arange(3)[None] + (np.arange(3)[None] >= largest[:, None])
+    return unit[rows[:, None], places], largest

@@ -1,0 +1,152 @@
+"""SPZ (Niantic), versions 1 to 4. Versions 2 to 4 are written; 4, the newest, if nothing else is asked for.
+
+Streams of bytes, one for each kind of value, in this order:
+
+positions   3 x 24 bits, signed: multiples of 2^-f, f from the header (version 1: 3 x float16)
+alphas      8 bits, from 0 to 1
+colors      3 x 8 bits: SH of degree 0, (value / 255 - 1/2) / 0.15
+scales      3 x 8 bits: logarithm, value / 16 - 10
+rotations   version 3 on: 32 bits, the position of the largest component of (x, y, z, w) and the others, a sign and 9 bits each; before: 3 x 8 bits,
+            x, y, z with w >= 0
+sh          8 bits, (value - 128) / 128, of each coefficient the three channels
+
+Axes are right, up, back: y and z have the opposite sign of those of 3DGS. The streams are packed as spz_container.py says.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..geometry.morton_order import morton_order
+from ..scene import Scene
+from .atomic import atomic_write, check_space
+from .opened import MAX_COUNT, opened
+from .quantised import alphas_of, logits_of, quats_of_three, three_of_quats
+from .splat_format import SplatFormat
+from .spz_container import NEWEST, SMALLEST_THREE, Header, packed, streams
+
+PART = 2**16  # Gaussians that are converted together
+FRACTION_BITS = 12  # of positions, at least where the scene is small enough
+LARGEST_POSITION = 2**23 - 1
+FINER = 16  # steps of a position, at least, in the scale of a small Gaussian
+MOST_FRACTION_BITS = 24
+COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
+SH_STEPS = (8, 8)  # of 256, between values of SH that are written: of degree 1; of higher ones
+AXES = np.array([1, -1, -1], np.float32)  # of positions; of the (x, y, z) of quaternions, too
+SH_SIGNS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)  # of the coefficients of degree 1 to 3 when y and z change sign
+SQRT_HALF = np.float32(0.5**0.5)
+
+
+def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
+    """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
+    with opened(path) as file:
+        header, stored = streams(file, max_count)
+    for start in range(0, max(header.count, 1), PART):
+        yield _scene(header, {name: rows[start : start + PART] for name, rows in stored.items()})
+
+
+def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST):
+    """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format. Raises SceneError."""
+    order = morton_order(scene.means)
+    header = Header(version, scene.count, scene.sh_degree, fraction_bits(scene), scene.antialiased)
+    parts = [_rows(header, scene.select(order[start : start + PART])) for start in range(0, max(scene.count, 1), PART)]
+    data = packed(header, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, path)
+    check_space(path, len(data))
+    with atomic_write(path) as file:
+        file.write(data)
+
+
+def fraction_bits(scene: Scene) -> int:
+    """Bits of the fraction of positions: at least FINER steps in the scales of small Gaussians, as far as the largest position allows."""
+    finite = scene.means[np.isfinite(scene.means).all(axis=1)]
+    largest = float(np.abs(finite).max()) if len(finite) else 0.0
+    fitting = int(np.floor(np.log2(LARGEST_POSITION / max(largest, 1e-30))))
+    logs = scene.log_scales[np.isfinite(scene.log_scales).all(axis=1)].max(axis=1)
+    small = float(np.quantile(logs, 0.05)) if len(logs) else 0.0
+    wanted = int(np.ceil(np.log2(FINER) - small / np.log(2)))
+    return max(0, min(max(wanted, FRACTION_BITS), fitting, MOST_FRACTION_BITS))
+
+
+def _scene(header: Header, stored: dict[str, np.ndarray]) -> Scene:
+    """The Gaussians of some rows of the streams."""
+    count = len(stored["alphas"])
+    sh = np.empty((count, header.coefficients, 3), np.float32)
+    sh[:, 0] = (stored["colors"].astype(np.float32) / 255 - np.float32(0.5)) / np.float32(COLOR)
+    rest = stored["sh"].reshape(count, stored["sh"].shape[1] // 3, 3)[:, : header.coefficients - 1]
+    sh[:, 1:] = (rest.astype(np.float32) - 128) / 128 * SH_SIGNS[: header.coefficients - 1, None]
+    logs = stored["scales"].astype(np.float32) / SCALE_STEPS + SMALLEST_SCALE
+    means = _positions(header, stored["positions"]) * AXES
+    return Scene(means, logs, _quats(header, stored["rotations"]), logits_of(stored["alphas"][:, 0]), sh, antialiased=header.antialiased)
+
+
+def _positions(header: Header, stored: np.ndarray) -> np.ndarray:
+    if header.version == 1:
+        return np.ascontiguousarray(stored).view("<f2").astype(np.float32)
+    low = stored.reshape(len(stored), 3, 3).astype(np.int32)
+    whole = low[:, :, 0] | (low[:, :, 1] << 8) | (low[:, :, 2] << 16)
+    return ((whole ^ 0x800000) - 0x800000).astype(np.float32) * np.float32(2.0**-header.fraction_bits)
+
+
+def _quats(header: Header, stored: np.ndarray) -> np.ndarray:
+    """(N, 4) w x y z."""
+    if header.version < SMALLEST_THREE:
+        xyz = stored.astype(np.float32) / np.float32(127.5) - 1
+        w = np.sqrt(np.maximum(0, 1 - np.square(xyz).sum(axis=1)))
+        return np.column_stack([w, xyz * AXES])
+    whole = np.ascontiguousarray(stored).view("<u4")[:, 0]
+    three = np.empty((len(whole), 3), np.float32)
+    for k in range(3):  # the last component is in the lowest bits
+        part = whole >> np.uint32(10 * (2 - k))
+        size = (part & np.uint32(511)).astype(np.float32) * (SQRT_HALF / 511)
+        three[:, k] = np.where(part & np.uint32(512), -size, size)
+    xyzw = quats_of_three(three, whole >> np.uint32(30))
+    return np.column_stack([xyzw[:, 3], xyzw[:, :3] * AXES])
+
+
+def _rows(header: Header, scene: Scene) -> dict[str, np.ndarray]:
+    """The rows of the streams, (N, bytes) uint8."""
+    positions = np.rint(scene.means.astype(np.float64) * AXES * 2.0**header.fraction_bits)
+    whole = np.clip(positions, -LARGEST_POSITION, LARGEST_POSITION).astype("<i4")
+    return {
+        "positions": whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9),
+        "alphas": alphas_of(scene.opacity_logits)[:, None],
+        "colors": _bytes(scene.sh[:, 0] * np.float32(COLOR * 255) + np.float32(127.5)),
+        "scales": _bytes((scene.log_scales - SMALLEST_SCALE) * SCALE_STEPS),
+        "rotations": _rotations(header, scene.quats),
+        "sh": _sh(scene.sh),
+    }
+
+
+def _rotations(header: Header, quats: np.ndarray) -> np.ndarray:
+    xyzw = np.column_stack([quats[:, 1:] * AXES, quats[:, 0]])
+    three, largest = three_of_quats(xyzw)
+    if header.version < SMALLEST_THREE:
+        unit = quats_of_three(three, largest)
+        return _bytes(unit[:, :3] * np.where(unit[:, 3:] < 0, -1, 1) * np.float32(127.5) + np.float32(127.5))
+    whole = largest.astype(np.uint32)
+    for k in range(3):
+        size = np.minimum(np.rint(np.abs(three[:, k]) * (511 / SQRT_HALF)), 511).astype(np.uint32)
+        whole = (whole << np.uint32(10)) | ((three[:, k] < 0).astype(np.uint32) << np.uint32(9)) | size
+    return whole.astype("<u4")[:, None].view(np.uint8)
+
+
+def _sh(sh: np.ndarray) -> np.ndarray:
+    """(N, 3 (K - 1)) uint8: rounded to multiples of SH_STEPS around 128, which is 0."""
+    rest = sh[:, 1:] * SH_SIGNS[: sh.shape[1] - 1, None] * 128
+    steps = np.where(np.arange(rest.shape[1]) < 3, *SH_STEPS)[:, None].astype(np.float32)
+    return _bytes(np.rint(rest / steps) * steps + 128).reshape(len(sh), -1)
+
+
+def _bytes(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _sniff(head: Any) -> bool:
+    return head.startswith((b"NGSP", b"\x1f\x8b"))
+
+
+FORMAT = SplatFormat(name="spz", label="SPZ", suffixes=(".spz",), sniff=_sniff, read_parts=read_parts, write=write, carries=("antialiased",))

@@ -1,0 +1,157 @@
+"""How SPZ packs its streams of bytes.
+
+Version 4: a header of 32 bytes, records of extensions, a table with the sizes of each stream, packed and unpacked (8 bytes each), and the streams,
+each a frame of Zstandard. Versions 1 to 3: one gzip of a header of 16 bytes and all streams.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+import struct
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+
+from ..errors import FormatError, SceneError
+from ..scene import SH_COEFFICIENTS
+from . import zstd
+from .opened import refuse_unpacking, size_of
+
+MAGIC, GZIP = b"NGSP", b"\x1f\x8b"
+NEWEST, SMALLEST_THREE = 4, 3  # versions: the newest one; the first one whose rotations have 32 bits
+HEADER, GZIP_HEADER = struct.Struct("<4sIIBBBBI12x"), struct.Struct("<4sIIBBBx")
+ENTRY = struct.Struct("<QQ")
+ANTIALIASED, EXTENSIONS = 1, 2  # flags
+ADOBE_AXES = 0xADBE0003  # type of an extension after which axes may be others
+MOST_DEGREE = 4  # of SH; that beyond 3 is not read
+RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte; bytes that are unpacked from any file
+LEVEL, GZIP_LEVEL = 12, 6  # of compression
+BROKEN = "; copy or export it again"
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the header of any version says."""
+
+    version: int
+    count: int
+    degree: int  # of SH, 0 to 4
+    fraction_bits: int
+    antialiased: bool
+
+    @property
+    def coefficients(self) -> int:
+        """SH coefficients per channel that are read, K."""
+        return SH_COEFFICIENTS[min(self.degree, 3)]
+
+    def widths(self) -> dict[str, int]:
+        """Bytes of a Gaussian in each stream, in their order."""
+        positions, rotations = 6 if self.version == 1 else 9, 4 if self.version >= SMALLEST_THREE else 3
+        return {"positions": positions, "alphas": 1, "colors": 3, "scales": 3, "rotations": rotations, "sh": 3 * ((self.degree + 1) ** 2 - 1)}
+
+
+def streams(file: BinaryIO, max_count: int) -> tuple[Header, dict[str, np.ndarray]]:
+    """The header and the streams, (N, bytes) uint8 each. Raises FormatError (without the name of the file), SceneError."""
+    size = size_of(file)
+    data = file.read(size)
+    if data[:2] == GZIP:
+        return _gunzipped(data, max_count)
+    if data[:4] != MAGIC or len(data) < HEADER.size:
+        raise FormatError(f"is no SPZ, or incomplete{BROKEN}")
+    _, version, count, degree, bits, flags, number, table = HEADER.unpack_from(data)
+    if version != NEWEST:
+        raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
+    header = _checked(Header(version, count, degree, bits, bool(flags & ANTIALIASED)), size, max_count)
+    if flags & EXTENSIONS:
+        _refuse_other_axes(data[HEADER.size : table])
+    widths = {name: width for name, width in header.widths().items() if width * count}
+    if number != len(widths) or table < HEADER.size or table + ENTRY.size * number > size:
+        raise FormatError(f"has {number} streams, or a table at byte {table}, that do not fit its header{BROKEN}")
+    return header, _filled(header, _unpacked(data, table, widths, count))
+
+
+def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike) -> bytes:
+    """The bytes of a file. rows: the streams, (N, bytes) uint8 each. Raises SceneError, which names the file."""
+    contents = [np.ascontiguousarray(rows[name]).tobytes() for name, width in header.widths().items() if width * header.count]
+    flags = ANTIALIASED * header.antialiased
+    if header.version < NEWEST:
+        head = GZIP_HEADER.pack(MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags)
+        return gzip.compress(b"".join([head, *contents]), GZIP_LEVEL, mtime=0)
+    if not zstd.available():
+        raise SceneError(f"{path}: cannot be written, {zstd.MISSING}")
+    with ThreadPoolExecutor() as threads:
+        frames = list(threads.map(lambda content: zstd.compress(content, LEVEL), contents))
+    head = HEADER.pack(MAGIC, NEWEST, header.count, header.degree, header.fraction_bits, flags, len(frames), HEADER.size)
+    table = [ENTRY.pack(len(frame), len(content)) for frame, content in zip(frames, contents, strict=True)]
+    return b"".join([head, *table, *frames])
+
+
+def _checked(header: Header, size: int, max_count: int) -> Header:
+    """Raises FormatError for values that no writer sets, and for more Gaussians than so few bytes can hold."""
+    if header.degree > MOST_DEGREE or header.fraction_bits > 30:
+        raise FormatError(f"has SH of degree {header.degree} or {header.fraction_bits} bits of fraction, which no program writes{BROKEN}")
+    if header.count * sum(header.widths().values()) > max(ALWAYS, RATIO * size):
+        raise FormatError(f"is too small, with {size:,} bytes, for the {header.count:,} Gaussians that its header names{BROKEN}")
+    refuse_unpacking(header.count, header.coefficients, max_count)
+    return header
+
+
+def _refuse_other_axes(records: bytes):
+    """Raises FormatError if an extension may change the axes of the scene; others are ignored."""
+    at = 0
+    while at + 8 <= len(records):
+        kind, length = struct.unpack_from("<II", records, at)
+        if kind == ADOBE_AXES:
+            raise FormatError("has axes of its own (an extension by Adobe), which are not read; export it without them")
+        at += 8 + length
+
+
+def _unpacked(data: bytes, table: int, widths: dict[str, int], count: int) -> dict[str, np.ndarray]:
+    """The streams of version 4. Raises FormatError, SceneError."""
+    if widths and not zstd.available():
+        raise FormatError(f"cannot be read, {zstd.MISSING}")
+    at, frames = table + ENTRY.size * len(widths), {}
+    for number, (name, width) in enumerate(widths.items()):
+        length, size = ENTRY.unpack_from(data, table + ENTRY.size * number)
+        if size != width * count or length > len(data) - at:
+            raise FormatError(f"has a stream of {name} of another size than its header says{BROKEN}")
+        frames[name] = (data[at : at + length], size)
+        at += length
+    if at != len(data):
+        raise FormatError(f"has {len(data) - at} bytes more than its streams{BROKEN}")
+    with ThreadPoolExecutor() as threads:
+        contents = list(threads.map(lambda frame: zstd.decompress(*frame), frames.values()))
+    return {name: np.frombuffer(content, np.uint8).reshape(count, -1) for name, content in zip(frames, contents, strict=True)}
+
+
+def _gunzipped(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]:
+    """Header and streams of versions 1 to 3. Raises FormatError."""
+    unpacker = zlib.decompressobj(16 + zlib.MAX_WBITS)
+    try:
+        head = unpacker.decompress(data, GZIP_HEADER.size)
+        if len(head) < GZIP_HEADER.size or head[:4] != MAGIC:
+            raise FormatError(f"is no SPZ, or incomplete{BROKEN}")
+        _, version, count, degree, bits, flags = GZIP_HEADER.unpack(head)
+        if not 1 <= version < NEWEST:
+            raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
+        header = _checked(Header(version, count, degree, bits, bool(flags & ANTIALIASED)), len(data), max_count)
+        needed = count * sum(header.widths().values())
+        content = unpacker.decompress(unpacker.unconsumed_tail, needed) if needed else b""
+    except zlib.error as error:
+        raise FormatError(f"is damaged ({error}){BROKEN}") from None
+    if len(content) < needed:
+        raise FormatError(f"is incomplete: {len(content):,} of {needed:,} bytes are in it{BROKEN}")
+    rows, at = {}, 0
+    for name, width in header.widths().items():
+        rows[name] = np.frombuffer(content, np.uint8, width * count, at).reshape(count, width)
+        at += width * count
+    return header, rows
+
+
+def _filled(header: Header, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """All streams: those without bytes are left out of a file."""
+    return {name: rows.get(name, np.empty((header.count, width), np.uint8)) for name, width in header.widths().items()}

@@ -1,0 +1,52 @@
+"""Zstandard: the module of Python 3.14, or the package zstandard, which Blender brings along. Loaded when it is needed."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+
+from ..errors import FormatError
+
+MISSING = "because the package zstandard is missing: pip install zstandard"
+DAMAGED = "is damaged: a stream cannot be unpacked; copy or export it again"
+
+
+def available() -> bool:
+    """Whether one of both is installed."""
+    return importlib.util.find_spec("zstandard") is not None or _in_python()
+
+
+def compress(data: bytes, level: int) -> bytes:
+    """One frame that says how long its content is."""
+    if _in_python():
+        return importlib.import_module("compression.zstd").compress(data, level)
+    return importlib.import_module("zstandard").ZstdCompressor(level=level).compress(data)
+
+
+def decompress(frame: bytes, size: int) -> bytes:
+    """The content of a frame, which has `size` bytes. No more memory is used, whatever the frame says. Raises FormatError (without the name of the
+    file)."""
+    try:
+        content = _content(frame, size)
+    except (ValueError, EOFError, MemoryError, importlib.import_module(_module()).ZstdError):
+        raise FormatError(DAMAGED) from None
+    if len(content) != size:
+        raise FormatError(DAMAGED)
+    return content
+
+
+def _content(frame: bytes, size: int) -> bytes:
+    module = importlib.import_module(_module())
+    if _in_python():
+        return module.ZstdDecompressor().decompress(frame, size + 1)
+    if module.frame_content_size(frame) not in (-1, size):  # it would take so much memory
+        raise FormatError(DAMAGED)
+    return module.ZstdDecompressor().decompress(frame, max_output_size=size)
+
+
+def _module() -> str:
+    return "compression.zstd" if _in_python() else "zstandard"
+
+
+def _in_python() -> bool:
+    return importlib.util.find_spec("compression") is not None and importlib.util.find_spec("compression.zstd") is not None

@@ -1,0 +1,61 @@
+"""Jobs read and write compressed formats; their figures are those of the file that was written."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from svrgs_addon.errors import SceneError
+from svrgs_addon.files.registry import load_scene, read_scene, write_scene
+from svrgs_addon.jobs.options import PruneOptions
+from svrgs_addon.jobs.run_job import prune_scene
+from svrgs_addon.metrics.psnr import psnr
+from svrgs_addon.native import Rasterizer
+from svrgs_addon.rig.around import cameras_around
+from test_rendered_views import ball
+
+
+def prune(path, out, **more) -> dict:
+    options = {"scene": path, "out": path.with_name(out), "target": 0.5, "quiet": True} | more
+    return prune_scene(PruneOptions(**options))
+
+
+@pytest.mark.parametrize("out", ["small.spz", "small.compressed.ply", "small.splat"])
+def test_a_quick_job_goes_from_one_format_to_another(tmp_path, out):
+    path = tmp_path / "ball.spz"
+    write_scene(path, ball(1_000))
+    result = prune(path, out, quick=True)
+    small = tmp_path / out
+    assert read_scene(small).count == result["count"] == 500 and result["after"]["bytes"] == small.stat().st_size
+    assert result["before"]["bytes"] == path.stat().st_size
+
+
+def test_the_quality_is_that_of_the_file(tmp_path):
+    """Of steps so coarse that they show."""
+    path = tmp_path / "ball.ply"
+    write_scene(path, ball(1_000))
+    plain, packed = (prune(path, out, quick=True) for out in ("a.ply", "a.splat"))
+    assert packed["psnr"] < plain["psnr"] - 0.05
+    original, scene = load_scene(path).scene, load_scene(tmp_path / "a.splat").scene
+    camera = cameras_around(original, 16, 512, turn=1.0, nearer=0.9)[3]
+    images = [Rasterizer().forward(some, camera)["rgb"].copy() for some in (original, scene)]
+    assert psnr(*images) == pytest.approx(packed["psnr"], abs=4)
+
+
+def test_a_fine_tuned_job_measures_what_it_wrote(tmp_path):
+    path = tmp_path / "ball.ply"
+    write_scene(path, ball(1_000))
+    plain, packed = (prune(path, out, target=0.25, recovery=40) for out in ("b.ply", "b.splat"))
+    assert packed["psnr"] != plain["psnr"] and packed["count"] == plain["count"] == read_scene(tmp_path / "b.splat").count
+    assert packed["after"]["bytes"] == 32 * packed["count"]
+
+
+def test_levels_are_written_in_the_format_of_the_output_and_a_nested_result_needs_its_order(tmp_path):
+    path = tmp_path / "ball.ply"
+    write_scene(path, ball(1_000))
+    result = prune(path, "c.spz", target=0.5, recovery=20, levels=(0.5,))
+    assert [read_scene(level["out"]).count for level in result["levels"]] == [250] and result["levels"][0]["out"].endswith(".spz")
+    with pytest.raises(SceneError, match=r"write a \.ply or \.splat"):
+        prune(path, "d.spz", target=0.5, recovery=20, nested=0.25)
+    assert prune(path, "d.splat", target=0.5, recovery=20, nested=0.25)["count"] == 500
+    assert np.isfinite(result["psnr"])
