@@ -13,13 +13,21 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..svrgs_addon.errors import SceneError, SplatError
-from ..svrgs_addon.files.registry import labels, suffixes, write_scene
+from ..svrgs_addon.files.registry import FORMATS, format_to_write, labels, left_out, split_name, suffixes, write_scene
 from ..svrgs_addon.files.repair import drop_nonfinite
 from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from ..svrgs_addon.geometry.merge import joined
 from . import bridge, bridge_graph, job_result
 from .splat_transforms import stretch_warning
 from .translation import OWN
+
+
+WHAT_FOR = {  # by the names of the formats
+    "ply": "Every value as it is. All programs read it",
+    "compressed-ply": "A quarter of the size. Read by SuperSplat, PlayCanvas and Brush",
+    "spz": "A tenth of the size. Read by many programs and by web viewers",
+    "splat": "Colours that do not depend on the view. Read by web viewers",
+}
 
 
 class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
@@ -29,6 +37,11 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
     bl_options = {"REGISTER", "PRESET"}
 
     filename_ext = suffixes(written=True)[0]
+    kind: EnumProperty(
+        name="Format",
+        description="Format of the file. It gives the name its suffix",
+        items=[(one.name, one.label, WHAT_FOR[one.name]) for one in FORMATS if one.write],
+    )
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in suffixes(written=True)), options={"HIDDEN"})
     what: EnumProperty(
         name="Gaussians",
@@ -60,10 +73,22 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
     def invoke(self, context, event):
         if not self.properties.is_property_set("filepath"):
             self.filepath = str(default_path(context.object))
+        self.check(context)
         return super().invoke(context, event)
+
+    def check(self, context):
+        """Gives the name the suffix of the format. Returns whether it had another one."""
+        (wanted,) = (one.suffixes[0] for one in FORMATS if one.name == self.kind)
+        path = Path(self.filepath)
+        name, suffix = split_name(path)
+        if suffix.lower() == wanted:
+            return False
+        self.filepath = str(path.with_name((name if suffix.lower() in suffixes() else path.name) + wanted))
+        return True
 
     def draw(self, context):
         self.layout.use_property_split = True
+        self.layout.prop(self, "kind")
         self.layout.prop(self, "what")
         self.layout.prop(self, "space")
         row = self.layout.row()
@@ -84,7 +109,8 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         texts = [tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(count=scene.count, file=path.name, size=path.stat().st_size / 1e6)]
-        self.report({"INFO"}, "; ".join([*texts, *self.left_out(obj, dropped)]))
+        lost = left_out(scene, format_to_write(path))
+        self.report({"WARNING" if lost else "INFO"}, "; ".join([*texts, *self.left_out(obj, dropped), *lost]))
         return {"FINISHED"}
 
     def to_space(self, obj: bpy.types.Object, matrix):

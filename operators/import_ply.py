@@ -11,7 +11,7 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
 
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.files.registry import check_readable, labels, read_scene, suffixes
+from ..svrgs_addon.files.registry import check_readable, labels, read_scene, split_name, suffixes
 from ..svrgs_addon.files.repair import bake_filter, drop_nonfinite
 from . import bridge
 from .frame import frame
@@ -45,7 +45,7 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
             except SplatError as error:
                 self.report({"ERROR" if len(paths) == 1 else "WARNING"}, str(error))
                 continue
-            objects.append(self.add(context, path.stem, scene))
+            objects.append(self.add(context, split_name(path)[0], scene))
             root = bridge.root_of(objects[-1])
             texts.append(tr("{file}: {count:,} Gaussians").format(file=path.name, count=scene.count))
             texts += [tr("{count:,} with values that are not finite were left out").format(count=dropped)] if dropped else []

@@ -93,6 +93,9 @@ SHARES = Kind(
 )  # fmt: skip
 RANGE = Kind(tuple, "two numbers with a comma between, the lower one first; either may be left out", lambda ends: ends[0] <= ends[1], _range)
 BOX = Kind(tuple, "six numbers with commas between", lambda numbers: len(numbers) == 6 and _finite(numbers), _numbers)
+POINT = ANGLES = Kind(tuple, "three numbers with commas between", lambda numbers: len(numbers) == 3 and _finite(numbers), _numbers)
+POSITIVE_FLOAT = Kind(float, "a number above 0", lambda value: 0 < value < math.inf)
+SPZ_VERSION = Kind(int, "a version from 2 to 4", choices=(2, 3, 4))
 SPHERE = Kind(
     tuple, "four numbers with commas between, the last one 0 or more", lambda numbers: len(numbers) == 4 and _finite(numbers) and numbers[3] >= 0, _numbers
 )  # fmt: skip

@@ -22,6 +22,7 @@ from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_o
 from ..outputs import PICTURES
 from ..selection.options import SelectOptions
 from ..system.file_names import extended
+from .convert_options import ConvertOptions
 
 NAME_WIDTH = 24  # characters of the first column of the list of methods
 CHOICES = {"engine": ENGINES}
@@ -79,7 +80,7 @@ def parser() -> argparse.ArgumentParser:
     root = Parser(prog="svrgs", description="Makes 3D Gaussian splat scenes several times smaller, and measures the loss of quality.")
     root.add_argument("--version", action="version", version=__version__)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_info, _render, _train, _prune, _select, _rig, _eval, _compare, _bench):
+    for add in (_info, _render, _train, _prune, _select, _convert, _rig, _eval, _compare, _bench):
         add(commands)
     return root
 
@@ -183,6 +184,13 @@ def _select(commands):
     command = _command(commands, "select", "Selects the Gaussians that fulfil all given criteria, counts them, and writes them to a file.")
     command.add_argument("scene", type=extended, help="splat file")
     _options(command, SelectOptions)
+
+
+def _convert(commands):
+    command = _command(commands, "convert", "Writes splats in another format; with --json, one JSON object for each.")
+    command.add_argument("inputs", type=extended, nargs="+", metavar="IN", help="splat files, folders of them, or patterns such as 'captures/*.ply'")
+    command.add_argument("out", type=extended, metavar="OUT", help="file to write; with several inputs, a folder, and --to says the format")
+    _options(command, ConvertOptions)
 
 
 def _rig(commands):

@@ -81,7 +81,7 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
     if not path.exists():
         raise SceneError(f"{path}: there is no such file or folder")
     if not path.is_dir():
-        return [(path.stem, path)]
+        return [(registry.split_name(path)[0], path)]
     if out and same_file(path, out):
         raise SceneError(f"{path}: is the folder of both scenes and outputs; choose another folder for the outputs")
     own = _splat_in(path)
@@ -104,13 +104,13 @@ def _splat_in(folder: Path) -> Path | None:
     numbered = [p for p, number in trained.items() if number.isdecimal()]
     if numbered:  # the folder of a 3DGS run also holds input.ply, which has only sparse points
         return max(numbered, key=lambda p: int(trained[p]))
-    files = [p for p in sorted(_splats(folder, "*")) if not OUTPUT.search(p.stem) and not p.name.startswith(".")]
+    files = [p for p in sorted(_splats(folder, "*")) if not OUTPUT.search(registry.split_name(p)[0]) and not p.name.startswith(".")]
     return folder if len(files) > 1 else files[0] if files else None
 
 
 def _splats(folder: Path, pattern: str) -> list[Path]:
     """The splat files of all formats whose names without suffix match the pattern."""
-    return [path for suffix in registry.suffixes() for path in folder.glob(pattern + suffix)]
+    return list(dict.fromkeys(path for suffix in registry.suffixes() for path in folder.glob(pattern + suffix)))
 
 
 def _dataset(scene: Path) -> Path | None:
@@ -127,7 +127,7 @@ def _output(name: str, scene: Path, folder: Path | None) -> Path:
 
 def default_output(scene: Path, option: str = "--out") -> Path:
     """SCENE_pruned.ply beside the scene. Raises SceneError if that is a link. option: what names another output, for the sentence."""
-    out = scene.with_name(f"{scene.stem}{PRUNED}{registry.suffixes(written=True)[0]}")
+    out = scene.with_name(f"{registry.split_name(scene)[0]}{PRUNED}{registry.suffixes(written=True)[0]}")
     if out.is_symlink():  # a downloaded dataset must not lead outputs to another place
         raise SceneError(f"{out}: is a link to {out.readlink()}; name the output with {option}")
     return out

@@ -83,6 +83,16 @@ def select(words: Words) -> int:
     return _print(result, words, as_text(result))
 
 
+def convert(words: Words) -> int:
+    from .convert_scenes import as_text, convert_scenes
+
+    failed = False
+    for line in convert_scenes(words):
+        _print(line, words, as_text(line))
+        failed = failed or "error" in line
+    return 1 if failed else 0
+
+
 def rig(words: Words) -> int:
     from .place_cameras import as_text, place_cameras
 
@@ -129,7 +139,7 @@ def bench(words: Words) -> int:
 
 
 COMMANDS: dict[str, Callable[[Words], int]] = {
-    "info": info, "render": render, "train": train, "prune": prune, "select": select, "rig": rig, "eval": evaluate, "compare": compare, "bench": bench,
+    "info": info, "render": render, "train": train, "prune": prune, "select": select, "convert": convert, "rig": rig, "eval": evaluate, "compare": compare, "bench": bench,
 }  # fmt: skip
 
 

@@ -76,5 +76,6 @@ FORMAT = SplatFormat(
     read_parts=read_parts,
     write=write,
     size=file_size,
+    most_degree=0,
     carries=("order",),
 )

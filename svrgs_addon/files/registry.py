@@ -76,6 +76,13 @@ def format_to_read(path: str | Path) -> SplatFormat:
     return next((splat_format for splat_format in fitting if splat_format.sniff(head)), fitting[0])
 
 
+def split_name(path: str | Path) -> tuple[str, str]:
+    """The name of a splat file without its suffix, and the suffix: ('scene', '.compressed.ply')."""
+    path = Path(path)
+    found = max((suffix for suffix in suffixes() if path.name.lower().endswith(suffix)), key=len, default=path.suffix)
+    return path.name[: len(path.name) - len(found)], path.name[len(path.name) - len(found) :]
+
+
 def _ends_with(path: Path, splat_format: SplatFormat) -> bool:
     """Whether the name has a suffix of the format, in upper or lower case."""
     return path.name.lower().endswith(splat_format.suffixes)
@@ -111,11 +118,14 @@ def load_scene(path: str | Path) -> Loaded:
     return Loaded(scene, dropped, clamped)
 
 
-def write_scene(path: str | Path, scene: Scene):
-    """Writes the scene atomically, in the format of the suffix of `path`. What the format cannot hold is logged. Raises SceneError."""
+def write_scene(path: str | Path, scene: Scene, version: int = 0):
+    """Writes the scene atomically, in the format of the suffix of `path`. What the format cannot hold is logged. version: of the format; 0: the
+    newest. Raises SceneError."""
     splat_format = format_to_write(path)
     assert splat_format.write is not None
-    splat_format.write(extended(path), scene)
+    if version and version not in splat_format.versions:
+        raise SceneError(f"{path}: a {splat_format.label} has no version {version}")
+    splat_format.write(extended(path), scene, *([version] if version else []))
     for sentence in left_out(scene, splat_format):
         logging.warning("%s: %s", path, sentence)
 
@@ -127,10 +137,11 @@ def stored(path: str | Path, scene: Scene) -> Scene:
 
 def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:
     """A sentence on each thing of the scene that the format cannot hold."""
-    columns = [name for name in scene.attributes if name not in ply.NORMALS]
-    sentences = [f"a {splat_format.label} cannot hold further columns, {', '.join(columns)} are left out"] * bool(
-        columns and "attributes" not in splat_format.carries
-    )
+    sentences, columns = [], [name for name in scene.attributes if name not in ply.NORMALS]
+    if columns and "attributes" not in splat_format.carries:
+        sentences.append(f"a {splat_format.label} cannot hold further columns; left out: {', '.join(columns)}")
+    if scene.sh_degree > splat_format.most_degree:
+        sentences.append(f"a {splat_format.label} holds spherical harmonics up to degree {splat_format.most_degree}, so higher ones are left out")
     if scene.antialiased and "antialiased" not in splat_format.carries:
         sentences.append(f"a {splat_format.label} cannot say that the scene is antialiased, so programs will draw small Gaussians too thick")
     return sentences

@@ -25,8 +25,10 @@ class SplatFormat:
     sniff: Callable[[bytes], bool]  # whether a file that begins with these bytes may be of this format
     read_parts: Callable[[Path], Iterator[Scene]]  # the scene with values as stored, not repaired, in parts of some thousand Gaussians, at least one
     read: Callable[[Path], Scene] | None = None  # the same as one scene, if each part overwrites the arrays of the previous one
-    write: Callable[[Path, Scene], None] | None = None  # atomic; None: the format is read only
+    write: Callable[..., None] | None = None  # of path, scene and, if there are several, version; atomic. None: the format is read only
+    versions: tuple[int, ...] = ()  # that are written, if there are several; the first one if nothing is said
     size: Callable[[Scene], int] | None = None  # size in bytes of the file that write would make; None: it depends on the values
+    most_degree: int = 3  # of SH that it can hold
     lossless: bool = False  # whether all values are stored as they are
     carries: tuple[str, ...] = ()  # what it can hold besides: attributes, antialiased, order (of the Gaussians)
 

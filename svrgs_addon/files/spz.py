@@ -35,7 +35,7 @@ LARGEST_POSITION = 2**23 - 1
 FINER = 16  # steps of a position, at least, in the scale of a small Gaussian
 MOST_FRACTION_BITS = 24
 COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
-SH_STEPS = (8, 8)  # of 256, between values of SH that are written: of degree 1; of higher ones
+SH_STEP = 4  # of 256, between values of SH that are written. With 8 for degree 1 and 16 above, files are 15 to 25 % smaller and lose 5 to 7 dB
 AXES = np.array([1, -1, -1], np.float32)  # of positions; of the (x, y, z) of quaternions, too
 SH_SIGNS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)  # of the coefficients of degree 1 to 3 when y and z change sign
 SQRT_HALF = np.float32(0.5**0.5)
@@ -135,10 +135,9 @@ def _rotations(header: Header, quats: np.ndarray) -> np.ndarray:
 
 
 def _sh(sh: np.ndarray) -> np.ndarray:
-    """(N, 3 (K - 1)) uint8: rounded to multiples of SH_STEPS around 128, which is 0."""
-    rest = sh[:, 1:] * SH_SIGNS[: sh.shape[1] - 1, None] * 128
-    steps = np.where(np.arange(rest.shape[1]) < 3, *SH_STEPS)[:, None].astype(np.float32)
-    return _bytes(np.rint(rest / steps) * steps + 128).reshape(len(sh), -1)
+    """(N, 3 (K - 1)) uint8: rounded to multiples of SH_STEP around 128, which is 0."""
+    rest = sh[:, 1:] * SH_SIGNS[: sh.shape[1] - 1, None]
+    return _bytes(np.rint(rest * (128 / SH_STEP)) * SH_STEP + 128).reshape(len(sh), -1)
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:
@@ -149,4 +148,13 @@ def _sniff(head: Any) -> bool:
     return head.startswith((b"NGSP", b"\x1f\x8b"))
 
 
-FORMAT = SplatFormat(name="spz", label="SPZ", suffixes=(".spz",), sniff=_sniff, read_parts=read_parts, write=write, carries=("antialiased",))
+FORMAT = SplatFormat(
+    name="spz",
+    label="SPZ",
+    suffixes=(".spz",),
+    sniff=_sniff,
+    read_parts=read_parts,
+    write=write,
+    versions=(4, 3, 2),
+    carries=("antialiased",),
+)

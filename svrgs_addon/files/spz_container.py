@@ -29,7 +29,7 @@ ANTIALIASED, EXTENSIONS = 1, 2  # flags
 ADOBE_AXES = 0xADBE0003  # type of an extension after which axes may be others
 MOST_DEGREE = 4  # of SH; that beyond 3 is not read
 RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte; bytes that are unpacked from any file
-LEVEL, GZIP_LEVEL = 12, 6  # of compression
+LEVEL, GZIP_LEVEL = 9, 6  # of compression
 BROKEN = "; copy or export it again"
 
 

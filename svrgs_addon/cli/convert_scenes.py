@@ -1,0 +1,113 @@
+"""`svrgs convert`: writes splats in another format, cropped, turned or with fewer spherical harmonics on the way."""
+
+from __future__ import annotations
+
+import argparse
+import glob
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from .. import memory
+from ..errors import SceneError, SplatError
+from ..files import registry
+from ..files.atomic import check_writable
+from ..geometry.affine import scaled, transformed
+from ..scene import SH_COEFFICIENTS, Scene
+from ..selection.criteria import in_box
+from ..system.file_names import extended, real
+from .arguments import options_from
+from .convert_options import ConvertOptions
+
+
+def convert_scenes(words: argparse.Namespace) -> Iterator[dict]:
+    """Converts one file after another. Yields scene and out of each, with count, sh_degree and the bytes before and after; or skipped; or, with several
+    inputs, the error of one. Raises SplatError."""
+    options = options_from(ConvertOptions, words)
+    pairs = _pairs([Path(path) for path in words.inputs], words.out, options)
+    for scene, out in pairs:
+        line = {"scene": str(scene), "out": str(out)}
+        if len(pairs) > 1 and out.exists() and not options.overwrite:
+            yield line | {"skipped": "the output exists"}
+            continue
+        try:
+            yield line | _convert(scene, out, options)
+        except SplatError as error:
+            if len(pairs) == 1:
+                raise
+            yield line | {"error": str(error)}
+
+
+def as_text(line: dict) -> str:
+    if problem := line.get("error") or line.get("skipped"):
+        return problem if "error" in line else f"{line['out']}: skipped, {problem}"
+    sizes = " -> ".join(memory.size_text(line[name]) for name in ("bytes_before", "bytes"))
+    return f"{line['scene']}: {line['count']:,} Gaussians, SH degree {line['sh_degree']}, {sizes}; saved {line['out']}"
+
+
+def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
+    if real(path) == real(out):
+        raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
+    check_writable(out)
+    scene = _changed(registry.load_scene(path).scene, options)
+    if not scene.count:
+        raise SceneError(f"{path}: no Gaussian is inside the box, so no file was written")
+    splat_format = registry.format_to_write(out)
+    registry.write_scene(out, scene, options.spz_version or 0)
+    facts = {"count": scene.count, "sh_degree": min(scene.sh_degree, splat_format.most_degree)}
+    return facts | {"bytes_before": path.stat().st_size, "bytes": out.stat().st_size}
+
+
+def _changed(scene: Scene, options: ConvertOptions) -> Scene:
+    """The scene after crop, scale, rotation, move and with fewer bands."""
+    if options.box:
+        scene = scene.select(np.flatnonzero(in_box(scene.means, options.box)))
+    scene = transformed(scaled(scene, options.scale), _matrix(options))
+    most = SH_COEFFICIENTS[3 if options.sh_degree is None else options.sh_degree]
+    return replace(scene, sh=np.ascontiguousarray(scene.sh[:, :most])) if scene.sh.shape[1] > most else scene
+
+
+def _matrix(options: ConvertOptions) -> np.ndarray:
+    """(4, 4): the rotation, then the move."""
+    matrix = np.eye(4)
+    for axis, angle in enumerate(np.radians(options.rotate)):
+        turn, (one, other) = np.eye(4), [k for k in range(3) if k != axis]
+        sign = -1 if axis == 1 else 1  # from z to x
+        turn[one, one] = turn[other, other] = np.cos(angle)
+        turn[other, one], turn[one, other] = sign * np.sin(angle), -sign * np.sin(angle)
+        matrix = turn @ matrix
+    matrix[:3, 3] = options.move
+    return matrix
+
+
+def _pairs(inputs: list[Path], out: Path, options: ConvertOptions) -> list[tuple[Path, Path]]:
+    """Each input with its output. Raises SceneError, before anything is written, if names do not tell where to or if two would be one."""
+    found = [scene for path in inputs for scene in _files(path)]
+    known = registry.split_name(out)[1].lower() in registry.suffixes(written=True) and not out.is_dir()
+    if known and len(found) == 1 and not options.to:
+        return [(found[0], out)]
+    if known and not options.to:
+        raise SceneError(f"{out}: is the name of a file, but there are {len(found)} inputs; name a folder and give --to .spz")
+    if not options.to:
+        raise SceneError(f"{out}: has no suffix that says a format; give --to with one of {', '.join(registry.suffixes(written=True))}")
+    suffix = options.to if options.to.startswith(".") else f".{options.to}"
+    registry.format_to_write(out / f"x{suffix}")
+    outs = [out / (registry.split_name(scene)[0] + suffix) for scene in found]
+    if len(set(map(real, outs))) < len(outs):
+        raise SceneError(f"{next(one for one in outs if outs.count(one) > 1)}: would be the output of two inputs; convert them into separate folders")
+    return list(zip(found, outs, strict=True))
+
+
+def _files(path: Path) -> list[Path]:
+    """The files of a path, a folder or a pattern. Raises SceneError if there are none."""
+    if path.is_dir():
+        found = sorted(one for one in path.iterdir() if one.is_file() and one.name.lower().endswith(registry.suffixes()) and not one.name.startswith("."))
+    elif not path.exists() and glob.has_magic(str(path)):
+        found = [extended(name) for name in sorted(glob.glob(str(path)))]
+    else:
+        return [path]
+    if not found:
+        raise SceneError(f"{path}: holds no splat; those are {', '.join(registry.suffixes())}")
+    return found
