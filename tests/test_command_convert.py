@@ -1,0 +1,100 @@
+"""`svrgs convert`: one file, several, folders and patterns; crop, scale, rotation, move, degree; refusals."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from svrgs_addon.cli.main import main
+from svrgs_addon.files.registry import describe, read_scene, write_scene
+from test_formats import differences, like_trained
+
+
+@pytest.fixture
+def splat(tmp_path):
+    path = tmp_path / "a.ply"
+    write_scene(path, like_trained(2))
+    return path
+
+
+def convert(capsys, *words) -> list[dict]:
+    """The JSON lines."""
+    assert main(["convert", *map(str, words), "--json"]) == 0
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+@pytest.mark.parametrize("out", ["b.spz", "b.compressed.ply", "b.splat", "new/b.ply"])
+def test_one_file(splat, tmp_path, capsys, out):
+    (line,) = convert(capsys, splat, tmp_path / out)
+    found = describe(tmp_path / out)
+    assert line == {
+        "scene": str(splat), "out": str(tmp_path / out), "count": 700, "sh_degree": found["sh_degree"],
+        "bytes_before": splat.stat().st_size, "bytes": found["bytes"],
+    }  # fmt: skip
+    assert found["sh_degree"] == (0 if out.endswith(".splat") else 2)
+
+
+def test_a_plain_copy_keeps_every_value(splat, tmp_path, capsys):
+    convert(capsys, splat, tmp_path / "b.ply")
+    assert max(differences(read_scene(splat), read_scene(tmp_path / "b.ply")).values()) == 0
+
+
+def test_folders_patterns_and_files_become_files_of_a_folder(splat, tmp_path, capsys):
+    write_scene(tmp_path / "more" / "b.compressed.ply", like_trained(0))
+    write_scene(tmp_path / "more" / "c.splat", like_trained(0))
+    lines = convert(capsys, tmp_path / "more", str(tmp_path / "*.ply"), tmp_path / "out", "--to", "spz")
+    assert [line["out"] for line in lines] == [str(tmp_path / "out" / name) for name in ("b.spz", "c.spz", "a.spz")]
+    assert all("skipped" in line for line in convert(capsys, tmp_path / "more", splat, tmp_path / "out", "--to", "spz"))
+    assert all("bytes" in line for line in convert(capsys, tmp_path / "more", splat, tmp_path / "out", "--to", "spz", "--overwrite"))
+
+
+def test_a_damaged_file_among_several_is_said_and_the_others_are_converted(splat, tmp_path, capsys):
+    (tmp_path / "b.spz").write_bytes(b"NGSP broken")
+    assert main(["convert", str(splat), str(tmp_path / "b.spz"), str(tmp_path / "out"), "--to", ".splat", "--json"]) == 1
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert "bytes" in lines[0] and "b.spz" in lines[1]["error"] and not (tmp_path / "out" / "b.splat").exists()
+
+
+def test_crop_scale_rotation_and_move_come_in_this_order(splat, tmp_path, capsys):
+    scene = read_scene(splat)
+    (line,) = convert(
+        capsys, splat, tmp_path / "b.ply", "--box", "-1,-1,-1,1,1,1", "--scale", "2", "--rotate", "90,0,90", "--move", "0,0,5", "--sh-degree", "1"
+    )  # fmt: skip
+    inside = (np.abs(scene.means) <= 1).all(axis=1)
+    x, y, z = 2 * scene.means[inside].T
+    x, y, z = x, -z, y  # a quarter turn around x takes y to z
+    x, y, z = -y, x, z  # around z, x to y
+    found = read_scene(tmp_path / "b.ply")
+    assert line["count"] == inside.sum() and line["sh_degree"] == found.sh_degree == 1
+    assert found.means == pytest.approx(np.column_stack([x, y, z + 5]), abs=1e-5)
+    assert found.log_scales == pytest.approx(scene.log_scales[inside] + np.log(2), abs=1e-5)
+
+
+@pytest.mark.parametrize("version", (2, 3, 4))
+def test_the_version_of_an_spz_can_be_chosen(splat, tmp_path, capsys, version):
+    convert(capsys, splat, tmp_path / "b.spz", "--spz-version", version)
+    assert (tmp_path / "b.spz").read_bytes()[:4] == (b"NGSP" if version == 4 else b"\x1f\x8b\x08\x00")
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (("a.ply", "a.ply"), "never overwritten"),
+        (("a.ply", "b"), "--to"),
+        (("a.ply", "b.ksplat"), "--to"),
+        (("a.ply", "out", "--to", "ksplat"), "written as"),
+        (("a.ply", "c.ply", "b.spz"), "name of a file"),
+        (("a.ply", "more/a.ply", "out", "--to", "spz"), "two inputs"),
+        (("a.ply", "b.ply", "--box", "50,50,50,60,60,60"), "no Gaussian is inside"),
+        (("a.ply", "b.splat", "--spz-version", "3"), "no version 3"),
+        (("x.ply", "b.spz"), "no such file"),
+        (("*.spz", "b.ply"), "holds no splat"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(splat, tmp_path, capsys, monkeypatch, words, said):
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "more" / "a.ply", like_trained(0, 5))
+    assert main(["convert", *words]) == 2
+    assert said in capsys.readouterr().err and not (tmp_path / "b.ply").exists() and not (tmp_path / "b.splat").exists()
