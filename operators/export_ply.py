@@ -21,13 +21,13 @@ from . import bridge, bridge_graph, job_result
 from .splat_transforms import stretch_warning
 from .translation import OWN
 
-
 WHAT_FOR = {  # by the names of the formats
     "ply": "Every value as it is. All programs read it",
     "compressed-ply": "A quarter of the size. Read by SuperSplat, PlayCanvas and Brush",
     "spz": "A tenth of the size. Read by many programs and by web viewers",
     "splat": "Colours that do not depend on the view. Read by web viewers",
 }
+KINDS = [(one.name, one.label, WHAT_FOR[one.name]) for one in FORMATS if one.write]
 
 
 class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
@@ -37,11 +37,7 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):
     bl_options = {"REGISTER", "PRESET"}
 
     filename_ext = suffixes(written=True)[0]
-    kind: EnumProperty(
-        name="Format",
-        description="Format of the file. It gives the name its suffix",
-        items=[(one.name, one.label, WHAT_FOR[one.name]) for one in FORMATS if one.write],
-    )
+    kind: EnumProperty(name="Format", description="Format of the file. It gives the name its suffix", items=KINDS)
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in suffixes(written=True)), options={"HIDDEN"})
     what: EnumProperty(
         name="Gaussians",

@@ -38,6 +38,7 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     "svrgs rig scene.ply --out cameras.json --preview rig.png": ("cameras.json", "rig.png"),
     "svrgs prune scene.ply --quick --target 0.25 --out quarter.ply": ("quarter.ply",),
     "svrgs select scene.ply --floaters --invert --out clean.ply": ("clean.ply",),
+    "svrgs convert pruned.ply pruned.spz": ("pruned.spz",),
     "svrgs eval pruned.ply --colmap DATASET": (),
     "svrgs render pruned.ply --colmap DATASET --views test --outputs rgb,mask --out pictures": ("pictures/00.rgb.png", "pictures/00.mask.png"),
     "svrgs compare trained.ply pruned.ply --colmap DATASET --out comparison": ("comparison/index.html",),

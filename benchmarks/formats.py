@@ -1,0 +1,73 @@
+"""How large and how exact each format is: bytes, quality against the original, seconds to write and to read.
+
+python benchmarks/formats.py SPLAT... [--out TABLE.md]
+
+PSNR in dB, SSIM and FLIP are means of the 50 views of no_photographs.py. Seconds: medians of REPEATS, of the scene in memory to the file and back.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from no_photographs import measures, views_from_above
+
+from svrgs_addon.files.registry import FORMATS, load_scene, write_scene
+from svrgs_addon.scene import Scene
+
+REPEATS = 5
+HEAD = "| file | bytes per Gaussian | MB | PSNR, dB | SSIM | FLIP | write, s | read, s |\n|---|---:|---:|---:|---:|---:|---:|---:|"
+
+
+def seconds(work: Callable[[], object]) -> float:
+    times = []
+    for _ in range(REPEATS):
+        started = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - started)
+    return median(times)
+
+
+def kinds() -> list[tuple[str, int]]:
+    """(suffix, version) of all formats that are written."""
+    return [(one.suffixes[0], version) for one in FORMATS if one.write for version in one.versions or (0,)]
+
+
+def rows(scene: Scene, folder: Path) -> list[str]:
+    cameras, lines = views_from_above(scene), []
+    for suffix, version in kinds():
+        path = folder / f"scene{suffix}"
+        writing = seconds(lambda path=path, version=version: write_scene(path, scene, version))
+        reading = seconds(lambda path=path: load_scene(path))
+        found, size = measures(load_scene(path).scene, scene, cameras), path.stat().st_size
+        quality = f"{found[0]:.2f} | {found[1]:.4f} | {found[2]:.4f}" if found[0] < 100 else "equal | 1 | 0"
+        name = f"{suffix}{f' version {version}' if version else ''}"
+        lines.append(f"| {name} | {size / scene.count:.1f} | {size / 1e6:.2f} | {quality} | {writing:.2f} | {reading:.2f} |")
+        print(lines[-1], flush=True)
+    return lines
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("splats", type=Path, nargs="+")
+    parser.add_argument("--out", type=Path, help="file to append the tables to")
+    words = parser.parse_args()
+    for path in words.splats:
+        scene = load_scene(path).scene
+        with tempfile.TemporaryDirectory() as folder:
+            table = "\n".join([f"\n### {path.stem}, {scene.count:,} Gaussians, SH degree {scene.sh_degree}\n", HEAD, *rows(scene, Path(folder))])
+        if words.out:
+            with open(words.out, "a", encoding="utf-8") as file:
+                file.write(table + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,51 @@
+"""Splats of every format in Blender: imported upright and with their values, exported by the suffix of the name."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from extension import part
+
+WRITTEN = (".ply", ".compressed.ply", ".spz", ".splat")
+
+
+@pytest.fixture
+def formats():
+    return part("svrgs_addon.files.registry")
+
+
+@pytest.mark.parametrize("suffix", WRITTEN)
+def test_a_file_is_imported_upright_under_its_name_and_exported_again(suffix, splat, formats, bridge, tmp_path):
+    assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / f"toy{suffix}")) == {"FINISHED"}
+    bpy.ops.svrgs.import_ply(filepath=str(tmp_path / f"toy{suffix}"))
+    found, source = bpy.context.object, bridge.scene_from_object(splat)
+    assert found.name.startswith("toy") and "." not in found.name.removesuffix(".001")
+    means = bridge.scene_from_object(found).means
+    assert bridge.count(found) == bridge.count(splat)
+    assert np.sort(means, axis=0) == pytest.approx(np.sort(source.means, axis=0), abs=0.02)
+    assert np.allclose(found.matrix_world, splat.matrix_world)
+
+
+def test_what_a_format_cannot_hold_is_said(splat, tmp_path, capfd):
+    assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "toy.splat")) == {"FINISHED"}
+    said = capfd.readouterr()
+    assert "spherical harmonics up to degree 0" in said.out + said.err
+
+
+@pytest.mark.parametrize(
+    "path, kind, wanted",
+    [
+        ("/a/toy.ply", "spz", "/a/toy.spz"),
+        ("/a/toy.ply", "compressed-ply", "/a/toy.compressed.ply"),
+        ("/a/toy.compressed.ply", "ply", "/a/toy.ply"),
+        ("/a/toy.v2", "splat", "/a/toy.v2.splat"),
+        ("/a/toy.SPZ", "spz", "/a/toy.SPZ"),
+    ],
+)
+def test_the_format_gives_the_name_its_suffix(path, kind, wanted):
+    dialog = SimpleNamespace(filepath=path, kind=kind)
+    changed = part("operators.export_ply").SVRGS_OT_export_ply.check(dialog, None)
+    assert dialog.filepath == wanted and changed == (path != wanted)
