@@ -235,7 +235,7 @@ def test_several_splats_in_a_folder_fail_alone(tmp_path):
     touch(tmp_path / "a/x.ply", tmp_path / "a/y.ply", tmp_path / "b/scene.ply")
     several, one = expand([tmp_path], None, None)
     assert one.scene == tmp_path / "b/scene.ply"
-    with pytest.raises(SceneError, match=r"a: is a folder, or holds several splats: name the \.ply to use"):
+    with pytest.raises(SceneError, match=r"a: is a folder, or holds several splats: name the file to use"):
         read_scene(several.scene)
 
 

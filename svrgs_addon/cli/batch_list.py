@@ -90,7 +90,7 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
     folders = [folder for folder in sorted(path.iterdir()) if folder.is_dir() and not (out and same_file(folder, out))]
     below = [(folder.name, splat) for folder in folders if (splat := _splat_in(folder))]
     if not below:
-        raise SceneError(f"{path}: holds no splat: neither a {' or '.join(registry.suffixes())} file nor folders with one")
+        raise SceneError(f"{path}: holds no splat and no folders with one; splats are {', '.join(registry.suffixes())}")
     return below
 
 

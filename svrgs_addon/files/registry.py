@@ -52,7 +52,7 @@ def format_to_write(path: str | Path) -> SplatFormat:
     name = extended(path).name.lower()
     fitting = [(len(suffix), -place) for place, one in enumerate(FORMATS) if one.write for suffix in one.suffixes if name.endswith(suffix)]
     if not fitting:
-        raise SceneError(f"{path}: scenes are written as {' or '.join(suffixes(written=True))}")
+        raise SceneError(f"{path}: scenes are written as {', '.join(suffixes(written=True))}")
     return FORMATS[-max(fitting)[1]]  # the longest suffix counts
 
 
@@ -65,10 +65,10 @@ def format_to_read(path: str | Path) -> SplatFormat:
     if not path.exists():
         raise SceneError(f"{path}: there is no such file; check the path")
     if path.is_dir():
-        raise SceneError(f"{path}: is a folder, or holds several splats: name the {' or '.join(suffixes())} to use")
+        raise SceneError(f"{path}: is a folder, or holds several splats: name the file to use")
     fitting = [splat_format for splat_format in FORMATS if _ends_with(path, splat_format)]
     if not fitting:
-        raise FormatError(f"{path}: '{path.suffix}' files are not read; give a 3DGS {' or '.join(suffixes())}")
+        raise FormatError(f"{path}: '{path.suffix}' files are not read; splats are {', '.join(suffixes())}")
     if len(fitting) == 1:  # no need to read its first bytes; the reader reports errors
         return fitting[0]
     with open(path, "rb") as file:
