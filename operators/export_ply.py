@@ -13,7 +13,7 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..svrgs_addon.errors import SceneError, SplatError
-from ..svrgs_addon.files.registry import FORMATS, format_to_write, labels, left_out, split_name, suffixes, write_scene
+from ..svrgs_addon.files.registry import FORMATS, format_to_write, left_out, menu_label, split_name, suffixes, write_scene
 from ..svrgs_addon.files.repair import drop_nonfinite
 from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from ..svrgs_addon.geometry.merge import joined
@@ -143,7 +143,7 @@ def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
 
 
 def menu(self, context):
-    self.layout.operator(SVRGS_OT_export_ply.bl_idname, text=", ".join(labels(written=True)))
+    self.layout.operator(SVRGS_OT_export_ply.bl_idname, text=menu_label(written=True))
 
 
 def register():

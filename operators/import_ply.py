@@ -11,7 +11,7 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
 
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.files.registry import check_readable, labels, read_scene, split_name, suffixes
+from ..svrgs_addon.files.registry import check_readable, menu_label, read_scene, split_name, suffixes
 from ..svrgs_addon.files.repair import bake_filter, drop_nonfinite
 from . import bridge
 from .frame import frame
@@ -98,7 +98,7 @@ class SVRGS_FH_ply(bpy.types.FileHandler):
 
 
 def menu(self, context):
-    self.layout.operator(SVRGS_OT_import_ply.bl_idname, text=", ".join(labels()))
+    self.layout.operator(SVRGS_OT_import_ply.bl_idname, text=menu_label())
 
 
 CLASSES = (SVRGS_OT_import_ply, SVRGS_FH_ply)

@@ -216,6 +216,20 @@ def test_further_columns_that_a_format_cannot_hold_are_named(tmp_path, caplog):
     assert "confidence" in caplog.text and "nx" not in caplog.text
 
 
+@pytest.mark.parametrize(("change", "said"), [("far", "steps of"), ("tiny", "the limits of an SPZ"), ("none", "")])
+def test_what_is_beyond_the_limits_of_an_spz_is_said(tmp_path, caplog, change, said):
+    scene = like_trained(0)
+    if change == "far":
+        scene.means[5] = 1e6
+    if change == "tiny":
+        scene = dataclasses.replace(scene, means=scene.means * np.float32(1e-5), log_scales=scene.log_scales + np.float32(np.log(1e-5)))
+    with caplog.at_level(logging.WARNING):
+        write_scene(tmp_path / "a.spz", scene)
+    assert (said in caplog.text) if said else not caplog.text
+    found = read_scene(tmp_path / "a.spz").means
+    assert found.max() == pytest.approx(scene.means.max(), rel=0.01)
+
+
 def test_opaque_and_transparent_gaussians_stay_finite_and_what_they_are(tmp_path):
     scene = dataclasses.replace(like_trained(0, 4), opacity_logits=np.array([-80, -6, 6, 80], np.float32))
     for suffix in WRITTEN:

@@ -42,9 +42,11 @@ def suffixes(written: bool = False) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def labels(written: bool = False) -> tuple[str, ...]:
-    """Names of the formats in menus: 'LABEL (.suffix)'. written: only formats that can be written."""
-    return tuple(f"{found.label} ({'/'.join(found.suffixes)})" for found in FORMATS if found.write or not written)
+def menu_label(written: bool = False) -> str:
+    """'3D Gaussian Splat (.ply/.spz/...)' for menus, without suffixes that end as another one does. written: only formats that can be written."""
+    found = suffixes(written)
+    ends = [suffix for suffix in found if not any(suffix != other and suffix.endswith(other) for other in found)]
+    return f"{FORMATS[0].label} ({'/'.join(ends)})"
 
 
 def format_to_write(path: str | Path) -> SplatFormat:
@@ -136,7 +138,7 @@ def stored(path: str | Path, scene: Scene) -> Scene:
 
 
 def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:
-    """A sentence on each thing of the scene that the format cannot hold."""
+    """A sentence on each thing of the scene that the format cannot hold, or that is beyond its limits."""
     sentences, columns = [], [name for name in scene.attributes if name not in ply.NORMALS]
     if columns and "attributes" not in splat_format.carries:
         sentences.append(f"a {splat_format.label} cannot hold further columns; left out: {', '.join(columns)}")
@@ -144,6 +146,7 @@ def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:
         sentences.append(f"a {splat_format.label} holds spherical harmonics up to degree {splat_format.most_degree}, so higher ones are left out")
     if scene.antialiased and "antialiased" not in splat_format.carries:
         sentences.append(f"a {splat_format.label} cannot say that the scene is antialiased, so programs will draw small Gaussians too thick")
+    sentences += splat_format.limits(scene) if splat_format.limits else []
     return sentences
 
 

@@ -28,6 +28,7 @@ class SplatFormat:
     write: Callable[..., None] | None = None  # of path, scene and, if there are several, version; atomic. None: the format is read only
     versions: tuple[int, ...] = ()  # that are written, if there are several; the first one if nothing is said
     size: Callable[[Scene], int] | None = None  # size in bytes of the file that write would make; None: it depends on the values
+    limits: Callable[[Scene], list[str]] | None = None  # a sentence on each limit of the format that the scene is beyond
     most_degree: int = 3  # of SH that it can hold
     lossless: bool = False  # whether all values are stored as they are
     carries: tuple[str, ...] = ()  # what it can hold besides: attributes, antialiased, order (of the Gaussians)

@@ -34,6 +34,7 @@ FRACTION_BITS = 12  # of positions, at least where the scene is small enough
 LARGEST_POSITION = 2**23 - 1
 FINER = 16  # steps of a position, at least, in the scale of a small Gaussian
 MOST_FRACTION_BITS = 24
+COARSE, SOME = 2, 0.01  # steps of a position in the scale of a small Gaussian, at least; share of the Gaussians: beyond, a sentence says so
 COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
 SH_STEP = 4  # of 256, between values of SH that are written. With 8 for degree 1 and 16 above, files are 15 to 25 % smaller and lose 5 to 7 dB
 AXES = np.array([1, -1, -1], np.float32)  # of positions; of the (x, y, z) of quaternions, too
@@ -62,13 +63,35 @@ def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST):
 
 def fraction_bits(scene: Scene) -> int:
     """Bits of the fraction of positions: at least FINER steps in the scales of small Gaussians, as far as the largest position allows."""
-    finite = scene.means[np.isfinite(scene.means).all(axis=1)]
-    largest = float(np.abs(finite).max()) if len(finite) else 0.0
+    largest, small = _extent(scene)
     fitting = int(np.floor(np.log2(LARGEST_POSITION / max(largest, 1e-30))))
-    logs = scene.log_scales[np.isfinite(scene.log_scales).all(axis=1)].max(axis=1)
-    small = float(np.quantile(logs, 0.05)) if len(logs) else 0.0
-    wanted = int(np.ceil(np.log2(FINER) - small / np.log(2)))
+    wanted = int(np.ceil(np.log2(FINER / max(small, 1e-30))))
     return max(0, min(max(wanted, FRACTION_BITS), fitting, MOST_FRACTION_BITS))
+
+
+def limits(scene: Scene) -> list[str]:
+    """A sentence if steps of positions show, and one if scales are beyond those that an SPZ can hold."""
+    sentences, (largest, small), step = [], _extent(scene), 2.0 ** -fraction_bits(scene)
+    if step > small / COARSE or largest > LARGEST_POSITION * step:
+        sentences.append(
+            f"positions are stored in steps of {step:g}, because some lie {largest:g} away, and small Gaussians have a scale of {small:g}: "
+            "remove those far away first (svrgs select), or write another format"
+        )
+    low, high = SMALLEST_SCALE, SMALLEST_SCALE + 255 / SCALE_STEPS
+    widest = scene.log_scales.max(axis=1, initial=-np.inf)
+    beyond = int(((widest < low) | (widest > high)).sum())
+    if beyond > SOME * scene.count:
+        sentences.append(
+            f"{beyond:,} Gaussians are smaller than {np.exp(low):.1g} or larger than {np.exp(high):.3g}, the limits of an SPZ: scale the scene first"
+        )
+    return sentences
+
+
+def _extent(scene: Scene) -> tuple[float, float]:
+    """The largest coordinate, and the scale of small Gaussians: of each the largest of its three, of which 5 % are smaller."""
+    finite = scene.means[np.isfinite(scene.means).all(axis=1)]
+    logs = scene.log_scales[np.isfinite(scene.log_scales).all(axis=1)].max(axis=1, initial=-np.inf)
+    return float(np.abs(finite).max(initial=0)), float(np.exp(np.clip(np.quantile(logs, 0.05), -80, 80))) if len(logs) else 1.0
 
 
 def _scene(header: Header, stored: dict[str, np.ndarray]) -> Scene:
@@ -156,5 +179,6 @@ FORMAT = SplatFormat(
     read_parts=read_parts,
     write=write,
     versions=(4, 3, 2),
+    limits=limits,
     carries=("antialiased",),
 )
