@@ -139,7 +139,8 @@ def bench(words: Words) -> int:
 
 
 COMMANDS: dict[str, Callable[[Words], int]] = {
-    "info": info, "render": render, "train": train, "prune": prune, "select": select, "convert": convert, "rig": rig, "eval": evaluate, "compare": compare, "bench": bench,
+    "info": info, "render": render, "train": train, "prune": prune, "select": select, "convert": convert, "rig": rig,
+    "eval": evaluate, "compare": compare, "bench": bench,
 }  # fmt: skip
 
 
