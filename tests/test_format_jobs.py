@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
+
 import numpy as np
 import pytest
 
+from svrgs_addon.cli.main import main
 from svrgs_addon.errors import SceneError
 from svrgs_addon.files.registry import load_scene, read_scene, write_scene
 from svrgs_addon.jobs.options import PruneOptions
@@ -12,6 +16,7 @@ from svrgs_addon.jobs.run_job import prune_scene
 from svrgs_addon.metrics.psnr import psnr
 from svrgs_addon.native import Rasterizer
 from svrgs_addon.rig.around import cameras_around
+from test_formats import by_gaussforge
 from test_rendered_views import ball
 
 
@@ -28,6 +33,16 @@ def test_a_quick_job_goes_from_one_format_to_another(tmp_path, out):
     small = tmp_path / out
     assert read_scene(small).count == result["count"] == 500 and result["after"]["bytes"] == small.stat().st_size
     assert result["before"]["bytes"] == path.stat().st_size
+
+
+def test_a_folder_of_textures_is_pruned_and_converted(tmp_path, capsys):
+    (tmp_path / "a").mkdir()
+    write_scene(tmp_path / "a.ply", ball(1_000))
+    with zipfile.ZipFile(io.BytesIO(by_gaussforge((tmp_path / "a.ply").read_bytes(), ".ply", ".sog"))) as bundle:
+        bundle.extractall(tmp_path / "a")
+    assert prune(tmp_path / "a", "small.spz", quick=True)["before"]["bytes"] == sum(file.stat().st_size for file in (tmp_path / "a").iterdir())
+    assert main(["convert", str(tmp_path / "a"), str(tmp_path / "b.ply")]) == 0 and read_scene(tmp_path / "b.ply").count == 1_000
+    assert main(["prune", str(tmp_path / "a"), "--quick", "--target", "0.5"]) == 0 and read_scene(tmp_path / "a_pruned.ply").count == 500
 
 
 def test_the_quality_is_that_of_the_file(tmp_path):

@@ -19,7 +19,7 @@ from svrgs_addon.scene import Scene
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WRITTEN = (".compressed.ply", ".spz", ".splat")
-GAUSSFORGE = {".ply": "ply", ".compressed.ply": "compressed.ply", ".spz": "spz", ".splat": "splat", ".ksplat": "ksplat"}  # its names
+GAUSSFORGE = {".ply": "ply", ".compressed.ply": "compressed.ply", ".spz": "spz", ".splat": "splat", ".ksplat": "ksplat", ".sog": "sog"}  # its names
 
 
 def rotations(quats: np.ndarray) -> np.ndarray:
@@ -123,7 +123,7 @@ def test_a_stranger_reads_every_version_of_spz(tmp_path, version):
 
 
 @pytest.mark.parametrize("degree", (0, 1, 2))
-@pytest.mark.parametrize("suffix", [*WRITTEN, ".ksplat"])
+@pytest.mark.parametrize("suffix", [*WRITTEN, ".ksplat", ".sog"])
 def test_we_read_what_a_stranger_writes_as_it_does(tmp_path, suffix, degree):
     source, path = tmp_path / "a.ply", tmp_path / f"b{suffix}"
     write_scene(source, like_trained(degree))
@@ -171,6 +171,16 @@ def test_a_capture_with_colours_that_depend_on_the_view_is_the_same_in_every_for
     near = differences(plain.select(row), other)
     assert np.quantile(distance, 0.9) < 1e-3
     assert np.quantile(np.abs(plain.sh[row][:, 1:] - other.sh[:, 1:]), 0.9) < 0.07, near
+
+
+@pytest.mark.parametrize("name", ["sog_lod3", "sog_lod3/meta.json"])
+def test_a_folder_of_textures_is_what_the_program_that_made_it_says(name):
+    folder = DATA / "playbot_splat"
+    if not folder.exists():
+        pytest.skip("playbot_splat of the shared data is missing")
+    found, expected = read_scene(folder / name), read_scene(folder / "playbot_lod3.ply")
+    assert max(differences(found, expected).values()) < 1e-6
+    assert describe(folder / name)["bytes"] == sum(file.stat().st_size for file in (folder / "sog_lod3").iterdir())
 
 
 def test_the_kind_of_a_ply_is_told_by_its_header(tmp_path):

@@ -117,7 +117,7 @@ def evaluate(words: Words) -> int:
     cameras = [dataset.cameras[i] for i in views]
     memory.refuse_excess(f"{words.scene}: measuring it", memory.measuring(scene.count, cameras, dataset.memory_budget, lpips is not None))
     result = measure(scene, dataset, views, Rasterizer(), lpips)
-    result |= {"bytes": words.scene.stat().st_size, "notes": list(dataset.notes)}
+    result |= {"bytes": registry.size_on_disk(words.scene), "notes": list(dataset.notes)}
     return _print(result, words, _figures(result, reason))
 
 

@@ -66,6 +66,22 @@ def read_pixels(path: str | os.PathLike, background: tuple[float, float, float] 
         source.close()
 
 
+def read_texture(path: str | os.PathLike, most: int) -> np.ndarray:
+    """The four channels of an 8-bit image as stored, (H, W, 4) uint8; 255 for an alpha that it does not have. most: pixels. Raises FormatError."""
+    source = _open(path)
+    try:
+        spec = source.spec()
+        if spec.width * spec.height > most:
+            raise FormatError(f"{path}: has {spec.width} x {spec.height} pixels, more than its file needs; export it again")
+        pixels = _read_channels(source, spec, path)
+    finally:
+        source.close()
+    if pixels.dtype != np.uint8 or pixels.shape[2] < 3:
+        raise FormatError(f"{path}: is not an image of three or four channels of 8 bits; export it again")
+    opaque = np.full((*pixels.shape[:2], 1), 255, np.uint8)
+    return pixels if pixels.shape[2] == 4 else np.concatenate([pixels, opaque], axis=2)
+
+
 def to_float(pixels: np.ndarray) -> np.ndarray:
     """Converts uint8 0..255 to float32 0..1; float32 is returned unchanged."""
     return pixels if pixels.dtype == np.float32 else pixels / np.float32(255)

@@ -17,12 +17,12 @@ from ..errors import FormatError, SceneError
 from ..native_library import thresholds
 from ..scene import Scene
 from ..system.file_names import extended
-from . import compressed_ply, dot_splat, ksplat, ply, spz
+from . import compressed_ply, dot_splat, ksplat, ply, sog, spz
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
 FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format is named
-    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
+    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
 )  # fmt: skip
 SNIFFED_BYTES = 4096  # bytes at the start of a file that decide between formats with the same suffix
 
@@ -66,6 +66,8 @@ def format_to_read(path: str | Path) -> SplatFormat:
     path = extended(path)
     if not path.exists():
         raise SceneError(f"{path}: there is no such file; check the path")
+    if sog.is_sog(path):
+        return sog.FORMAT
     if path.is_dir():
         raise SceneError(f"{path}: is a folder, or holds several splats: name the file to use")
     fitting = [splat_format for splat_format in FORMATS if _ends_with(path, splat_format)]
@@ -81,6 +83,8 @@ def format_to_read(path: str | Path) -> SplatFormat:
 def split_name(path: str | Path) -> tuple[str, str]:
     """The name of a splat file without its suffix, and the suffix: ('scene', '.compressed.ply')."""
     path = Path(path)
+    if path.name == sog.META:
+        return path.absolute().parent.name, sog.SUFFIX
     found = max((suffix for suffix in suffixes() if path.name.lower().endswith(suffix)), key=len, default=path.suffix)
     return path.name[: len(path.name) - len(found)], path.name[len(path.name) - len(found) :]
 
@@ -90,10 +94,19 @@ def _ends_with(path: Path, splat_format: SplatFormat) -> bool:
     return path.name.lower().endswith(splat_format.suffixes)
 
 
+def size_on_disk(path: str | Path) -> int:
+    """Size of a splat in bytes, with all its files if it is a folder."""
+    path = extended(path)
+    if not sog.is_sog(path):
+        return path.stat().st_size
+    folder = path if path.is_dir() else path.parent
+    return sum(file.stat().st_size for file in folder.iterdir() if file.is_file())
+
+
 def read_scene(path: str | Path) -> Scene:
     """Reads the scene with values as stored. Raises FormatError, or SceneError if the file is missing or memory does not suffice."""
     splat_format = format_to_read(path)
-    memory.refuse_excess(f"{path}: reading it", memory.reading(extended(path).stat().st_size))
+    memory.refuse_excess(f"{path}: reading it", memory.reading(size_on_disk(path)))
     return splat_format.whole(extended(path))
 
 
@@ -190,7 +203,7 @@ def describe(path: str | Path) -> dict:
         "count": count,
         "sh_degree": part.sh_degree,
         "format": splat_format.name,
-        "bytes": extended(path).stat().st_size,
+        "bytes": size_on_disk(path),
         "invisible": faint,
         "nonfinite": bad,
         "antialiased": part.antialiased,

@@ -23,7 +23,7 @@ from ..decimate.order import Order, looks, lost_columns, order_of
 from ..decimate.saved_order import write_order
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
-from ..files.registry import format_to_write, invisible, load_scene, stored, write_scene
+from ..files.registry import format_to_write, invisible, load_scene, size_on_disk, stored, write_scene
 from ..finetune.quality import LEAST
 from ..finetune.refit import USUAL, interpolated, pace_at, refit
 from ..geometry.affine import scaled
@@ -121,7 +121,7 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
         "invisible": source.count - scene.count,
         "hidden": _hidden(sums),
     }
-    before = {"count": source.count, "bytes": options.scene.stat().st_size}
+    before = {"count": source.count, "bytes": size_on_disk(options.scene)}
     after = _measured(small, enlarged, test, rasterizer, options) | {"bytes": options.out.stat().st_size}
     facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
     notes += [*_of_hidden(facts["hidden"]), *lost_columns(source, small)]

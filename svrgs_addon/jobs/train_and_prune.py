@@ -15,7 +15,7 @@ from .. import memory
 from ..decimate.order import NORMALS, lost_columns
 from ..errors import SceneError
 from ..files.atomic import check_writable, reserved
-from ..files.registry import FORMATS, format_to_write, invisible, load_scene, stored, write_scene
+from ..files.registry import FORMATS, format_to_write, invisible, load_scene, size_on_disk, stored, write_scene
 from ..finetune import checkpoint, loop, masks, scores
 from ..finetune.engine import NativeEngine
 from ..finetune.model import Model, scene_from_points
@@ -177,7 +177,7 @@ def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, pl
 def facts_before(source: Scene, dataset: Dataset, job: JobContext, path: Path) -> dict:
     """The figures of the source scene; without its quality if the photographs are its own pictures. Otherwise notes whether both belong together."""
     if isinstance(dataset, RenderedDataset):
-        return {"count": source.count, "bytes": path.stat().st_size}
+        return {"count": source.count, "bytes": size_on_disk(path)}
     before = measured(source, dataset, job, path)
     note_mismatch(source, dataset)
     return before
@@ -293,7 +293,7 @@ def curve_psnr(run: Run) -> float | None:
 def measured(scene: Scene, dataset: Dataset, job: JobContext, path: Path | None = None) -> dict:
     """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes (default: the output)."""
     views = dataset.test_indices or dataset.train_indices
-    return {**evaluate(scene, dataset, views, Rasterizer(), job.lpips), "bytes": (path or job.out).stat().st_size}
+    return {**evaluate(scene, dataset, views, Rasterizer(), job.lpips), "bytes": size_on_disk(path or job.out)}
 
 
 def written_levels(scene: Scene, dataset: Dataset, job: JobContext) -> list[dict]:

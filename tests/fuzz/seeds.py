@@ -13,7 +13,7 @@ from fuzz.targets import SPLATS, Checkpoint, Colmap, cameras_json, transforms_js
 from ksplat_file import ksplat_of
 from svrgs_addon.bench.scenes import room
 from svrgs_addon.files import spz
-from svrgs_addon.files.registry import FORMATS
+from svrgs_addon.files.registry import FORMATS, write_scene
 
 
 def target(name: str, folder: Path):
@@ -55,6 +55,15 @@ def spz_seeds(folder: Path) -> list[bytes]:
     return [*found, plain]
 
 
+def sog_seeds(folder: Path) -> list[bytes]:
+    """Bundles by another program, without and with a palette; what is in them is stored, so changes reach it."""
+    gaussforge, found = __import__("gaussforge"), []
+    for degree in (0, 1):
+        write_scene(folder / "seed.ply", room(5, degree))
+        found.append(gaussforge.GaussForge().convert((folder / "seed.ply").read_bytes(), "ply", "sog")["data"])
+    return found
+
+
 def ply_seeds(folder: Path) -> list[bytes]:
     """SH degrees 0 and 1; a file of doubles, an ASCII one, one with more elements."""
     found = splat_seeds("ply", folder)
@@ -69,7 +78,7 @@ def ply_seeds(folder: Path) -> list[bytes]:
     return [*found, header + more + body + b"\3" + bytes(12)]
 
 
-SEEDS = {"ply": ply_seeds, "spz": spz_seeds, "ksplat": ksplat_seeds}
+SEEDS = {"ply": ply_seeds, "spz": spz_seeds, "ksplat": ksplat_seeds, "sog": sog_seeds}
 
 
 def camera_entries(count: int = 2) -> list[dict]:

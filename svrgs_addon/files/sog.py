@@ -1,0 +1,206 @@
+"""SOG version 2 (PlayCanvas): a meta.json and textures in lossless WebP, in a folder or bundled as a zip, which is read only.
+
+Gaussian i is pixel i of each texture, row by row.
+
+means_l, means_u        the low and the high bytes of 16 bits in the range mins to maxs, in which x is stored as sign(x) log(1 + |x|)
+scales, sh0             rows of a table of 256 values: logarithms of scales; SH of degree 0. The alpha of sh0 is the opacity, 8 bits
+quats                   the three smaller components of (w, x, y, z); alpha is 252 and the position of the largest one
+shN_labels, _centroids  number of an entry of a palette, 16 bits; 64 entries in a row, a pixel for each coefficient, its channels rows of a table
+
+Axes are those of 3DGS.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError
+from ..scene import SH_COEFFICIENTS, Scene
+from .images import read_texture
+from .opened import MAX_COUNT, opened, refuse_unpacking
+from .quantised import logits_of, quats_of_three
+from .splat_format import SplatFormat
+
+META, SUFFIX = "meta.json", ".sog"
+MAX_META = 1_000_000  # bytes of meta.json
+RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte of a bundle; bytes that are unpacked from any
+MANY = 1 << 16  # Gaussians that any file may name; more need a byte each
+TABLE, PALETTE_ROW = 256, 64  # values of a table; entries of the palette in a row of pixels
+LARGEST_QUAT = 252  # alpha of quats for w
+PART = 2**16  # Gaussians that are converted together
+ROOT2 = np.float32(2**0.5)
+BROKEN = "; export it again"
+
+
+@dataclass(frozen=True)
+class _Sog:
+    """A checked meta.json and its textures, (count, 4) uint8 each; those of the palette as images."""
+
+    count: int
+    degree: int
+    antialiased: bool
+    ranges: np.ndarray  # (2, 3) of positions
+    tables: dict[str, np.ndarray]
+    textures: dict[str, np.ndarray]
+
+
+def is_sog(path: Path) -> bool:
+    """Whether the path is a folder with a SOG in it, or its meta.json."""
+    return path.name == META or (path / META).is_file()
+
+
+def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
+    """The Gaussians in the order of the pixels, in parts. path: folder, its meta.json, or bundle. Raises FormatError, which names the file."""
+    path = Path(path)
+    file = path / META if path.is_dir() else path
+    with opened(file), _folder(file) as folder:
+        sog = _read(folder, max_count)
+    for start in range(0, max(sog.count, 1), PART):
+        yield _scene(sog, slice(start, min(start + PART, sog.count)))
+
+
+@contextlib.contextmanager
+def _folder(file: Path) -> Iterator[Path]:
+    """The folder with meta.json: that of the file, or one into which a bundle is unpacked. Raises FormatError (without the name of the file), as the
+    functions below."""
+    if file.name == META:
+        yield file.parent
+        return
+    try:
+        with zipfile.ZipFile(file) as bundle, tempfile.TemporaryDirectory() as folder:
+            members = [one for one in bundle.infolist() if Path(one.filename).name == one.filename and one.filename.endswith((".webp", ".json"))]
+            if sum(one.file_size for one in members) > max(ALWAYS, RATIO * file.stat().st_size):
+                raise FormatError(f"unpacks to more than it can hold{BROKEN}")
+            for one in members:
+                bundle.extract(one, folder)
+            yield Path(folder)
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
+        raise FormatError(f"is no SOG, or damaged ({error}); copy or export it again") from None
+
+
+def _read(folder: Path, max_count: int) -> _Sog:
+    meta, held = _meta(folder / META), sum(one.stat().st_size for one in folder.iterdir() if one.is_file())
+    version, count = meta.get("version"), meta.get("count")
+    if version != 2:
+        raise FormatError(f"is a SOG of version {version if isinstance(version, int) else 'unknown'}; version 2 is read")
+    if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count <= max(MANY, held):
+        raise FormatError(f"names a number of Gaussians that its {held:,} bytes cannot hold{BROKEN}")
+    degree = _part(meta, "shN").get("bands") if "shN" in meta else 0
+    if not isinstance(degree, int) or degree not in range(len(SH_COEFFICIENTS)):
+        raise FormatError(f"has no valid number of SH bands{BROKEN}")
+    refuse_unpacking(count, SH_COEFFICIENTS[degree], max_count)
+    ranges = np.array([_numbers(_part(meta, "means"), name, 3) for name in ("mins", "maxs")])
+    parts = ("scales", "sh0", "shN") if degree else ("scales", "sh0")
+    tables = {name: _numbers(_part(meta, name), "codebook", TABLE) for name in parts}
+    textures = {name: _texture(folder, _part(meta, part), number, count) for name, part, number in _TEXTURES}
+    if degree:
+        textures["labels"] = _texture(folder, _part(meta, "shN"), 1, count)
+        textures["palette"] = _palette(folder, _part(meta, "shN"), SH_COEFFICIENTS[degree] - 1)
+    return _Sog(count, degree, meta.get("antialias") is True, ranges, tables, textures)
+
+
+_TEXTURES = (("low", "means", 0), ("high", "means", 1), ("scales", "scales", 0), ("quats", "quats", 0), ("sh0", "sh0", 0))  # name, part, file of it
+
+
+def _meta(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise FormatError(f"has no {META}, so it is no SOG")
+    with open(path, "rb") as file:
+        data = file.read(MAX_META + 1)
+    try:
+        meta = json.loads(data) if len(data) <= MAX_META else None
+    except (ValueError, RecursionError):
+        meta = None
+    if not isinstance(meta, dict):
+        raise FormatError(f"has no {META} of at most {MAX_META:,} bytes that can be read{BROKEN}")
+    return meta
+
+
+def _part(meta: dict[str, Any], name: str) -> dict[str, Any]:
+    found = meta.get(name)
+    if not isinstance(found, dict):
+        raise FormatError(f"has no {name} in its {META}{BROKEN}")
+    return found
+
+
+def _numbers(part: dict[str, Any], name: str, count: int) -> np.ndarray:
+    """(count,) float32 finite numbers of meta.json."""
+    found = part.get(name)
+    if not isinstance(found, list) or len(found) != count or not all(isinstance(one, int | float) and abs(one) < 1e30 for one in found):
+        raise FormatError(f"has no {name} of {count} numbers in its {META}{BROKEN}")
+    return np.array(found, np.float32)
+
+
+def _texture(folder: Path, part: dict[str, Any], number: int, count: int) -> np.ndarray:
+    """The first `count` pixels of a texture, (count, 4) uint8."""
+    pixels = _image(_file(folder, part, number), max(MANY, 2 * count)).reshape(-1, 4)
+    if len(pixels) < count:
+        raise FormatError(f"has a texture of {len(pixels):,} pixels for {count:,} Gaussians{BROKEN}")
+    return pixels[:count]
+
+
+def _palette(folder: Path, part: dict[str, Any], coefficients: int) -> np.ndarray:
+    """(entries, coefficients, 3) uint8."""
+    image = _image(_file(folder, part, 0), coefficients * (MANY + PALETTE_ROW))
+    if image.shape[1] != PALETTE_ROW * coefficients:
+        raise FormatError(f"has a palette of SH that is {image.shape[1]} pixels wide, not {PALETTE_ROW * coefficients}{BROKEN}")
+    return image[:, :, :3].reshape(-1, coefficients, 3)
+
+
+def _image(file: Path, most: int) -> np.ndarray:
+    """A texture of at most so many pixels, (H, W, 4) uint8."""
+    try:
+        return read_texture(file, most)
+    except FormatError as error:
+        raise FormatError(f"is damaged: its texture {file.name} {str(error).removeprefix(f'{file}: ')}") from None
+
+
+def _file(folder: Path, part: dict[str, Any], number: int) -> Path:
+    """A file that meta.json names, in the folder itself."""
+    names = part.get("files")
+    name = names[number] if isinstance(names, list) and len(names) > number else None
+    if not isinstance(name, str) or not name.endswith(".webp") or Path(name).name != name or "\\" in name or "\0" in name:
+        raise FormatError(f"names no texture next to its {META}{BROKEN}")
+    if not (folder / name).is_file():
+        raise FormatError(f"is incomplete: {name} is missing; copy or export it again")
+    return folder / name
+
+
+def _scene(sog: _Sog, rows: slice) -> Scene:
+    """The Gaussians of some pixels."""
+    pixels = {name: texture[rows] for name, texture in sog.textures.items() if name != "palette"}
+    shares = (pixels["low"][:, :3] + 256.0 * pixels["high"][:, :3]) / 65535
+    stored = sog.ranges[0] + shares * (sog.ranges[1] - sog.ranges[0])
+    with np.errstate(over="ignore"):  # ranges of a damaged file
+        means = (np.sign(stored) * np.expm1(np.abs(stored))).astype(np.float32)
+    three = (pixels["quats"][:, :3].astype(np.float32) / 255 - np.float32(0.5)) * ROOT2
+    largest = pixels["quats"][:, 3].astype(np.int64) - LARGEST_QUAT
+    quats = quats_of_three(three, np.maximum(largest, 0))
+    quats[largest < 0] = (1, 0, 0, 0)
+    sh = np.zeros((len(means), SH_COEFFICIENTS[sog.degree], 3), np.float32)
+    sh[:, 0] = sog.tables["sh0"][pixels["sh0"][:, :3]]
+    if sog.degree:
+        labels = pixels["labels"][:, 0].astype(np.int64) + 256 * pixels["labels"][:, 1].astype(np.int64)
+        known = labels < len(sog.textures["palette"])
+        sh[known, 1:] = sog.tables["shN"][sog.textures["palette"][labels[known]]]
+    logits = logits_of(pixels["sh0"][:, 3])
+    return Scene(means, sog.tables["scales"][pixels["scales"][:, :3]], quats, logits, sh, antialiased=sog.antialiased)
+
+
+FORMAT = SplatFormat(
+    name="sog",
+    label="SOG",
+    suffixes=(SUFFIX,),
+    sniff=lambda head: head.startswith(b"PK"),
+    read_parts=read_parts,
+)

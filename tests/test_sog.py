@@ -1,0 +1,96 @@
+"""A damaged or hostile SOG: one sentence that names it, soon, and nothing outside of its folder is read."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from svrgs_addon.errors import FormatError
+from svrgs_addon.files.registry import read_scene, write_scene
+from test_formats import by_gaussforge, like_trained
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """The files of a SOG of 100 Gaussians, SH degree 1."""
+    write_scene(tmp_path / "a.ply", like_trained(1, 100))
+    with zipfile.ZipFile(io.BytesIO(by_gaussforge((tmp_path / "a.ply").read_bytes(), ".ply", ".sog"))) as bundle:
+        bundle.extractall(tmp_path / "sog")
+    assert read_scene(tmp_path / "sog").count == 100
+    return tmp_path / "sog"
+
+
+def change(folder: Path, changed):
+    meta = json.loads((folder / "meta.json").read_text())
+    changed(meta)
+    (folder / "meta.json").write_text(json.dumps(meta))
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (lambda meta: meta.update(version=3), "version 3"),
+        (lambda meta: meta.pop("version"), "version unknown"),
+        (lambda meta: meta.update(count=10**9), "number of Gaussians"),
+        (lambda meta: meta.update(count=True), "number of Gaussians"),
+        (lambda meta: meta.update(count=60_000), "pixels for 60,000"),
+        (lambda meta: meta.pop("quats"), "no quats"),
+        (lambda meta: meta["means"].update(mins=[0, 0]), "mins of 3 numbers"),
+        (lambda meta: meta["means"].update(maxs=[0, 0, float("nan")]), "maxs of 3 numbers"),
+        (lambda meta: meta["scales"].update(codebook=[0.0] * 255), "codebook of 256"),
+        (lambda meta: meta["sh0"].update(files=["../a.ply"]), "names no texture"),
+        (lambda meta: meta["sh0"].update(files=["/etc/x.webp"]), "names no texture"),
+        (lambda meta: meta["sh0"].update(files=["gone.webp"]), "gone.webp is missing"),
+        (lambda meta: meta["shN"].update(bands=4), "SH bands"),
+        (lambda meta: meta["shN"].update(bands=2), "palette"),
+    ],
+)
+def test_meta_json_that_does_not_fit(folder, changed, said):
+    change(folder, changed)
+    with pytest.raises(FormatError, match=said) as caught:
+        read_scene(folder)
+    assert "meta.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000, '{"a": 1' + " " * 1_000_000 + "}"])
+def test_meta_json_that_is_none(folder, text):
+    (folder / "meta.json").write_text(text)
+    with pytest.raises(FormatError, match="that can be read"):
+        read_scene(folder)
+
+
+def test_a_damaged_texture_is_named(folder):
+    (folder / "quats.webp").write_bytes((folder / "quats.webp").read_bytes()[:40])
+    with pytest.raises(FormatError, match=r"its texture quats\.webp"):
+        read_scene(folder)
+
+
+def test_a_bundle_reads_as_its_folder_does_and_leaves_nothing_behind(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    with zipfile.ZipFile(tmp_path / "b.sog", "w") as bundle:
+        for file in folder.iterdir():
+            bundle.write(file, file.name)
+        bundle.writestr("../../out.webp", b"x")
+        bundle.writestr("below/in.webp", b"x")
+    assert (read_scene(tmp_path / "b.sog").means == read_scene(folder).means).all()
+    assert not list((tmp_path / "temporary").iterdir()) and not (tmp_path / "out.webp").exists()
+
+
+def test_a_bundle_that_unpacks_to_much_is_refused(folder, tmp_path):
+    with zipfile.ZipFile(tmp_path / "b.sog", "w", zipfile.ZIP_DEFLATED) as bundle:
+        for file in folder.iterdir():
+            bundle.write(file, file.name)
+        bundle.writestr("more.webp", bytes(50_000_000))
+    with pytest.raises(FormatError, match="more than it can hold"):
+        read_scene(tmp_path / "b.sog")
+
+
+def test_what_is_no_bundle(tmp_path):
+    (tmp_path / "b.sog").write_bytes(b"PK broken")
+    with pytest.raises(FormatError, match="no SOG"):
+        read_scene(tmp_path / "b.sog")
