@@ -13,6 +13,7 @@ from mathutils import Matrix
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import check_readable, menu_label, read_scene, split_name, suffixes
 from ..svrgs_addon.files.repair import bake_filter, drop_nonfinite
+from ..svrgs_addon.files.sog import META
 from . import bridge
 from .frame import frame
 from .select import select
@@ -26,7 +27,7 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
     filename_ext = suffixes()[0]
-    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in suffixes()), options={"HIDDEN"})
+    filter_glob: StringProperty(default=";".join([*(f"*{suffix}" for suffix in suffixes()), META]), options={"HIDDEN"})
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     y_down: BoolProperty(
@@ -47,7 +48,7 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
                 continue
             objects.append(self.add(context, split_name(path)[0], scene))
             root = bridge.root_of(objects[-1])
-            texts.append(tr("{file}: {count:,} Gaussians").format(file=path.name, count=scene.count))
+            texts.append(tr("{file}: {count:,} Gaussians").format(file="".join(split_name(path)), count=scene.count))
             texts += [tr("{count:,} with values that are not finite were left out").format(count=dropped)] if dropped else []
             texts += [tr("3D filter of Mip-Splatting baked in")] if filtered else []
             texts += [tr("joined to the cameras of '{name}'").format(name=root.name)] if root is not None else []
