@@ -202,7 +202,7 @@ UNWRITABLE = {
     "prune": "prune {scene} --colmap {data} --out {file}/o.ply",
     "prune, report": "prune {scene} --colmap {data} --out {work}/o.ply --report {file}",
     "prune, checkpoints": "prune {scene} --colmap {data} --out {work}/busy.ply",  # busy.ply.job is a file
-    "prune, other suffix": "prune {scene} --colmap {data} --out {work}/o.splat",
+    "prune, other suffix": "prune {scene} --colmap {data} --out {work}/o.obj",
     "train": "train --colmap {data} --out {file}/o.ply",
     "train, folder": "train --colmap {data} --out {work}",
     "render": "render {scene} --colmap {data} --out {file}",

@@ -28,7 +28,7 @@ class Merge(Method):
     ranks: bool = True
     merges: bool = True
     middle: float = 0.0  # state: middle scale of the Gaussians after the cut
-    share: float = 1.0  # state: of the Gaussians, that the cut leaves
+    kept: float = 1.0  # state: share of the Gaussians that the cut leaves
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         rates = Rates(decay=LAST ** (1 / PARTS), decay_every=max(1, recovery // PARTS))
@@ -44,19 +44,19 @@ class Merge(Method):
         if phase.active:
             return rates
         self.middle = self.middle or middle_scale(run.model)
-        pace = pace_at(self.share)
+        pace = pace_at(self.kept)
         larger = {name: pace * factor * rates[name] for name, factor in FASTER.items()}
         return rates | larger | {"means": pace * POSITION * self.middle * phase.rates.decay ** (number // phase.rates.decay_every)}
 
     def reduced(self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> Scene:
         count = min(count, scene.count)
-        self.share = count / scene.count
+        self.kept = count / scene.count
         return _order(scene, cameras, rasterizer, options, count).at(count)
 
     def final_mask(self, run: RunView) -> Keep:
         """The Gaussians that stay at the end of training; merged ones are added to the model."""
         model, count = run.model, min(run.target, run.model.count)
-        self.share = count / model.count
+        self.kept = count / model.count
         rows, made = _order(model, run.training_cameras, run.rasterizer, run.score_options, count).rows_at(count)
         keep = np.zeros(model.count, bool)
         keep[rows] = True
@@ -64,10 +64,10 @@ class Merge(Method):
         return np.concatenate([keep, np.ones(len(made["means"]), bool)])
 
     def state(self) -> dict:
-        return {"middle": self.middle, "share": self.share}
+        return {"middle": self.middle, "kept": self.kept}
 
     def restore(self, state: dict):
-        self.middle, self.share = state["middle"], state["share"]
+        self.middle, self.kept = state["middle"], state["kept"]
 
 
 def _order(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, least: int) -> Order:
