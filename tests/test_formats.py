@@ -13,12 +13,14 @@ from ksplat_file import ksplat_of
 from scenes import random_scene
 from svrgs_addon.errors import SceneError
 from svrgs_addon.files import compressed_ply, spz
+from svrgs_addon.files.axes import turned_over
 from svrgs_addon.files.registry import FORMATS, describe, file_size, format_to_read, format_to_write, read_scene, write_scene
 from svrgs_addon.geometry.morton_order import morton_order
 from svrgs_addon.scene import Scene
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-WRITTEN = (".compressed.ply", ".spz", ".splat")
+WRITTEN = (".compressed.ply", ".spz", ".splat", ".glb")
+JUDGED = (".compressed.ply", ".spz", ".splat")  # formats that gaussforge knows
 GAUSSFORGE = {".ply": "ply", ".compressed.ply": "compressed.ply", ".spz": "spz", ".splat": "splat", ".ksplat": "ksplat", ".sog": "sog"}  # its names
 
 
@@ -69,14 +71,13 @@ def judged(data: bytes, kind: str, path: Path) -> Scene:
     scene = read_scene(path)
     if kind != ".spz":
         return scene
-    means, quats, sh = scene.means * spz.AXES, scene.quats * np.array([1, *spz.AXES], np.float32), scene.sh.copy()
-    sh[:, 1:] *= spz.SH_SIGNS[: sh.shape[1] - 1, None]
-    return dataclasses.replace(scene, means=means, quats=quats, sh=sh)
+    return turned_over(scene)
 
 
 STEPS = {  # largest differences of what is read from what was written
     ".compressed.ply": {"means": 6e-3, "logs": 5e-3, "turn": 6e-3, "alphas": 0.0022, "color": 0.003, "rest": 8 / 256},
     ".spz": {"means": 2.0**-13, "logs": 1 / 31, "turn": 6e-3, "alphas": 0.0022, "color": 0.0038, "rest": 1 / 31},
+    ".glb": {"means": 0, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 0, "rest": 0},
     ".splat": {"means": 0, "logs": 1e-6, "turn": 0.03, "alphas": 0.0022, "color": 0.0021},
 }
 
@@ -86,7 +87,7 @@ STEPS = {  # largest differences of what is read from what was written
 def test_what_is_read_is_what_was_written_within_the_steps_of_the_format(tmp_path, suffix, degree):
     scene, path = like_trained(degree), tmp_path / f"a{suffix}"
     write_scene(path, scene)
-    expected = scene if suffix == ".splat" else scene.select(morton_order(scene.means))
+    expected = scene if suffix in (".splat", ".glb") else scene.select(morton_order(scene.means))
     if suffix == ".splat":
         expected = dataclasses.replace(expected, sh=np.ascontiguousarray(scene.sh[:, :1]))
     found = differences(read_scene(path), expected)
@@ -104,7 +105,7 @@ def test_every_version_of_spz_is_read_alike(tmp_path, version):
     assert all(found[name] <= step for name, step in (STEPS[".spz"] | {"turn": 0.2 if version == 2 else 6e-3}).items()), found
 
 
-@pytest.mark.parametrize("suffix", WRITTEN)
+@pytest.mark.parametrize("suffix", JUDGED)
 def test_a_stranger_reads_what_we_write_as_we_do(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     write_scene(path, like_trained(3))
@@ -123,7 +124,7 @@ def test_a_stranger_reads_every_version_of_spz(tmp_path, version):
 
 
 @pytest.mark.parametrize("degree", (0, 1, 2))
-@pytest.mark.parametrize("suffix", [*WRITTEN, ".ksplat", ".sog"])
+@pytest.mark.parametrize("suffix", [*JUDGED, ".ksplat", ".sog"])
 def test_we_read_what_a_stranger_writes_as_it_does(tmp_path, suffix, degree):
     source, path = tmp_path / "a.ply", tmp_path / f"b{suffix}"
     write_scene(source, like_trained(degree))
@@ -215,8 +216,8 @@ def test_the_size_is_foreseen_to_the_byte(tmp_path, found):
 def test_the_flag_of_antialiasing_is_kept_or_its_loss_is_said(tmp_path, suffix, caplog):
     with caplog.at_level(logging.WARNING):
         write_scene(tmp_path / f"a{suffix}", dataclasses.replace(like_trained(0), antialiased=True))
-    assert read_scene(tmp_path / f"a{suffix}").antialiased == (suffix != ".splat")
-    assert ("antialiased" in caplog.text) == (suffix == ".splat")
+    assert read_scene(tmp_path / f"a{suffix}").antialiased == (suffix not in (".splat", ".glb"))
+    assert ("antialiased" in caplog.text) == (suffix in (".splat", ".glb"))
 
 
 def test_further_columns_that_a_format_cannot_hold_are_named(tmp_path, caplog):

@@ -17,12 +17,12 @@ from ..errors import FormatError, SceneError
 from ..native_library import thresholds
 from ..scene import Scene
 from ..system.file_names import extended
-from . import compressed_ply, dot_splat, ksplat, ply, sog, spz
+from . import compressed_ply, dot_splat, glb, ksplat, ply, sog, spz
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
 FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format is named
-    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
+    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, glb.FORMAT, sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
 )  # fmt: skip
 SNIFFED_BYTES = 4096  # bytes at the start of a file that decide between formats with the same suffix
 

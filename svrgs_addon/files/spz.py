@@ -24,6 +24,7 @@ import numpy as np
 from ..geometry.morton_order import morton_order
 from ..scene import Scene
 from .atomic import atomic_write, check_space
+from .axes import turned_over
 from .opened import MAX_COUNT, opened
 from .quantised import alphas_of, logits_of, quats_of_three, three_of_quats
 from .splat_format import SplatFormat
@@ -37,8 +38,6 @@ MOST_FRACTION_BITS = 24
 COARSE, SOME = 2, 0.01  # steps of a position in the scale of a small Gaussian, at least; share of the Gaussians: beyond, a sentence says so
 COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
 SH_STEP = 4  # of 256, between values of SH that are written (docs/formats.md)
-AXES = np.array([1, -1, -1], np.float32)  # of positions; of the (x, y, z) of quaternions, too
-SH_SIGNS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)  # of the coefficients of degree 1 to 3 when y and z change sign
 SQRT_HALF = np.float32(0.5**0.5)
 
 
@@ -100,10 +99,10 @@ def _scene(header: Header, stored: dict[str, np.ndarray]) -> Scene:
     sh = np.empty((count, header.coefficients, 3), np.float32)
     sh[:, 0] = (stored["colors"].astype(np.float32) / 255 - np.float32(0.5)) / np.float32(COLOR)
     rest = stored["sh"].reshape(count, stored["sh"].shape[1] // 3, 3)[:, : header.coefficients - 1]
-    sh[:, 1:] = (rest.astype(np.float32) - 128) / 128 * SH_SIGNS[: header.coefficients - 1, None]
+    sh[:, 1:] = (rest.astype(np.float32) - 128) / 128
     logs = stored["scales"].astype(np.float32) / SCALE_STEPS + SMALLEST_SCALE
-    means = _positions(header, stored["positions"]) * AXES
-    return Scene(means, logs, _quats(header, stored["rotations"]), logits_of(stored["alphas"][:, 0]), sh, antialiased=header.antialiased)
+    means, quats = _positions(header, stored["positions"]), _quats(header, stored["rotations"])
+    return turned_over(Scene(means, logs, quats, logits_of(stored["alphas"][:, 0]), sh, antialiased=header.antialiased))
 
 
 def _positions(header: Header, stored: np.ndarray) -> np.ndarray:
@@ -119,7 +118,7 @@ def _quats(header: Header, stored: np.ndarray) -> np.ndarray:
     if header.version < SMALLEST_THREE:
         xyz = stored.astype(np.float32) / np.float32(127.5) - 1
         w = np.sqrt(np.maximum(0, 1 - np.square(xyz).sum(axis=1)))
-        return np.column_stack([w, xyz * AXES])
+        return np.column_stack([w, xyz])
     whole = np.ascontiguousarray(stored).view("<u4")[:, 0]
     three = np.empty((len(whole), 3), np.float32)
     for k in range(3):  # the last component is in the lowest bits
@@ -127,12 +126,13 @@ def _quats(header: Header, stored: np.ndarray) -> np.ndarray:
         size = (part & np.uint32(511)).astype(np.float32) * (SQRT_HALF / 511)
         three[:, k] = np.where(part & np.uint32(512), -size, size)
     xyzw = quats_of_three(three, whole >> np.uint32(30))
-    return np.column_stack([xyzw[:, 3], xyzw[:, :3] * AXES])
+    return np.column_stack([xyzw[:, 3], xyzw[:, :3]])
 
 
 def _rows(header: Header, scene: Scene) -> dict[str, np.ndarray]:
     """The rows of the streams, (N, bytes) uint8."""
-    positions = np.rint(scene.means.astype(np.float64) * AXES * 2.0**header.fraction_bits)
+    scene = turned_over(scene)
+    positions = np.rint(scene.means.astype(np.float64) * 2.0**header.fraction_bits)
     whole = np.clip(positions, -LARGEST_POSITION, LARGEST_POSITION).astype("<i4")
     return {
         "positions": whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9),
@@ -145,7 +145,7 @@ def _rows(header: Header, scene: Scene) -> dict[str, np.ndarray]:
 
 
 def _rotations(header: Header, quats: np.ndarray) -> np.ndarray:
-    xyzw = np.column_stack([quats[:, 1:] * AXES, quats[:, 0]])
+    xyzw = np.column_stack([quats[:, 1:], quats[:, 0]])
     three, largest = three_of_quats(xyzw)
     if header.version < SMALLEST_THREE:
         unit = quats_of_three(three, largest)
@@ -159,8 +159,7 @@ def _rotations(header: Header, quats: np.ndarray) -> np.ndarray:
 
 def _sh(sh: np.ndarray) -> np.ndarray:
     """(N, 3 (K - 1)) uint8: rounded to multiples of SH_STEP around 128, which is 0."""
-    rest = sh[:, 1:] * SH_SIGNS[: sh.shape[1] - 1, None]
-    return _bytes(np.rint(rest * (128 / SH_STEP)) * SH_STEP + 128).reshape(len(sh), -1)
+    return _bytes(np.rint(sh[:, 1:] * (128 / SH_STEP)) * SH_STEP + 128).reshape(len(sh), -1)
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from extension import part
 
-WRITTEN = (".ply", ".compressed.ply", ".spz", ".splat")
+WRITTEN = (".ply", ".compressed.ply", ".spz", ".glb", ".splat")
 
 
 @pytest.fixture
@@ -27,6 +27,18 @@ def test_a_file_is_imported_upright_under_its_name_and_exported_again(suffix, sp
     assert bridge.count(found) == bridge.count(splat)
     assert np.sort(means, axis=0) == pytest.approx(np.sort(source.means, axis=0), abs=0.02)
     assert np.allclose(found.matrix_world, splat.matrix_world)
+
+
+def test_blenders_own_reader_of_gltf_takes_a_splat_for_points(splat, bridge, tmp_path):
+    """It does not know the extension; its axes are those of Blender, as those of the imported splat."""
+    bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "toy.glb"), space="WORLD")
+    try:
+        bpy.ops.import_scene.gltf(filepath=str(tmp_path / "toy.glb"))
+    except (AttributeError, RuntimeError) as error:
+        pytest.skip(f"Blender's reader of glTF is missing: {error}")
+    points = np.array([bpy.context.object.matrix_world @ vertex.co for vertex in bpy.context.object.data.vertices])
+    means = bridge.scene_from_object(splat).means @ np.array(splat.matrix_world)[:3, :3].T + np.array(splat.matrix_world)[:3, 3]
+    assert np.sort(points, axis=0) == pytest.approx(np.sort(means, axis=0), abs=1e-4)
 
 
 def test_what_a_format_cannot_hold_is_said(splat, tmp_path, capfd):

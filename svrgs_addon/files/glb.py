@@ -1,0 +1,195 @@
+"""glTF 2.0 in one binary file (.glb), with the extension KHR_gaussian_splatting as Khronos ratified it: all values as float32.
+
+A primitive of points has the attributes POSITION, ROTATION (x, y, z, w), SCALE (not logarithms), OPACITY (0 to 1) and SH_DEGREE_l_COEF_n. Axes are
+right, up, back. All such primitives of a scene are read, moved as their nodes say; what else is in the file is ignored.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError, SceneError
+from ..geometry.affine import transformed
+from ..geometry.merge import merged
+from ..scene import SH_COEFFICIENTS, Scene
+from .atomic import atomic_write, check_space
+from .axes import turned_over
+from .glb_container import Glb, glb_of
+from .opened import MAX_COUNT, opened, refuse_unpacking
+from .quantised import colors_of_sh
+from .splat_format import SplatFormat
+
+EXTENSION = "KHR_gaussian_splatting"
+COLORS = "srgb_rec709_display"  # display-referred, as in training
+BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
+LEAST_SCALE = np.float32(1e-30)
+FLOAT, BYTE = 5126, 5121  # types of components
+MOST_NODES = 100_000
+
+
+def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
+    """All Gaussians as one part. Raises FormatError, which names the file."""
+    with opened(path) as file:
+        glb = Glb.read(file)
+        placed = list(_placed(glb))
+        if not placed:
+            raise FormatError(f"holds no splat: no points with the extension {EXTENSION}")
+        counts = [glb.count(_attributes(primitive).get("POSITION")) for primitive, _ in placed]
+        degrees = [_degree(primitive) for primitive, _ in placed]
+        refuse_unpacking(sum(counts), SH_COEFFICIENTS[max(degrees)], max_count)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
+                scenes = [transformed(_scene(glb, primitive, max(degrees)), matrix) for primitive, matrix in placed]
+        except SceneError as error:
+            raise FormatError(f"has a node that cannot be placed: {error}") from None
+    yield turned_over(merged(scenes) if len(scenes) > 1 else scenes[0])
+
+
+def write(path: str | os.PathLike, scene: Scene):
+    """Writes the scene atomically, with its Gaussians in their order. Raises SceneError."""
+    head, arrays = _contents(scene)
+    check_space(path, len(head) + sum(array.nbytes for array in arrays))
+    with atomic_write(path) as file:
+        file.write(head)
+        for array in arrays:
+            file.write(np.ascontiguousarray(array).data)
+
+
+def file_size(scene: Scene) -> int:
+    """Size in bytes of the file that write() would make."""
+    head, arrays = _contents(scene)
+    return len(head) + sum(array.nbytes for array in arrays)
+
+
+def _contents(scene: Scene) -> tuple[bytes, list[np.ndarray]]:
+    """What is before the arrays, and the arrays."""
+    scene = turned_over(scene)
+    norms = np.maximum(np.linalg.norm(scene.quats, axis=1, keepdims=True), np.float32(1e-30))
+    unit = scene.quats / norms
+    opacities = (1 / (1 + np.exp(-scene.opacity_logits.clip(-80, 80)))).astype("<f4")
+    colors = np.clip(np.rint(255 * np.column_stack([colors_of_sh(scene.sh[:, 0]), opacities])), 0, 255).astype(np.uint8)
+    with np.errstate(over="ignore"):
+        scales = np.exp(scene.log_scales)
+    arrays: dict[str, np.ndarray] = {"POSITION": scene.means, "COLOR_0": colors, f"{EXTENSION}:ROTATION": np.roll(unit, -1, axis=1)}
+    arrays |= {f"{EXTENSION}:SCALE": scales, f"{EXTENSION}:OPACITY": opacities}
+    arrays |= {f"{EXTENSION}:{name}": scene.sh[:, k] for name, k in _coefficients(scene.sh_degree)}
+    bounds = [axis.tolist() for axis in (scene.means.min(axis=0), scene.means.max(axis=0))] if scene.count else [[0.0] * 3] * 2
+    return _header(arrays, bounds), list(arrays.values())
+
+
+def _header(arrays: dict[str, np.ndarray], bounds: list[list[float]]) -> bytes:
+    """The JSON of one mesh with these attributes."""
+    accessors: list[dict[str, Any]] = []
+    for number, (name, array) in enumerate(arrays.items()):
+        kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[array.shape[1] if array.ndim > 1 else 1]
+        byte = array.dtype == np.uint8
+        accessors.append({"bufferView": number, "componentType": BYTE if byte else FLOAT, "count": len(array), "type": kind})
+        accessors[-1] |= ({"normalized": True} if byte else {}) | (dict(zip(("min", "max"), bounds, strict=True)) if name == "POSITION" else {})
+    primitive = {
+        "attributes": {name: number for number, name in enumerate(arrays)}, "mode": 0,
+        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": COLORS}},
+    }  # fmt: skip
+    contents = {"asset": {"version": "2.0", "generator": "SVR-GS"}, "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}]}
+    contents |= {"nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}], "accessors": accessors}
+    return glb_of(contents, [array.nbytes for array in arrays.values()])
+
+
+def _coefficients(degree: int) -> list[tuple[str, int]]:
+    """(name without the extension, number of the coefficient) of all SH coefficients up to a degree."""
+    return [(f"SH_DEGREE_{d}_COEF_{n}", d * d + n) for d in range(degree + 1) for n in range(2 * d + 1)]
+
+
+def _placed(glb: Glb) -> Iterator[tuple[dict, np.ndarray]]:
+    """(primitive, matrix to the world) of each splat in the scene. Raises FormatError (without the name of the file), as the functions below."""
+    nodes, meshes = glb.items("nodes"), glb.items("meshes")
+    scenes = glb.items("scenes")
+    roots = glb.of(scenes, glb.contents.get("scene", 0)).get("nodes", []) if scenes else range(len(nodes))
+    left, seen = [(number, np.eye(4)) for number in roots], 0
+    while left:
+        number, above = left.pop()
+        seen += 1
+        if seen > MOST_NODES:
+            raise FormatError(f"has more than {MOST_NODES:,} nodes, or some below themselves")
+        node = glb.of(nodes, number)
+        matrix = above @ _matrix(node)
+        children = node.get("children", [])
+        left += [(child, matrix) for child in children] if isinstance(children, list) else []
+        if "mesh" in node:
+            primitives = glb.of(meshes, node["mesh"]).get("primitives", [])
+            yield from ((one, matrix) for one in primitives if _is_splat(one))
+
+
+def _is_splat(primitive: Any) -> bool:
+    extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
+    if not isinstance(extensions, dict) or not isinstance(extensions.get(EXTENSION), dict):
+        return False
+    inner = extensions[EXTENSION].get("extensions")
+    if isinstance(inner, dict) and inner:
+        raise FormatError(f"holds a splat that is packed by {', '.join(sorted(inner))}, which is not read; export it without")
+    if extensions[EXTENSION].get("kernel", "ellipse") != "ellipse" or extensions[EXTENSION].get("colorSpace", COLORS) != COLORS:
+        raise FormatError(f"holds a splat with another kernel than ellipse, or other colours than {COLORS}, which are not read")
+    return True
+
+
+def _matrix(node: dict) -> np.ndarray:
+    """(4, 4): the transform of a node."""
+    numbers: Callable[[str, list], np.ndarray] = lambda name, default: np.array(node.get(name, default), np.float64)  # noqa: E731
+    try:
+        if "matrix" in node:
+            return numbers("matrix", []).reshape(4, 4).T
+        x, y, z, w = numbers("rotation", [0, 0, 0, 1]) / max(float(np.linalg.norm(numbers("rotation", [0, 0, 0, 1]))), 1e-30)
+        matrix = np.eye(4)
+        matrix[:3, :3] = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+        matrix[:3, :3] *= numbers("scale", [1, 1, 1]).reshape(3)
+        matrix[:3, 3] = numbers("translation", [0, 0, 0]).reshape(3)
+        return matrix
+    except (ValueError, TypeError, OverflowError):
+        raise FormatError("has a node with a transform that is none; export it again") from None
+
+
+def _attributes(primitive: dict) -> dict:
+    found = primitive.get("attributes")
+    if not isinstance(found, dict):
+        raise FormatError("has a splat without attributes; export it again")
+    return found
+
+
+def _degree(primitive: dict) -> int:
+    """The highest degree of SH of which all coefficients are there."""
+    names = _attributes(primitive)
+    return max((d for d in range(4) if all(f"{EXTENSION}:{name}" in names for name, _ in _coefficients(d))), default=0)
+
+
+def _scene(glb: Glb, primitive: dict, degree: int) -> Scene:
+    """The Gaussians of a primitive in its own coordinates, with SH up to `degree`."""
+    attributes = _attributes(primitive)
+    means = glb.values(attributes.get("POSITION"), 3)
+    count = len(means)
+    read: Callable[[str, int], np.ndarray] = lambda name, width: glb.values(attributes.get(f"{EXTENSION}:{name}"), width, count)  # noqa: E731
+    sh = np.zeros((count, SH_COEFFICIENTS[degree], 3), np.float32)
+    for name, k in _coefficients(_degree(primitive)):
+        sh[:, k] = read(name, 3)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        opacities = np.clip(read("OPACITY", 1)[:, 0].astype(np.float64), BEYOND, 1 - BEYOND)
+        logs = np.log(np.maximum(read("SCALE", 3), LEAST_SCALE))
+    return Scene.of(means, logs, np.roll(read("ROTATION", 4), 1, axis=1), np.log(opacities / (1 - opacities)), sh)
+
+
+FORMAT = SplatFormat(
+    name="glb",
+    label="glTF",
+    suffixes=(".glb",),
+    sniff=lambda head: head.startswith(b"glTF"),
+    read_parts=read_parts,
+    write=write,
+    size=file_size,
+    carries=("order",),
+)
