@@ -107,7 +107,13 @@ def test_normalised_whole_numbers_are_shares(path):
         (lambda contents: contents["nodes"][0].update(children=[0]), "below themselves"),
         (lambda contents: contents["nodes"][0].update(matrix=[1, 2]), "transform that is none"),
         (lambda contents: contents["nodes"][0].update(scale=[0, 0, 0]), "cannot be placed"),
+        (lambda contents: contents["nodes"][0].update(rotation=[0, 0, 0, 0]), "cannot be placed"),
         (lambda contents: contents.update(nodes=3), "no list"),
+        (lambda contents: contents["scenes"][0].update(nodes=3), "holds no splat"),
+        (lambda contents: contents["nodes"][0].update(children=3, mesh=[0]), "does not have"),
+        (lambda contents: contents["meshes"][0].update(primitives=3), "holds no splat"),
+        (lambda contents: contents["accessors"][0].update(componentType=[5126]), "another kind"),
+        (lambda contents: contents["accessors"][0].update(type=["VEC3"]), "another kind"),
         (lambda contents: contents.update(scene=7), "does not have"),
     ],
 )

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from svrgs_addon.cli.batch_list import expand
 from svrgs_addon.errors import FormatError
 from svrgs_addon.files.registry import read_scene, write_scene
 from test_formats import by_gaussforge, like_trained
@@ -88,6 +89,23 @@ def test_a_bundle_that_unpacks_to_much_is_refused(folder, tmp_path):
         bundle.writestr("more.webp", bytes(50_000_000))
     with pytest.raises(FormatError, match="more than it can hold"):
         read_scene(tmp_path / "b.sog")
+
+
+def test_a_bundle_with_a_damaged_member_is_refused(folder, tmp_path):
+    with zipfile.ZipFile(tmp_path / "b.sog", "w", zipfile.ZIP_DEFLATED) as bundle:
+        bundle.write(folder / "meta.json", "meta.json")
+    data = bytearray((tmp_path / "b.sog").read_bytes())
+    data[60:90] = b"\xff" * 30  # within the packed bytes
+    (tmp_path / "b.sog").write_bytes(data)
+    with pytest.raises(FormatError, match="no SOG, or damaged"):
+        read_scene(tmp_path / "b.sog")
+
+
+def test_meta_json_of_a_dataset_makes_no_splat_of_its_folder(folder, tmp_path):
+    for file in folder.glob("*.webp"):
+        file.unlink()
+    (folder / "scene.ply").write_bytes((tmp_path / "a.ply").read_bytes())
+    assert [item.scene.name for item in expand([folder], None, None)] == ["scene.ply"]
 
 
 def test_what_is_no_bundle(tmp_path):

@@ -15,12 +15,11 @@ from ..errors import FormatError
 from ..scene import Scene
 from .atomic import atomic_write, check_space
 from .opened import MAX_COUNT, opened, refuse_unpacking, rows_at, size_of
-from .quantised import alphas_of, colors_of_sh, logits_of, sh_of_colors
+from .quantised import alphas_of, colors_of_sh, logits_of, logs_of, sh_of_colors
 from .splat_format import SplatFormat
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
 PART = 2**16  # Gaussians that are converted together
-LEAST_SCALE = np.float32(1e-30)  # for one of 0, whose logarithm is infinite
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
@@ -49,11 +48,9 @@ def file_size(scene: Scene) -> int:
 
 
 def _scene(rows: np.ndarray) -> Scene:
-    with np.errstate(invalid="ignore"):  # scales of a damaged file may be negative
-        logs = np.log(np.maximum(rows["scales"], LEAST_SCALE))
     quats = (rows["quats"].astype(np.float32) - 128) / 128
     sh = sh_of_colors(rows["rgba"][:, :3].astype(np.float32) / 255)
-    return Scene.of(rows["means"], logs, quats, logits_of(rows["rgba"][:, 3]), sh[:, None])
+    return Scene.of(rows["means"], logs_of(rows["scales"]), quats, logits_of(rows["rgba"][:, 3]), sh[:, None])
 
 
 def _rows(scene: Scene) -> np.ndarray:

@@ -15,18 +15,18 @@ import numpy as np
 from ..errors import FormatError, SceneError
 from ..geometry.affine import transformed
 from ..geometry.merge import merged
+from ..geometry.rotations import rotation_matrices
 from ..scene import SH_COEFFICIENTS, Scene
 from .atomic import atomic_write, check_space
 from .axes import turned_over
 from .glb_container import Glb, glb_of
 from .opened import MAX_COUNT, opened, refuse_unpacking
-from .quantised import colors_of_sh
+from .quantised import colors_of_sh, logs_of
 from .splat_format import SplatFormat
 
 EXTENSION = "KHR_gaussian_splatting"
 COLORS = "srgb_rec709_display"  # display-referred, as in training
 BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
-LEAST_SCALE = np.float32(1e-30)
 FLOAT, BYTE = 5126, 5121  # types of components
 MOST_NODES = 100_000
 
@@ -107,7 +107,7 @@ def _placed(glb: Glb) -> Iterator[tuple[dict, np.ndarray]]:
     """(primitive, matrix to the world) of each splat in the scene. Raises FormatError (without the name of the file), as the functions below."""
     nodes, meshes = glb.items("nodes"), glb.items("meshes")
     scenes = glb.items("scenes")
-    roots = glb.of(scenes, glb.contents.get("scene", 0)).get("nodes", []) if scenes else range(len(nodes))
+    roots = _list_of(glb.of(scenes, glb.contents.get("scene", 0)), "nodes") if scenes else list(range(len(nodes)))
     left, seen = [(number, np.eye(4)) for number in roots], 0
     while left:
         number, above = left.pop()
@@ -116,11 +116,15 @@ def _placed(glb: Glb) -> Iterator[tuple[dict, np.ndarray]]:
             raise FormatError(f"has more than {MOST_NODES:,} nodes, or some below themselves")
         node = glb.of(nodes, number)
         matrix = above @ _matrix(node)
-        children = node.get("children", [])
-        left += [(child, matrix) for child in children] if isinstance(children, list) else []
+        left += [(child, matrix) for child in _list_of(node, "children")]
         if "mesh" in node:
-            primitives = glb.of(meshes, node["mesh"]).get("primitives", [])
-            yield from ((one, matrix) for one in primitives if _is_splat(one))
+            yield from ((one, matrix) for one in _list_of(glb.of(meshes, node["mesh"]), "primitives") if _is_splat(one))
+
+
+def _list_of(found: dict, name: str) -> list:
+    """A list of an object; empty if it has none, or something else in its place."""
+    values = found.get(name, [])
+    return values if isinstance(values, list) else []
 
 
 def _is_splat(primitive: Any) -> bool:
@@ -141,13 +145,9 @@ def _matrix(node: dict) -> np.ndarray:
     try:
         if "matrix" in node:
             return numbers("matrix", []).reshape(4, 4).T
-        x, y, z, w = numbers("rotation", [0, 0, 0, 1]) / max(float(np.linalg.norm(numbers("rotation", [0, 0, 0, 1]))), 1e-30)
-        matrix = np.eye(4)
-        matrix[:3, :3] = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+        matrix, xyzw = np.eye(4), numbers("rotation", [0, 0, 0, 1]).reshape(4)
+        with np.errstate(invalid="ignore"):  # a rotation of zeros gives no numbers, and is refused where the splat is placed
+            matrix[:3, :3] = rotation_matrices(np.roll(xyzw, 1)[None])[0]
         matrix[:3, :3] *= numbers("scale", [1, 1, 1]).reshape(3)
         matrix[:3, 3] = numbers("translation", [0, 0, 0]).reshape(3)
         return matrix
@@ -177,10 +177,8 @@ def _scene(glb: Glb, primitive: dict, degree: int) -> Scene:
     sh = np.zeros((count, SH_COEFFICIENTS[degree], 3), np.float32)
     for name, k in _coefficients(_degree(primitive)):
         sh[:, k] = read(name, 3)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        opacities = np.clip(read("OPACITY", 1)[:, 0].astype(np.float64), BEYOND, 1 - BEYOND)
-        logs = np.log(np.maximum(read("SCALE", 3), LEAST_SCALE))
-    return Scene.of(means, logs, np.roll(read("ROTATION", 4), 1, axis=1), np.log(opacities / (1 - opacities)), sh)
+    opacities = np.clip(read("OPACITY", 1)[:, 0].astype(np.float64), BEYOND, 1 - BEYOND)
+    return Scene.of(means, logs_of(read("SCALE", 3)), np.roll(read("ROTATION", 4), 1, axis=1), np.log(opacities / (1 - opacities)), sh)
 
 
 FORMAT = SplatFormat(

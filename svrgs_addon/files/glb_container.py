@@ -14,7 +14,7 @@ from .opened import size_of
 
 HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 MAX_JSON = 16_000_000  # bytes
-KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}  # types of components
+KINDS = {"5120": "<i1", "5121": "<u1", "5122": "<i2", "5123": "<u2", "5126": "<f4"}  # types of components
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 ARRAY_BUFFER = 34962
 BROKEN = "; copy or export it again"
@@ -45,7 +45,7 @@ class Glb:
             raise FormatError(f"has no JSON that can be read{BROKEN}")
         chunk = file.read(CHUNK.size)
         if len(chunk) < CHUNK.size or CHUNK.unpack(chunk)[1] != b"BIN\0":
-            raise FormatError(f"has no bytes of its own: files beside a glTF are not read{BROKEN}")
+            raise FormatError("keeps its values in another file, which is not read; export it as one .glb")
         return cls(contents, file.read(min(CHUNK.unpack(chunk)[0], size)))
 
     def items(self, name: str) -> list:
@@ -72,8 +72,8 @@ class Glb:
     def values(self, number: Any, width: int, count: int | None = None) -> np.ndarray:
         """The elements of an accessor, (count, width) float32; whole numbers as the shares that they stand for if they are normalised."""
         accessor = self.of(self.items("accessors"), number)
-        found, kind = self.count(number), KINDS.get(accessor.get("componentType", 0))
-        if kind is None or WIDTHS.get(accessor.get("type", "")) != width or (count is not None and found != count) or "sparse" in accessor:
+        found, kind = self.count(number), KINDS.get(str(accessor.get("componentType")))
+        if kind is None or WIDTHS.get(str(accessor.get("type"))) != width or (count is not None and found != count) or "sparse" in accessor:
             raise FormatError(f"has an attribute of another kind or length than its splat needs{BROKEN}")
         view = self.of(self.items("bufferViews"), accessor.get("bufferView"))
         element = width * np.dtype(kind).itemsize

@@ -16,15 +16,14 @@ import numpy as np
 
 from ..errors import FormatError
 from ..scene import SH_COEFFICIENTS, Scene
-from .opened import MAX_COUNT, opened, refuse_unpacking, rows_at, size_of
-from .quantised import logits_of, sh_of_colors
+from .opened import MAX_COUNT, opened, refuse_many, refuse_unpacking, rows_at, size_of
+from .quantised import logits_of, logs_of, sh_of_colors
 from .splat_format import SplatFormat
 
 HEADER, SECTION_HEADER = 4096, 1024  # bytes
 MAX_SECTIONS = 1024
 PART = 2**16  # Gaussians that are converted together
 RANGE_OF_SH = 1.5  # of SH in 8 bits, to both sides, if the header has none
-LEAST_SCALE = np.float32(1e-30)  # for one of 0, whose logarithm is infinite
 BROKEN = "; export it again"
 
 
@@ -82,8 +81,7 @@ def _header(file: BinaryIO, max_count: int) -> _Header:
     low, high = float(floats[9]) or -RANGE_OF_SH, float(floats[10]) or RANGE_OF_SH
     if not (np.isfinite([low, high]).all() and low < high):
         raise FormatError(f"has a range of SH coefficients from {low:g} to {high:g}{BROKEN}")
-    if words[4] > max_count:
-        raise FormatError(f"holds {words[4]} Gaussians, more than the limit of {max_count}")
+    refuse_many(int(words[4]), max_count)
     return _Header(int(head.view("<u2")[10]), int(words[1]), int(words[4]), low, high)
 
 
@@ -129,7 +127,7 @@ def _refuse_buckets(section: _Section, level: int):
 
 
 def _within(file: BinaryIO, at: int, dtype: np.dtype, count: int, size: int) -> np.ndarray:
-    """Values of the file that are within it: memory is taken only for what is there."""
+    """`count` values of the file from a place on. Raises FormatError before it allocates memory if the file of `size` bytes ends before."""
     if at + dtype.itemsize * count > size:
         raise FormatError(f"is incomplete: {size:,} of at least {at + dtype.itemsize * count:,} bytes; copy or export it again")
     return rows_at(file, at, dtype, count)
@@ -150,7 +148,6 @@ def _scene(file: BinaryIO, header: _Header, section: _Section, start: int, count
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file
         if header.level:
             means = (means - section.steps) * np.float32(section.step) + section.centres[_bucket_of(section, np.arange(start, start + count))]
-        logs = np.log(np.maximum(rows["scales"].astype(np.float32), LEAST_SCALE))
     sh = np.zeros((count, coefficients, 3), np.float32)
     sh[:, 0] = sh_of_colors(rows["rgba"][:, :3].astype(np.float32) / 255)
     rest = rows["rest"].astype(np.float32)
@@ -158,7 +155,7 @@ def _scene(file: BinaryIO, header: _Header, section: _Section, start: int, count
     for degree in range(1, SH_COEFFICIENTS.index(section.coefficients) + 1):  # each band has red, green, blue in turn
         first, last = SH_COEFFICIENTS[degree - 1], SH_COEFFICIENTS[degree]
         sh[:, first:last] = rest[:, 3 * (first - 1) : 3 * (last - 1)].reshape(count, 3, last - first).transpose(0, 2, 1)
-    return Scene.of(means, logs, rows["quats"], logits_of(rows["rgba"][:, 3]), sh)
+    return Scene.of(means, logs_of(rows["scales"].astype(np.float32)), rows["quats"], logits_of(rows["rgba"][:, 3]), sh)
 
 
 def _bucket_of(section: _Section, rows: np.ndarray) -> np.ndarray:

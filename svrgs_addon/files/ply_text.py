@@ -1,4 +1,4 @@
-"""The comments of a PLY header, and what they say of a scene."""
+"""The comments of a PLY header. One of them may say that the scene is antialiased."""
 
 from __future__ import annotations
 

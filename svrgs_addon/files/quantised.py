@@ -6,6 +6,7 @@ import numpy as np
 
 from ..scene import SH_C0
 
+LEAST_SCALE = np.float32(1e-30)  # for one of 0
 SPARED = 0.25  # steps that an opacity of 8 bits keeps from 0 and 1, where its logit would be infinite
 
 
@@ -18,6 +19,12 @@ def logits_of(alphas: np.ndarray) -> np.ndarray:
 def alphas_of(logits: np.ndarray) -> np.ndarray:
     """The opacities in 8 bits, rounded, of opacity logits."""
     return np.rint(255 / (1 + np.exp(-np.clip(logits, -80, 80)))).astype(np.uint8)
+
+
+def logs_of(scales: np.ndarray) -> np.ndarray:
+    """Logarithms of scales, finite also for one of 0. Those of a damaged file may be negative or no numbers."""
+    with np.errstate(invalid="ignore"):
+        return np.log(np.maximum(scales, LEAST_SCALE))
 
 
 def sh_of_colors(colors: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from .splat_format import SplatFormat
 FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format is named
     ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, glb.FORMAT, sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
 )  # fmt: skip
-SNIFFED_BYTES = 4096  # bytes at the start of a file that decide between formats with the same suffix
+SNIFFED_BYTES = 65_536  # bytes at the start of a file that decide between formats with the same suffix
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def size_on_disk(path: str | Path) -> int:
     if not sog.is_sog(path):
         return path.stat().st_size
     folder = path if path.is_dir() else path.parent
-    return sum(file.stat().st_size for file in folder.iterdir() if file.is_file())
+    return sum(file.stat().st_size for file in (folder / sog.META, *folder.glob("*.webp")))
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -139,7 +139,7 @@ def write_scene(path: str | Path, scene: Scene, version: int = 0):
     splat_format = format_to_write(path)
     assert splat_format.write is not None
     if version and version not in splat_format.versions:
-        raise SceneError(f"{path}: a {splat_format.label} has no version {version}")
+        raise SceneError(f"{path}: the format {splat_format.label} has no version {version}")
     splat_format.write(extended(path), scene, *([version] if version else []))
     for sentence in left_out(scene, splat_format):
         logging.warning("%s: %s", path, sentence)
@@ -154,11 +154,11 @@ def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:
     """A sentence on each thing of the scene that the format cannot hold, or that is beyond its limits."""
     sentences, columns = [], [name for name in scene.attributes if name not in ply.NORMALS]
     if columns and "attributes" not in splat_format.carries:
-        sentences.append(f"a {splat_format.label} cannot hold further columns; left out: {', '.join(columns)}")
+        sentences.append(f"the format {splat_format.label} cannot hold further columns; left out: {', '.join(columns)}")
     if scene.sh_degree > splat_format.most_degree:
-        sentences.append(f"a {splat_format.label} holds spherical harmonics up to degree {splat_format.most_degree}, so higher ones are left out")
+        sentences.append(f"the format {splat_format.label} holds spherical harmonics up to degree {splat_format.most_degree}, so higher ones are left out")
     if scene.antialiased and "antialiased" not in splat_format.carries:
-        sentences.append(f"a {splat_format.label} cannot say that the scene is antialiased, so programs will draw small Gaussians too thick")
+        sentences.append(f"the format {splat_format.label} cannot say that the scene is antialiased, so programs will draw small Gaussians too thick")
     sentences += splat_format.limits(scene) if splat_format.limits else []
     return sentences
 

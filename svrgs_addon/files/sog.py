@@ -14,9 +14,11 @@ from __future__ import annotations
 
 import contextlib
 import json
+import lzma
 import os
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,8 +57,8 @@ class _Sog:
 
 
 def is_sog(path: Path) -> bool:
-    """Whether the path is a folder with a SOG in it, or its meta.json."""
-    return path.name == META or (path / META).is_file()
+    """Whether the path is a folder with a SOG in it, or its meta.json. Datasets may have a meta.json too, but no textures beside it."""
+    return path.name == META or ((path / META).is_file() and any(path.glob("*.webp")))
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
@@ -76,16 +78,22 @@ def _folder(file: Path) -> Iterator[Path]:
     if file.name == META:
         yield file.parent
         return
+    with tempfile.TemporaryDirectory() as folder:
+        _unpack(file, Path(folder))
+        yield Path(folder)
+
+
+def _unpack(file: Path, folder: Path):
+    """Writes the files of a bundle that may belong to a SOG into the folder, and no others."""
     try:
-        with zipfile.ZipFile(file) as bundle, tempfile.TemporaryDirectory() as folder:
+        with zipfile.ZipFile(file) as bundle:
             members = [one for one in bundle.infolist() if Path(one.filename).name == one.filename and one.filename.endswith((".webp", ".json"))]
             if sum(one.file_size for one in members) > max(ALWAYS, RATIO * file.stat().st_size):
                 raise FormatError(f"unpacks to more than it can hold{BROKEN}")
             for one in members:
                 bundle.extract(one, folder)
-            yield Path(folder)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
-        raise FormatError(f"is no SOG, or damaged ({error}); copy or export it again") from None
+    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
+        raise FormatError(f"is no SOG, or damaged ({error}); copy or export it again") from None  # zipfile raises all of these, also for a password
 
 
 def _read(folder: Path, max_count: int) -> _Sog:

@@ -60,8 +60,8 @@ def place_rig(scene: Scene, *, views: int | None = None, held_out: int = HELD_OU
     rng = np.random.default_rng([seed, 0])
     setting = _setting(scene)
     side = side_of(setting)
-    outside = _outside(scene, min(side, SCORED)) if setting.inside_out else []
-    looked, choice = _candidates(scene, setting, outside, min(side, SCORED), rng)
+    outside, coverage = _outside(scene, min(side, SCORED)) if setting.inside_out else ([], _coverage(scene))
+    looked, choice = _candidates(coverage, setting, outside, min(side, SCORED), rng)
     choice.run(views or LEAST, views or MOST, 2.0 if views else ENOUGH)
     chosen = [looked[view] for view in choice.chosen] or looked[: views or LEAST]
     if not views:
@@ -90,11 +90,11 @@ def _setting(scene: Scene) -> Around | Within:
     return setting_of(matter, Space.of(matter))
 
 
-def _outside(scene: Scene, side: int) -> list[View]:
-    """Views from outside of the whole scene, if they show most of it: then it will be looked at from there, too."""
+def _outside(scene: Scene, side: int) -> tuple[list[View], Coverage]:
+    """Views from outside of the whole scene, if they show most of it: then it will be looked at from there, too. And what they see."""
     views, coverage = views_around(scene, OUTSIDE), _coverage(scene)
     coverage.add([view.camera(side) for view in views])
-    return views if (coverage.peaks >= thresholds().alpha_cut).mean() >= OPEN else []
+    return (views, coverage) if (coverage.peaks >= thresholds().alpha_cut).mean() >= OPEN else ([], _coverage(scene))
 
 
 def _coverage(scene: Scene) -> Coverage:
@@ -104,13 +104,13 @@ def _coverage(scene: Scene) -> Coverage:
     return Coverage(scene, _widths(scene))
 
 
-def _candidates(scene: Scene, setting: Around | Within, outside: list[View], side: int, rng: np.random.Generator) -> tuple[list[View], Choice]:
-    """The candidate views, those from outside first, and the choice among them."""
-    coverage = _coverage(scene)
+def _candidates(coverage: Coverage, setting: Around | Within, outside: list[View], side: int, rng: np.random.Generator) -> tuple[list[View], Choice]:
+    """The candidate views, those from outside first, and the choice among them. coverage: of the views from outside."""
     scene = coverage.scene
     share = min(1.0, max(0.5, LARGE / scene.count))
-    looked = outside + setting.views(int(share * FIRST), rng)
-    coverage.add([view.camera(side) for view in looked])
+    within = setting.views(int(share * FIRST), rng)
+    looked = outside + within
+    coverage.add([view.camera(side) for view in within])
     choice = Choice(coverage)
     if choice.possible() >= ENOUGH:
         return looked, choice
