@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import SH_C0
+from ..scene import SH_C0, Scene
 
 LEAST_SCALE = np.float32(1e-30)  # for one of 0
+LARGEST_SHARE = 0.01  # of the Gaussians that count no more than the smallest of them: sky would count alone
+LEAST_WEIGHT = 0.003
 SPARED = 0.25  # steps that an opacity of 8 bits keeps from 0 and 1, where its logit would be infinite
 
 
@@ -56,3 +58,20 @@ def three_of_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     unit *= np.where(unit[rows, largest] < 0, -1, 1)[:, None].astype(np.float32)
     places = np.arange(3)[None] + (np.arange(3)[None] >= largest[:, None])
     return unit[rows[:, None], places], largest
+
+
+def picture_weights(scene: Scene) -> np.ndarray:
+    """How much a squared error in the values of each Gaussian counts in pictures, (N,) float32 of mean 1: its squared opacity times the product of its
+    two largest scales, which is in proportion to the sum of alpha^2 over its pixels; at least LEAST_WEIGHT. What hides it is not known here."""
+    if not scene.count:
+        return np.ones(0, np.float32)
+    logs = np.sort(np.clip(np.nan_to_num(scene.log_scales.astype(np.float64)), -80, 80), axis=1)
+    weights = np.exp(logs[:, 1] + logs[:, 2]) / np.square(1 + np.exp(-np.clip(scene.opacity_logits.astype(np.float64), -40, 40)))
+    weights = np.minimum(weights, np.quantile(weights, 1 - LARGEST_SHARE))
+    return np.maximum(weights / weights.mean(), LEAST_WEIGHT).astype(np.float32)
+
+
+def small_scale(scene: Scene) -> float:
+    """The scale of small Gaussians: of each the largest of its three, of which 5 % are smaller. 1 if there are none."""
+    logs = scene.log_scales[np.isfinite(scene.log_scales).all(axis=1)].max(axis=1, initial=-np.inf)
+    return float(np.exp(np.clip(np.quantile(logs, 0.05), -80, 80))) if len(logs) else 1.0

@@ -52,6 +52,8 @@ def menu_label(written: bool = False) -> str:
 def format_to_write(path: str | Path) -> SplatFormat:
     """The format for writing a file with this name, by its suffix. Raises SceneError if no format has it."""
     name = extended(path).name.lower()
+    if name == sog.META:
+        return sog.FORMAT
     fitting = [(len(suffix), -place) for place, one in enumerate(FORMATS) if one.write for suffix in one.suffixes if name.endswith(suffix)]
     if not fitting:
         raise SceneError(f"{path}: scenes are written as {', '.join(suffixes(written=True))}")

@@ -1,14 +1,4 @@
-"""SOG version 2 (PlayCanvas): a meta.json and textures in lossless WebP, in a folder or bundled as a zip, which is read only.
-
-Gaussian i is pixel i of each texture, row by row.
-
-means_l, means_u        the low and the high bytes of 16 bits in the range mins to maxs, in which x is stored as sign(x) log(1 + |x|)
-scales, sh0             rows of a table of 256 values: logarithms of scales; SH of degree 0. The alpha of sh0 is the opacity, 8 bits
-quats                   the three smaller components of (w, x, y, z); alpha is 252 and the position of the largest one
-shN_labels, _centroids  number of an entry of a palette, 16 bits; 64 entries in a row, a pixel for each coefficient, its channels rows of a table
-
-Axes are those of 3DGS.
-"""
+"""Reads SOG version 2 (sog_layout.py), and its place among the formats."""
 
 from __future__ import annotations
 
@@ -31,16 +21,14 @@ from ..scene import SH_COEFFICIENTS, Scene
 from .images import read_texture
 from .opened import MAX_COUNT, opened, refuse_unpacking
 from .quantised import logits_of, quats_of_three
+from .sog_layout import HIGHEST, LARGEST_QUAT, META, PALETTE_ROW, ROOT2, SUFFIX, TABLE, VERSION
+from .sog_writer import limits, write
 from .splat_format import SplatFormat
 
-META, SUFFIX = "meta.json", ".sog"
 MAX_META = 1_000_000  # bytes of meta.json
 RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte of a bundle; bytes that are unpacked from any
 MANY = 1 << 16  # Gaussians that any file may name; more need a byte each
-TABLE, PALETTE_ROW = 256, 64  # values of a table; entries of the palette in a row of pixels
-LARGEST_QUAT = 252  # alpha of quats for w
 PART = 2**16  # Gaussians that are converted together
-ROOT2 = np.float32(2**0.5)
 BROKEN = "; export it again"
 
 
@@ -99,8 +87,8 @@ def _unpack(file: Path, folder: Path):
 def _read(folder: Path, max_count: int) -> _Sog:
     meta, held = _meta(folder / META), sum(one.stat().st_size for one in folder.iterdir() if one.is_file())
     version, count = meta.get("version"), meta.get("count")
-    if version != 2:
-        raise FormatError(f"is a SOG of version {version if isinstance(version, int) else 'unknown'}; version 2 is read")
+    if version != VERSION:
+        raise FormatError(f"is a SOG of version {version if isinstance(version, int) else 'unknown'}; version {VERSION} is read")
     if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count <= max(MANY, held):
         raise FormatError(f"names a number of Gaussians that its {held:,} bytes cannot hold{BROKEN}")
     degree = _part(meta, "shN").get("bands") if "shN" in meta else 0
@@ -187,7 +175,7 @@ def _file(folder: Path, part: dict[str, Any], number: int) -> Path:
 def _scene(sog: _Sog, rows: slice) -> Scene:
     """The Gaussians of some pixels."""
     pixels = {name: texture[rows] for name, texture in sog.textures.items() if name != "palette"}
-    shares = (pixels["low"][:, :3] + 256.0 * pixels["high"][:, :3]) / 65535
+    shares = (pixels["low"][:, :3] + 256.0 * pixels["high"][:, :3]) / HIGHEST
     stored = sog.ranges[0] + shares * (sog.ranges[1] - sog.ranges[0])
     with np.errstate(over="ignore"):  # ranges of a damaged file
         means = (np.sign(stored) * np.expm1(np.abs(stored))).astype(np.float32)
@@ -211,4 +199,7 @@ FORMAT = SplatFormat(
     suffixes=(SUFFIX,),
     sniff=lambda head: head.startswith(b"PK"),
     read_parts=read_parts,
+    write=write,
+    limits=limits,
+    carries=("antialiased",),
 )

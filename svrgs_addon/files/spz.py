@@ -26,7 +26,7 @@ from ..scene import Scene
 from .atomic import atomic_write, check_space
 from .axes import turned_over
 from .opened import MAX_COUNT, opened
-from .quantised import alphas_of, logits_of, quats_of_three, three_of_quats
+from .quantised import alphas_of, logits_of, picture_weights, quats_of_three, small_scale, three_of_quats
 from .splat_format import SplatFormat
 from .spz_container import NEWEST, SMALLEST_THREE, Header, packed, streams
 
@@ -37,7 +37,8 @@ FINER = 16  # steps of a position, at least, in the scale of a small Gaussian
 MOST_FRACTION_BITS = 24
 COARSE, SOME = 2, 0.01  # steps of a position in the scale of a small Gaussian, at least; share of the Gaussians: beyond, a sentence says so
 COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
-SH_STEP = 4  # of 256, between values of SH that are written (docs/formats.md)
+SH_STEP = 3  # of 256, between values of SH of a Gaussian with weight 1 (picture_weights) that are written (docs/formats.md)
+FINEST_SH, COARSEST_SH = 1, 128  # the same of any Gaussian
 SQRT_HALF = np.float32(0.5**0.5)
 
 
@@ -53,7 +54,9 @@ def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST):
     """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format. Raises SceneError."""
     order = morton_order(scene.means)
     header = Header(version, scene.count, scene.sh_degree, fraction_bits(scene), scene.antialiased)
-    parts = [_rows(header, scene.select(order[start : start + PART])) for start in range(0, max(scene.count, 1), PART)]
+    steps = sh_steps(picture_weights(scene))
+    rows = (order[start : start + PART] for start in range(0, max(scene.count, 1), PART))
+    parts = [_rows(header, scene.select(some), steps[some]) for some in rows]
     data = packed(header, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, path)
     check_space(path, len(data))
     with atomic_write(path) as file:
@@ -87,10 +90,9 @@ def limits(scene: Scene) -> list[str]:
 
 
 def _extent(scene: Scene) -> tuple[float, float]:
-    """The largest coordinate, and the scale of small Gaussians: of each the largest of its three, of which 5 % are smaller."""
+    """The largest coordinate, and the scale of small Gaussians."""
     finite = scene.means[np.isfinite(scene.means).all(axis=1)]
-    logs = scene.log_scales[np.isfinite(scene.log_scales).all(axis=1)].max(axis=1, initial=-np.inf)
-    return float(np.abs(finite).max(initial=0)), float(np.exp(np.clip(np.quantile(logs, 0.05), -80, 80))) if len(logs) else 1.0
+    return float(np.abs(finite).max(initial=0)), small_scale(scene)
 
 
 def _scene(header: Header, stored: dict[str, np.ndarray]) -> Scene:
@@ -129,7 +131,7 @@ def _quats(header: Header, stored: np.ndarray) -> np.ndarray:
     return np.column_stack([xyzw[:, 3], xyzw[:, :3]])
 
 
-def _rows(header: Header, scene: Scene) -> dict[str, np.ndarray]:
+def _rows(header: Header, scene: Scene, steps: np.ndarray) -> dict[str, np.ndarray]:
     """The rows of the streams, (N, bytes) uint8."""
     scene = turned_over(scene)
     positions = np.rint(scene.means.astype(np.float64) * 2.0**header.fraction_bits)
@@ -140,7 +142,7 @@ def _rows(header: Header, scene: Scene) -> dict[str, np.ndarray]:
         "colors": _bytes(scene.sh[:, 0] * np.float32(COLOR * 255) + np.float32(127.5)),
         "scales": _bytes((scene.log_scales - SMALLEST_SCALE) * SCALE_STEPS),
         "rotations": _rotations(header, scene.quats),
-        "sh": _sh(scene.sh),
+        "sh": _sh(scene.sh, steps),
     }
 
 
@@ -157,9 +159,17 @@ def _rotations(header: Header, quats: np.ndarray) -> np.ndarray:
     return whole.astype("<u4")[:, None].view(np.uint8)
 
 
-def _sh(sh: np.ndarray) -> np.ndarray:
-    """(N, 3 (K - 1)) uint8: rounded to multiples of SH_STEP around 128, which is 0."""
-    return _bytes(np.rint(sh[:, 1:] * (128 / SH_STEP)) * SH_STEP + 128).reshape(len(sh), -1)
+def sh_steps(weights: np.ndarray) -> np.ndarray:
+    """Steps of 256 between the values of SH of each Gaussian, (N,) float32, powers of two: all of them cause about the same error in a picture."""
+    with np.errstate(divide="ignore"):
+        steps = np.exp2(np.rint(np.log2(SH_STEP / weights**0.25)))
+    return np.clip(steps, FINEST_SH, COARSEST_SH).astype(np.float32)
+
+
+def _sh(sh: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """(N, 3 (K - 1)) uint8: rounded to multiples of the steps (N,) around 128, which is 0."""
+    steps = steps[:, None, None]
+    return _bytes(np.rint(sh[:, 1:] * (128 / steps)) * steps + 128).reshape(len(sh), -1)
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

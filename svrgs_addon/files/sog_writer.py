@@ -1,0 +1,167 @@
+"""Writes SOG version 2 (sog_layout.py), as a folder or as a bundle.
+
+Tables and the palette of SH are those with the least error in the picture: a Gaussian weighs as much as its colour does there (picture_weights).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import tempfile
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..geometry.morton_order import morton_order
+from ..scene import Scene
+from .atomic import atomic_path, atomic_write, check_space
+from .images import write_texture
+from .palette import nearest, palette, table
+from .quantised import alphas_of, picture_weights, small_scale, three_of_quats
+from .sog_layout import HIGHEST, LARGEST_QUAT, META, MOST_ENTRIES, PALETTE_ROW, ROOT2, TABLE, VERSION
+
+SHARE = 16  # Gaussians for each entry of the palette
+FEWEST_ENTRIES = 1024
+FARTHEST = 1e30  # positions beyond are written as if they were there
+COARSE = 2  # steps of a position in the scale of a small Gaussian, at least: beyond, a sentence says so
+BYTES = 40  # free space per Gaussian that is asked for
+FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # of the files in a bundle: the same scene gives the same bytes
+
+
+def write(path: str | os.PathLike, scene: Scene):
+    """Writes the scene with its Gaussians in Morton order, as a bundle, or, if the name is meta.json, as the files of a folder, this one last.
+    Raises SceneError."""
+    check_space(path, BYTES * scene.count)
+    meta, textures = encoded(scene.select(morton_order(scene.means)))
+    if Path(path).name == META:
+        _write_folder(Path(path), meta, textures)
+    else:
+        _write_bundle(path, meta, textures)
+
+
+def limits(scene: Scene) -> list[str]:
+    """A sentence if steps of positions show."""
+    if not scene.count:
+        return []
+    stored, small = np.abs(_stored(scene.means)), small_scale(scene)
+    step = float(np.ptp(_stored(scene.means), axis=0).max() / HIGHEST * np.exp(np.median(stored)))
+    if step <= small / COARSE:
+        return []
+    return [
+        f"positions are stored in steps of {step:.2g}, because some lie {np.expm1(stored.max()):g} away, and small Gaussians have a scale of {small:.2g}: "
+        "remove those far away first (svrgs select), or write another format"
+    ]
+
+
+def encoded(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """meta.json and the textures by name, (H, W, 3 or 4) uint8."""
+    weights = picture_weights(scene)
+    means, ranges = _means(scene)
+    three, largest = three_of_quats(scene.quats)
+    quats = np.column_stack([_bytes((three / ROOT2 + np.float32(0.5)) * 255), (LARGEST_QUAT + largest).astype(np.uint8)])
+    logs, scales = _by_table(scene.log_scales, weights)
+    colors, sh0 = _by_table(scene.sh[:, 0], weights)
+    pixels = {"means_l": means & 255, "means_u": means >> 8, "scales": scales, "quats": quats, "sh0": np.column_stack([sh0, alphas_of(scene.opacity_logits)])}
+    meta: dict[str, Any] = {
+        "version": VERSION,
+        "asset": {"generator": f"SVR-GS {__version__}"},
+        "count": scene.count,
+        **({"antialias": True} if scene.antialiased else {}),
+        "means": {**ranges, "files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": logs, "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": colors, "files": ["sh0.webp"]},
+    }
+    textures = {}
+    if scene.sh_degree:
+        meta["shN"], textures["shN_centroids"], pixels["shN_labels"] = _higher_bands(scene, weights)
+    textures.update({name: _texture(rows.astype(np.uint8)) for name, rows in pixels.items()})
+    return meta, textures
+
+
+def _means(scene: Scene) -> tuple[np.ndarray, dict[str, list[float]]]:
+    """16 bits of each coordinate, (N, 3) int64, and their range."""
+    stored = _stored(scene.means)
+    low, high = (stored.min(axis=0), stored.max(axis=0)) if scene.count else (np.zeros(3), np.zeros(3))
+    low, high = low.astype(np.float32).astype(np.float64), high.astype(np.float32).astype(np.float64)
+    shares = (stored - low) / np.where(high > low, high - low, 1)
+    return np.clip(np.rint(shares * HIGHEST), 0, HIGHEST).astype(np.int64), {"mins": low.tolist(), "maxs": high.tolist()}
+
+
+def _stored(means: np.ndarray) -> np.ndarray:
+    """sign(x) log(1 + |x|) of coordinates, float64."""
+    whole = np.clip(np.nan_to_num(means.astype(np.float64)), -FARTHEST, FARTHEST)
+    return np.sign(whole) * np.log1p(np.abs(whole))
+
+
+def _by_table(values: np.ndarray, weights: np.ndarray) -> tuple[list[float], np.ndarray]:
+    """The table of three columns (N, 3) and the row of each value, (N, 3) uint8."""
+    values = np.nan_to_num(values, posinf=80, neginf=-80)
+    levels = table(values.reshape(-1), np.repeat(weights, 3), TABLE) if len(values) else np.zeros(TABLE, np.float32)
+    return levels.tolist(), nearest(values, levels)
+
+
+def _higher_bands(scene: Scene, weights: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """shN of meta.json, the texture of the palette, and the label of each Gaussian, (N, 3)."""
+    coefficients = scene.sh.shape[1] - 1
+    rows = np.nan_to_num(scene.sh[:, 1:].reshape(scene.count, -1), posinf=1, neginf=-1)
+    entries, labels = palette(rows, weights, min(MOST_ENTRIES, max(FEWEST_ENTRIES, scene.count // SHARE)), MOST_ENTRIES)
+    heights = -(-max(len(entries), 1) // PALETTE_ROW)
+    used = np.bincount(labels, weights, len(entries)).astype(np.float32)
+    levels, stored = _by_table(entries.reshape(-1, 3), np.repeat(used, coefficients))
+    image = np.zeros((heights * PALETTE_ROW * coefficients, 3), np.uint8)
+    image[: len(stored)] = stored
+    meta = {"count": len(entries), "bands": scene.sh_degree, "codebook": levels, "files": ["shN_centroids.webp", "shN_labels.webp"]}
+    return meta, image.reshape(heights, -1, 3), np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)])
+
+
+def _texture(rows: np.ndarray) -> np.ndarray:
+    """An image of rows (N, C), nearly square, its sides multiples of four; an alpha of what follows is 255."""
+    width = 4 * max(1, int(np.ceil(np.sqrt(len(rows)) / 4)))
+    height = 4 * max(1, -(-len(rows) // (4 * width)))
+    image = np.zeros((height * width, rows.shape[1]), np.uint8)
+    image[: len(rows)] = rows
+    image[len(rows) :, 3:] = 255
+    return image.reshape(height, width, -1)
+
+
+def _bytes(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _write_folder(path: Path, meta: dict[str, Any], textures: dict[str, np.ndarray]):
+    """Writes the textures, then meta.json, and removes those that an older meta.json named. Until then, the older one stays as it is."""
+    old = [file for file in path.parent.glob("*.webp") if file.is_file()] if path.exists() else []
+    tag = f".{secrets.token_hex(4)}" if old else ""
+    text = json.dumps(meta)
+    for name in textures:
+        text = text.replace(f'"{name}.webp"', f'"{name}{tag}.webp"')
+    _in_threads(textures, lambda name, image: _write_one(path.parent / f"{name}{tag}.webp", image))
+    with atomic_write(path) as file:
+        file.write(text.encode())
+    for texture in old:
+        texture.unlink(missing_ok=True)
+
+
+def _write_one(path: Path, image: np.ndarray):
+    with atomic_path(path) as temporary:
+        write_texture(temporary, path, image)
+
+
+def _write_bundle(path: str | os.PathLike, meta: dict[str, Any], textures: dict[str, np.ndarray]):
+    with atomic_write(path) as file, tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(file, "w") as bundle:
+        _in_threads(textures, lambda name, image: write_texture(Path(folder) / f"{name}.webp", path, image))
+        bundle.writestr(zipfile.ZipInfo(META, FIRST_DATE), json.dumps(meta))
+        for name in sorted(textures):
+            bundle.writestr(zipfile.ZipInfo(f"{name}.webp", FIRST_DATE), (Path(folder) / f"{name}.webp").read_bytes())
+
+
+def _in_threads(textures: dict[str, np.ndarray], work: Any):
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for done in [pool.submit(work, name, image) for name, image in textures.items()]:
+            done.result()
