@@ -29,7 +29,7 @@ WHAT_FOR = {  # by the names of the formats
     "sog": "A fifteenth of the size. Read by SuperSplat and PlayCanvas",
     "splat": "Colours that do not depend on the view. Read by web viewers",
 }
-KINDS = [(one.name, one.label, WHAT_FOR[one.name]) for one in FORMATS if one.write]
+KINDS = [(one.name, one.label, WHAT_FOR[one.name]) for one in FORMATS if one.write and one.suffixes]
 
 
 class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper):

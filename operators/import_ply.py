@@ -11,9 +11,8 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
 
 from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.files.registry import check_readable, menu_label, read_scene, split_name, suffixes
+from ..svrgs_addon.files.registry import INDEXES, check_readable, menu_label, read_scene, split_name, suffixes
 from ..svrgs_addon.files.repair import bake_filter, drop_nonfinite
-from ..svrgs_addon.files.sog import META
 from . import bridge
 from .frame import frame
 from .select import select
@@ -27,7 +26,7 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
     filename_ext = suffixes()[0]
-    filter_glob: StringProperty(default=";".join([*(f"*{suffix}" for suffix in suffixes()), META]), options={"HIDDEN"})
+    filter_glob: StringProperty(default=";".join([*(f"*{suffix}" for suffix in suffixes()), *INDEXES]), options={"HIDDEN"})
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     y_down: BoolProperty(

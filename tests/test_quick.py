@@ -11,6 +11,8 @@ import pytest
 from svrgs_addon.decimate.order import looks, order_of
 from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.files.registry import read_scene
+from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.refit import interpolated
 from svrgs_addon.jobs.context import JobContext
 from svrgs_addon.jobs.options import PruneOptions
@@ -147,7 +149,7 @@ def test_a_scene_with_a_sky_around_it_is_seen_from_inside(tmp_path):
     ("more", "words"),
     [
         ({"max_drop": 0.5, "target": None, "lambda_f": 1e-3}, "--lambda-f"),
-        ({"target": None}, "--quick needs --target, --target-count or --max-drop"),
+        ({"target": None}, "--quick needs --target, --target-count, --max-drop or --levels"),
         ({"image_memory": 1.0}, "--image-memory"),
         ({"time": 5.0}, "--time"),
         ({"method": "svr"}, "--method"),
@@ -223,3 +225,23 @@ def test_an_allowed_drop_decides_how_many_stay(splat):
     for result, drop in zip(results, (0.05, 0.5, 3.0), strict=True):
         assert 0 < result["drop"] < 1.3 * drop
     assert run(splat)["drop"] is None
+
+
+@pytest.mark.parametrize("suffix", (".ply", ".sog"))
+def test_levels_of_detail_are_pruned_and_measured_each_on_its_own(splat, tmp_path, suffix):
+    out = tmp_path / f"out{suffix}"
+    result = run(splat, out=out, target=None, levels=(0.5, 0.25))
+    assert result["count"] == 2000 and [level["count"] for level in result["levels"]] == [1000, 500]
+    assert result["psnr"] > result["levels"][0]["psnr"] > result["levels"][1]["psnr"] > 20
+    for level, name in zip(result["levels"], (f"out_50{suffix}", f"out_25{suffix}"), strict=True):
+        assert level["out"] == str(tmp_path / name) and level["bytes"] == (tmp_path / name).stat().st_size
+        assert read_scene(tmp_path / name).count == level["count"]
+
+
+def test_levels_of_detail_go_into_one_streamed_sog(splat, tmp_path):
+    out = tmp_path / "town" / "lod-meta.json"
+    result = run(splat, out=out, target=None, levels=(0.5, 0.25))
+    assert [sum(part.count for part in read_level(out, level)) for level in range(3)] == [2000, 1000, 500]
+    assert result["bytes"] > result["levels"][0]["bytes"] > result["levels"][1]["bytes"] > 0 and {level["out"] for level in result["levels"]} == {str(out)}
+    alone = run(splat, out=tmp_path / "half.sog", target=0.5)
+    assert abs(alone["psnr"] - result["levels"][0]["psnr"]) < 0.5

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import SceneError
-from ..files import registry, sog
+from ..files import registry
 from ..jobs.level_files import level_files
 from ..system.file_names import real
 
@@ -80,7 +80,7 @@ def same_file(a: Path, b: Path) -> bool:
 def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
     if not path.exists():
         raise SceneError(f"{path}: there is no such file or folder")
-    if not path.is_dir() or sog.is_sog(path):
+    if not path.is_dir() or registry.is_splat_folder(path):
         return [(registry.split_name(path)[0], path)]
     if out and same_file(path, out):
         raise SceneError(f"{path}: is the folder of both scenes and outputs; choose another folder for the outputs")

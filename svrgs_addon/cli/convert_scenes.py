@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import memory
 from ..errors import SceneError, SplatError
-from ..files import registry, sog
+from ..files import registry
 from ..files.atomic import check_writable
 from ..geometry.affine import scaled, transformed
 from ..scene import SH_COEFFICIENTS, Scene
@@ -102,7 +102,7 @@ def _pairs(inputs: list[Path], out: Path, options: ConvertOptions) -> list[tuple
 
 def _files(path: Path) -> list[Path]:
     """The files of a path, a folder or a pattern. Raises SceneError if there are none."""
-    if path.is_dir() and not sog.is_sog(path):
+    if path.is_dir() and not registry.is_splat_folder(path):
         found = sorted(one for one in path.iterdir() if one.is_file() and one.name.lower().endswith(registry.suffixes()) and not one.name.startswith("."))
     elif not path.exists() and glob.has_magic(str(path)):
         found = [extended(name) for name in sorted(glob.glob(str(path)))]

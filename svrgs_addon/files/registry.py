@@ -17,13 +17,14 @@ from ..errors import FormatError, SceneError
 from ..native_library import thresholds
 from ..scene import Scene
 from ..system.file_names import extended
-from . import compressed_ply, dot_splat, glb, ksplat, ply, sog, spz
+from . import compressed_ply, dot_splat, glb, ksplat, ply, sog, spz, streamed_sog
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
 FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format is named
-    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, glb.FORMAT, sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
+    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, glb.FORMAT, sog.FORMAT, streamed_sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
 )  # fmt: skip
+INDEXES = tuple(one.index for one in FORMATS if one.index)
 SNIFFED_BYTES = 65_536  # bytes at the start of a file that decide between formats with the same suffix
 
 
@@ -52,8 +53,9 @@ def menu_label(written: bool = False) -> str:
 def format_to_write(path: str | Path) -> SplatFormat:
     """The format for writing a file with this name, by its suffix. Raises SceneError if no format has it."""
     name = extended(path).name.lower()
-    if name == sog.META:
-        return sog.FORMAT
+    fitting_index = next((one for one in FORMATS if one.index == name), None)
+    if fitting_index:
+        return fitting_index
     fitting = [(len(suffix), -place) for place, one in enumerate(FORMATS) if one.write for suffix in one.suffixes if name.endswith(suffix)]
     if not fitting:
         raise SceneError(f"{path}: scenes are written as {', '.join(suffixes(written=True))}")
@@ -68,8 +70,8 @@ def format_to_read(path: str | Path) -> SplatFormat:
     path = extended(path)
     if not path.exists():
         raise SceneError(f"{path}: there is no such file; check the path")
-    if sog.is_sog(path):
-        return sog.FORMAT
+    if found := _indexed(path):
+        return found[0]
     if path.is_dir():
         raise SceneError(f"{path}: is a folder, or holds several splats: name the file to use")
     fitting = [splat_format for splat_format in FORMATS if _ends_with(path, splat_format)]
@@ -85,7 +87,7 @@ def format_to_read(path: str | Path) -> SplatFormat:
 def split_name(path: str | Path) -> tuple[str, str]:
     """The name of a splat file without its suffix, and the suffix: ('scene', '.compressed.ply')."""
     path = Path(path)
-    if path.name == sog.META:
+    if path.name in INDEXES:
         return path.absolute().parent.name, sog.SUFFIX
     found = max((suffix for suffix in suffixes() if path.name.lower().endswith(suffix)), key=len, default=path.suffix)
     return path.name[: len(path.name) - len(found)], path.name[len(path.name) - len(found) :]
@@ -96,13 +98,26 @@ def _ends_with(path: Path, splat_format: SplatFormat) -> bool:
     return path.name.lower().endswith(splat_format.suffixes)
 
 
+def is_splat_folder(path: Path) -> bool:
+    """Whether a folder holds one splat of several files, such as a SOG. Datasets may have a meta.json too, but no textures beside it."""
+    return path.is_dir() and _indexed(path) is not None
+
+
+def _indexed(path: Path) -> tuple[SplatFormat, Path] | None:
+    """The format and the index of a splat of several files. path: the index, or its folder."""
+    for one in FORMATS:
+        if one.parts and path.name == one.index:
+            return one, path
+        if one.parts and (path / one.index).is_file() and len(one.parts(path / one.index)) > 1:
+            return one, path / one.index
+    return None
+
+
 def size_on_disk(path: str | Path) -> int:
-    """Size of a splat in bytes, with all its files if it is a folder."""
+    """Size of a splat in bytes, with all its files if it has several."""
     path = extended(path)
-    if not sog.is_sog(path):
-        return path.stat().st_size
-    folder = path if path.is_dir() else path.parent
-    return sum(file.stat().st_size for file in (folder / sog.META, *folder.glob("*.webp")))
+    found = _indexed(path)
+    return sum(file.stat().st_size for file in found[0].parts(found[1])) if found and found[0].parts else path.stat().st_size
 
 
 def read_scene(path: str | Path) -> Scene:

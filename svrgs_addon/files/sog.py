@@ -44,9 +44,15 @@ class _Sog:
     textures: dict[str, np.ndarray]
 
 
-def is_sog(path: Path) -> bool:
-    """Whether the path is a folder with a SOG in it, or its meta.json. Datasets may have a meta.json too, but no textures beside it."""
-    return path.name == META or ((path / META).is_file() and any(path.glob("*.webp")))
+def parts(meta: Path) -> list[Path]:
+    """The files of a SOG in a folder."""
+    return [meta, *sorted(meta.parent.glob("*.webp"))]
+
+
+def degree_of(meta: Path) -> int:
+    """The SH degree of a SOG in a folder, by its meta.json alone. Raises FormatError, which names the file."""
+    with opened(meta):
+        return _degree(_meta(meta))
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
@@ -91,9 +97,7 @@ def _read(folder: Path, max_count: int) -> _Sog:
         raise FormatError(f"is a SOG of version {version if isinstance(version, int) else 'unknown'}; version {VERSION} is read")
     if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count <= max(MANY, held):
         raise FormatError(f"names a number of Gaussians that its {held:,} bytes cannot hold{BROKEN}")
-    degree = _part(meta, "shN").get("bands") if "shN" in meta else 0
-    if not isinstance(degree, int) or degree not in range(len(SH_COEFFICIENTS)):
-        raise FormatError(f"has no valid number of SH bands{BROKEN}")
+    degree = _degree(meta)
     refuse_unpacking(count, SH_COEFFICIENTS[degree], max_count)
     ranges = np.array([_numbers(_part(meta, "means"), name, 3) for name in ("mins", "maxs")])
     parts = ("scales", "sh0", "shN") if degree else ("scales", "sh0")
@@ -120,6 +124,13 @@ def _meta(path: Path) -> dict[str, Any]:
     if not isinstance(meta, dict):
         raise FormatError(f"has no {META} of at most {MAX_META:,} bytes that can be read{BROKEN}")
     return meta
+
+
+def _degree(meta: dict[str, Any]) -> int:
+    degree = _part(meta, "shN").get("bands") if "shN" in meta else 0
+    if not isinstance(degree, int) or degree not in range(len(SH_COEFFICIENTS)):
+        raise FormatError(f"has no valid number of SH bands{BROKEN}")
+    return degree
 
 
 def _part(meta: dict[str, Any], name: str) -> dict[str, Any]:
@@ -201,5 +212,7 @@ FORMAT = SplatFormat(
     read_parts=read_parts,
     write=write,
     limits=limits,
+    index=META,
+    parts=parts,
     carries=("antialiased",),
 )

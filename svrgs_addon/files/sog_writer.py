@@ -36,8 +36,13 @@ FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # of the files in a bundle: the same scene g
 def write(path: str | os.PathLike, scene: Scene):
     """Writes the scene with its Gaussians in Morton order, as a bundle, or, if the name is meta.json, as the files of a folder, this one last.
     Raises SceneError."""
+    write_in_order(path, scene.select(morton_order(scene.means)))
+
+
+def write_in_order(path: str | os.PathLike, scene: Scene):
+    """As write(), with the Gaussians in the order of the scene."""
     check_space(path, BYTES * scene.count)
-    meta, textures = encoded(scene.select(morton_order(scene.means)))
+    meta, textures = encoded(scene)
     if Path(path).name == META:
         _write_folder(Path(path), meta, textures)
     else:

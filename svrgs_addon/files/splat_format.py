@@ -31,6 +31,8 @@ class SplatFormat:
     limits: Callable[[Scene], list[str]] | None = None  # a sentence on each limit of the format that the scene is beyond
     most_degree: int = 3  # of SH that it can hold
     lossless: bool = False  # whether all values are stored as they are
+    index: str = ""  # name of the file that stands for a splat of several files, in a folder
+    parts: Callable[[Path], list[Path]] | None = None  # all files of such a splat, by its index
     carries: tuple[str, ...] = ()  # what it can hold besides: attributes, antialiased, order (of the Gaussians)
 
     def whole(self, path: Path) -> Scene:

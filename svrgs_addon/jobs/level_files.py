@@ -1,14 +1,45 @@
-"""The names of the levels of detail that a job writes beside its output."""
+"""Levels of detail that a job writes: beside its output, or, as a streamed SOG, in it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from ..files.registry import split_name
+from ..files import streamed_sog
+from ..files.registry import size_on_disk, split_name, stored, write_scene
+from ..files.splat_format import joined
+from ..scene import Scene
 
 
 def level_files(out: Path, shares: Iterable[float]) -> dict[float, Path]:
-    """The file of each level of detail by its share of the result: OUT_50.ply for 0.5."""
+    """The file of each level of detail by its share of the result: OUT_50.ply for 0.5. None if the output holds all levels."""
+    if holds_levels(out):
+        return {}
     name, suffix = split_name(out)
     return {share: out.with_name(f"{name}_{100 * share:g}{suffix}") for share in shares}
+
+
+def holds_levels(out: Path) -> bool:
+    return out.name == streamed_sog.INDEX
+
+
+@dataclass(frozen=True)
+class Written:
+    """A scene as its file holds it."""
+
+    path: Path
+    bytes: int  # that it takes; of a level in a streamed SOG, the files with its Gaussians
+    scene: Scene
+
+
+def write_with_levels(out: Path, shares: Sequence[float], scenes: Sequence[Scene]) -> list[Written]:
+    """Writes the result, scenes[0], and its levels of detail. Raises SceneError, FormatError."""
+    if holds_levels(out):
+        streamed_sog.write_levels(out, scenes)
+        return [Written(out, streamed_sog.level_bytes(out, level), joined(list(streamed_sog.read_level(out, level)))) for level in range(len(scenes))]
+    written = []
+    for path, scene in zip([out, *level_files(out, shares).values()], scenes, strict=True):
+        write_scene(path, scene)
+        written.append(Written(path, size_on_disk(path), stored(path, scene)))
+    return written

@@ -136,12 +136,13 @@ class PruneOptions(TuningOptions):
         metavar="SHARE", default_help="only the result as a whole is trained", in_job=True,
     )  # fmt: skip
     levels: tuple[float, ...] = option(
-        SHARES, (), "levels of detail, as in 0.5,0.25,0.1: also write the first rows of a nested result, these shares of it, to OUT_50.ply and so on",
+        SHARES, (), "levels of detail, as in 0.5,0.25,0.1: also write these shares of the result, to OUT_50.ply and so on, or into the streamed SOG "
+        "OUT/lod-meta.json: the first rows of a nested result; with --quick, each pruned on its own",
         metavar="SHARES", default_help="none",
     )  # fmt: skip
     quick: bool = option(
-        FLAG, False, "remove and merge within seconds, on the scene's own pictures instead of photographs; needs --target, --target-count or --max-drop; "
-        "with --colmap only the cameras of the dataset are read", in_job=True,
+        FLAG, False, "remove and merge within seconds, on the scene's own pictures instead of photographs; needs --target, --target-count, --max-drop or "
+        "--levels; with --colmap only the cameras of the dataset are read", in_job=True,
     )  # fmt: skip
     cameras: Path | None = option(
         PATH, None, "without photographs, views that matter besides the placed ones: cameras.json of 3DGS, or transforms.json", metavar="JSON", in_job=True

@@ -23,7 +23,7 @@ from ..decimate.order import Order, looks, lost_columns, order_of
 from ..decimate.saved_order import write_order
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
-from ..files.registry import format_to_write, invisible, load_scene, size_on_disk, stored, write_scene
+from ..files.registry import format_to_write, invisible, load_scene, size_on_disk
 from ..finetune.quality import LEAST
 from ..finetune.refit import USUAL, interpolated, pace_at, refit
 from ..geometry.affine import scaled
@@ -39,6 +39,7 @@ from ..rig.place import quick_rig
 from ..scene import Scene
 from ..system.file_names import real
 from .context import JobContext
+from .level_files import level_files, write_with_levels
 from .options import PruneOptions
 
 SIDE = 512  # pixels of the longer side of a picture
@@ -49,7 +50,7 @@ HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
 MOST_HIDDEN = 0.3  # share of the Gaussians that may be hidden from outside
 NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 TAKES = (  # options; others are refused
-    "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "max_drop", "quiet", "quick", "scene", "out",
+    "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "max_drop", "quiet", "quick", "scene", "out", "levels",
 )  # fmt: skip
 SMALLEST = 0.01  # share of the Gaussians down to which an order is kept
 LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee the time
@@ -62,9 +63,10 @@ def prune_quick(options: PruneOptions, job: JobContext) -> dict:
     assert options.scene is not None and options.out is not None
     refuse_options(options)
     format_to_write(options.out)
-    check_writable(options.out)
-    if real(options.out) == real(options.scene):
-        raise SceneError(f"{options.out}: is the input itself, which is never overwritten; choose another output")
+    for out in (options.out, *level_files(options.out, options.levels).values()):
+        check_writable(out)
+        if real(out) == real(options.scene):
+            raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
     with reserved(options.out):
         return _prune_quick(options, job)
 
@@ -85,8 +87,8 @@ def refuse_options(options: PruneOptions):
     other = [name for name in PruneOptions.__dataclass_fields__ if name not in TAKES and getattr(options, name) != default_of(PruneOptions, name)]
     if other:
         raise SceneError(f"--quick takes no --{other[0].replace('_', '-')}: leave it out, or leave --quick out")
-    if not (options.target or options.target_count or options.max_drop):
-        raise SceneError("--quick needs --target, --target-count or --max-drop: it does not choose how many Gaussians to keep")
+    if not (options.target or options.target_count or options.max_drop or options.levels):
+        raise SceneError("--quick needs --target, --target-count, --max-drop or --levels: it does not choose how many Gaussians to keep")
 
 
 def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
@@ -108,11 +110,13 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     if job.stop():
         raise Cancelled(NOT_FINISHED)
     wanted = min(_wanted(options, source.count), scene.count)
-    order = order_of(enlarged, sums, min(wanted, math.ceil(SMALLEST * scene.count)) if job.order else wanted)
+    least = max(1, math.floor(min(options.levels, default=1) * wanted))
+    order = order_of(enlarged, sums, min(least, math.ceil(SMALLEST * scene.count)) if job.order else least)
     likeness = _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options)
     count = _fewest_within(order, wanted, likeness, options.max_drop) if options.max_drop else wanted
-    small = _tuned(order, count, likeness, cameras, pictures, options, job.stop)
-    small = _written(options.out, small, factor)
+    counts = [count, *(max(1, round(share * count)) for share in options.levels)]
+    scenes = [_tuned(order, some, likeness, cameras, pictures, options, job.stop) for some in counts]
+    written = write_with_levels(options.out, options.levels, [scaled(scene, 1 / factor) for scene in scenes])
     notes += _kept(job.order, order, visible, source.count, 1 / factor) if job.order else []
     facts: dict[str, Any] = {
         "method": "quick",
@@ -122,17 +126,11 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
         "hidden": _hidden(sums),
     }
     before = {"count": source.count, "bytes": size_on_disk(options.scene)}
-    after = _measured(small, enlarged, test, rasterizer, options) | {"bytes": options.out.stat().st_size}
+    after, *levels = (_measured(scaled(one.scene, factor), enlarged, test, rasterizer, options) | {"bytes": one.bytes, "out": str(one.path)} for one in written)
+    facts["levels"] = [{"share": share, **level} for share, level in zip(options.levels, levels, strict=True)]
     facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
-    notes += [*_of_hidden(facts["hidden"]), *lost_columns(source, small)]
-    return {**after, "scene": str(options.scene), "out": str(options.out), "before": before, "after": after, **facts, "notes": notes}
-
-
-def _written(path: Path, scene: Scene, factor: float) -> Scene:
-    """Writes an enlarged scene in its own size. The enlarged scene as the file holds it."""
-    own = scaled(scene, 1 / factor)
-    write_scene(path, own)
-    return scene if (found := stored(path, own)) is own else scaled(found, factor)
+    notes += [*_of_hidden(facts["hidden"]), *lost_columns(source, written[0].scene)]
+    return {**after, "scene": str(options.scene), "before": before, "after": after, **facts, "notes": notes}
 
 
 def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float) -> list[str]:

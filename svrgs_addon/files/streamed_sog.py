@@ -1,0 +1,224 @@
+"""Streamed SOG (PlayCanvas): lod-meta.json beside folders with a SOG each (sog_layout.py), which viewers load as they need them.
+
+counts, lodLevels   Gaussians of each level of detail, the finest one first; the number of levels
+filenames           meta.json of each SOG: L_n/meta.json holds Gaussians of level L
+tree                boxes: `bound` with min and max, and two `children`, or the `lods` of a leaf: by level, `file`, `offset` and `count` of its Gaussians
+environment         meta.json of Gaussians that belong to every level; is read, not written
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..errors import FormatError
+from ..geometry.morton_order import morton_order
+from ..scene import SH_COEFFICIENTS, Scene
+from . import sog
+from .atomic import atomic_write, check_space
+from .opened import MAX_COUNT, opened, refuse_many
+from .sog_writer import BYTES, limits, write_in_order
+from .splat_format import SplatFormat
+
+INDEX, VERSION = "lod-meta.json", 1
+MAX_INDEX = 50_000_000  # bytes of lod-meta.json
+CHUNK = 512 * 1024  # Gaussians of a leaf, of all levels together, and of a file, about
+EXTENT, LEAST = 16.0, 8192  # a leaf is not larger, in units of the scene, unless it has no more Gaussians than this
+UNIT = re.compile(r"[\w-][\w.-]*/meta\.json")
+DIGITS = 7  # of the numbers of a box
+BROKEN = "; export it again"
+
+
+def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
+    """The Gaussians of the finest level, in parts. path: lod-meta.json, or its folder. Raises FormatError, which names the file."""
+    path = Path(path)
+    return read_level(path / INDEX if path.is_dir() else path, 0, max_count)
+
+
+def read_level(path: Path, level: int, max_count: int = MAX_COUNT) -> Iterator[Scene]:
+    """The Gaussians of a level of detail, in parts. Raises FormatError, which names the file."""
+    with opened(path):
+        meta = _checked(path)
+        units = _units_of(meta, level)
+    files = [path.parent / name for name in units]
+    most, left = max(map(sog.degree_of, files), default=0), max_count
+    for file in files:
+        for part in sog.read_parts(file, left):
+            left -= part.count
+            yield _with_degree(part, most)
+    if not files:
+        raise FormatError(f"{path} has no file of level {level}{BROKEN}")
+
+
+def levels(path: Path) -> int:
+    """The number of levels of detail. Raises FormatError, which names the file."""
+    with opened(path):
+        return _checked(path)["lodLevels"]
+
+
+def parts(path: Path) -> list[Path]:
+    """The files of all levels that are there; lod-meta.json alone, if it is damaged."""
+    try:
+        with opened(path):
+            meta = _checked(path)
+    except FormatError:
+        return [path]
+    units = [path.parent / name for name in _names(meta)]
+    return [path, *(file for unit in units if unit.is_file() for file in sog.parts(unit))]
+
+
+def level_bytes(path: Path, level: int) -> int:
+    """Bytes of the files with Gaussians of the level. Raises FormatError, which names the file."""
+    with opened(path):
+        units = _units_of(_checked(path), level)
+    return sum(file.stat().st_size for unit in units for file in sog.parts(path.parent / unit))
+
+
+def write(path: str | os.PathLike, scene: Scene):
+    """Writes the scene as the only level of detail. Raises SceneError."""
+    write_levels(path, [scene])
+
+
+def write_levels(path: str | os.PathLike, scenes: Sequence[Scene]):
+    """Writes levels of detail, the finest one first: the SOGs, then lod-meta.json. Until then, an older one and its files stay as they are; at the
+    end, its files are removed. Raises SceneError."""
+    path = Path(path)
+    check_space(path, BYTES * sum(scene.count for scene in scenes))
+    old = parts(path)[1:] if path.exists() else []
+    cut = _Cut(scenes, f".{secrets.token_hex(4)}" if old else "")
+    tree = cut.node([np.arange(scene.count) for scene in scenes])
+    counts = [scene.count for scene in scenes]
+    meta = {"version": VERSION, "asset": {"generator": f"SVR-GS {__version__}"}, "count": sum(counts), "counts": counts, "lodLevels": len(scenes)}
+    for name, (level, rows) in cut.files.items():
+        write_in_order(path.parent / name, scenes[level].select(np.concatenate(rows)))
+    with atomic_write(path) as file:
+        file.write(json.dumps(meta | {"filenames": list(cut.files), "tree": tree}).encode())
+    for one in old:
+        one.unlink(missing_ok=True)
+        if not any(one.parent.iterdir()):
+            one.parent.rmdir()
+
+
+@dataclass
+class _Cut:
+    """Levels of detail that are being cut into leaves, and the files that their Gaussians go to."""
+
+    scenes: Sequence[Scene]
+    tag: str  # in the names of the folders
+    files: dict[str, tuple[int, list[np.ndarray]]] = field(default_factory=dict)  # by name: level, and rows of it, leaf by leaf
+    open_files: dict[int, tuple[str, int]] = field(default_factory=dict)  # by level: name, and Gaussians so far
+
+    def node(self, rows: list[np.ndarray]) -> dict[str, Any]:
+        """The node of lod-meta.json with these rows of each level."""
+        means = np.concatenate([scene.means[some] for scene, some in zip(self.scenes, rows, strict=True)])
+        sides = np.ptp(means, axis=0) if len(means) else np.zeros(3)
+        axis, largest = int(np.argmax(sides)), float(sides.max())
+        if largest == 0 or (len(means) <= CHUNK and (largest <= EXTENT or len(means) <= LEAST)):
+            return self.leaf(rows)
+        middle = np.partition(means[:, axis], len(means) // 2)[len(means) // 2]
+        low = [scene.means[some, axis] < middle for scene, some in zip(self.scenes, rows, strict=True)]
+        if not any(some.any() for some in low):  # more than half of them are at the lowest place
+            low = [scene.means[some, axis] <= middle for scene, some in zip(self.scenes, rows, strict=True)]
+        children = [self.node([some[one == side] for some, one in zip(rows, low, strict=True)]) for side in (True, False)]
+        corners = [np.array([child["bound"][name] for child in children]) for name in ("min", "max")]
+        return {"bound": {"min": corners[0].min(axis=0).tolist(), "max": corners[1].max(axis=0).tolist()}, "children": children}
+
+    def leaf(self, rows: list[np.ndarray]) -> dict[str, Any]:
+        lods, low, high = {}, [], []
+        for level, (scene, some) in enumerate(zip(self.scenes, rows, strict=True)):
+            if not len(some):
+                continue
+            some = some[morton_order(scene.means[some])]
+            name, held = self.open_files.get(level) or (f"{level}_0{self.tag}/{sog.META}", 0)
+            if held >= CHUNK:
+                name, held = f"{level}_{sum(one == level for one, _ in self.files.values())}{self.tag}/{sog.META}", 0
+            self.files.setdefault(name, (level, []))[1].append(some)
+            self.open_files[level] = (name, held + len(some))
+            lods[str(level)] = {"file": list(self.files).index(name), "offset": held, "count": len(some)}
+            corners = _box(scene.select(some))
+            low.append(corners[0])
+            high.append(corners[1])
+        bound = {"min": np.min(low, axis=0), "max": np.max(high, axis=0)} if low else {"min": np.zeros(3), "max": np.zeros(3)}
+        return {"bound": {name: [float(f"{value:.{DIGITS}g}") for value in corner] for name, corner in bound.items()}, "lods": lods}
+
+
+def _box(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """The corners (3,) of the box around ellipsoids of one sigma."""
+    w, x, y, z = (scene.quats / np.linalg.norm(scene.quats, axis=1, keepdims=True)).astype(np.float64).T
+    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
+    turn = np.stack([*rows, 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1).reshape(-1, 3, 3)
+    half = np.einsum("nij,nj->ni", np.abs(turn), np.exp(scene.log_scales.astype(np.float64)))
+    return (scene.means - half).min(axis=0), (scene.means + half).max(axis=0)
+
+
+def _with_degree(scene: Scene, degree: int) -> Scene:
+    """The scene with zeros in SH bands that it does not have."""
+    missing = SH_COEFFICIENTS[degree] - scene.sh.shape[1]
+    return replace(scene, sh=np.concatenate([scene.sh, np.zeros((scene.count, missing, 3), np.float32)], axis=1)) if missing else scene
+
+
+def _checked(path: Path) -> dict[str, Any]:
+    """lod-meta.json with a valid version, lodLevels, filenames. Raises FormatError (without the name of the file), as the functions below."""
+    with open(path, "rb") as file:
+        data = file.read(MAX_INDEX + 1)
+    try:
+        meta = json.loads(data) if len(data) <= MAX_INDEX else None
+    except (ValueError, RecursionError):
+        meta = None
+    if not isinstance(meta, dict) or meta.get("version", VERSION) != VERSION:
+        raise FormatError(f"has no JSON of version {VERSION} and at most {MAX_INDEX:,} bytes that can be read{BROKEN}")
+    names, number = meta.get("filenames"), meta.get("lodLevels")
+    if not isinstance(number, int) or isinstance(number, bool) or not 0 < number <= 1000:
+        raise FormatError(f"has no valid lodLevels{BROKEN}")
+    if not isinstance(names, list) or not all(isinstance(name, str) and UNIT.fullmatch(name) and ".." not in name for name in _names(meta)):
+        raise FormatError(f"names files that are not in folders beside it{BROKEN}")
+    return meta
+
+
+def _names(meta: dict[str, Any]) -> list[Any]:
+    return [*meta["filenames"], *([meta["environment"]] if "environment" in meta else [])]
+
+
+def _units_of(meta: dict[str, Any], level: int) -> list[str]:
+    """The names of the files with Gaussians of the level, and of the environment."""
+    names, found, nodes, counted = meta["filenames"], set(), [meta.get("tree")], 0
+    while nodes:
+        node = nodes.pop()
+        children = node.get("children", []) if isinstance(node, dict) else None
+        lods = node.get("lods", {}) if isinstance(node, dict) else None
+        if not isinstance(children, list) or not isinstance(lods, dict):
+            raise FormatError(f"has a tree that cannot be read{BROKEN}")
+        nodes += children
+        if str(level) not in lods:
+            continue
+        part = lods[str(level)]
+        number, count = (part.get(name) if isinstance(part, dict) else None for name in ("file", "count"))
+        if not isinstance(number, int) or not 0 <= number < len(names) or not isinstance(count, int) or count < 0:
+            raise FormatError(f"has a leaf that names no file{BROKEN}")
+        found.add(number)
+        counted += count
+    refuse_many(counted)
+    return list(dict.fromkeys([names[number] for number in sorted(found)] + ([meta["environment"]] if "environment" in meta else [])))
+
+
+FORMAT = SplatFormat(
+    name="streamed-sog",
+    label="Streamed SOG",
+    suffixes=(),
+    sniff=lambda _: False,
+    read_parts=read_parts,
+    write=write,
+    limits=limits,
+    index=INDEX,
+    parts=parts,
+    carries=("antialiased",),
+)

@@ -1,0 +1,156 @@
+"""Streamed SOG: every Gaussian of every level is in one leaf, inside its box; what viewers need is in lod-meta.json; damaged ones are told."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from svrgs_addon.errors import FormatError, SceneError
+from svrgs_addon.files import sog, streamed_sog
+from svrgs_addon.files.registry import describe, read_scene, size_on_disk, split_name, write_scene
+from svrgs_addon.files.splat_format import joined
+from svrgs_addon.files.streamed_sog import read_level, write_levels
+from svrgs_addon.scene import Scene
+from test_formats import like_trained
+
+
+def levels_of(count: int = 6000, degree: int = 1) -> list[Scene]:
+    scene = like_trained(degree, count)
+    return [scene, scene.select(np.arange(0, count, 2)), scene.select(np.arange(0, count, 8))]
+
+
+@pytest.fixture
+def town(tmp_path, monkeypatch) -> Path:
+    """Three levels in leaves of at most 1,000 Gaussians."""
+    monkeypatch.setattr(streamed_sog, "CHUNK", 1000)
+    write_levels(tmp_path / "town" / "lod-meta.json", levels_of())
+    return tmp_path / "town" / "lod-meta.json"
+
+
+def leaves(node: dict) -> list[dict]:
+    return [leaf for child in node["children"] for leaf in leaves(child)] if "children" in node else [node]
+
+
+def test_the_leaves_hold_each_gaussian_once_and_inside_their_box(town):
+    meta = json.loads(town.read_text())
+    assert (meta["version"], meta["lodLevels"], meta["counts"], meta["count"]) == (1, 3, [6000, 3000, 750], 9750)
+    found = leaves(meta["tree"])
+    assert len(found) > 8 and all(sum(lod["count"] for lod in leaf["lods"].values()) <= 1000 for leaf in found)
+    units = {name: read_scene(town.parent / name) for name in meta["filenames"]}
+    ends = dict.fromkeys(units, 0)
+    for leaf in found:
+        low, high = np.array(leaf["bound"]["min"]), np.array(leaf["bound"]["max"])
+        for level, lod in leaf["lods"].items():
+            name = meta["filenames"][lod["file"]]
+            assert name.startswith(f"{level}_") and lod["offset"] == ends[name]
+            ends[name] += lod["count"]
+            means = units[name].means[lod["offset"] : lod["offset"] + lod["count"]]
+            assert (means > low - 1e-3).all() and (means < high + 1e-3).all()
+    assert ends == {name: unit.count for name, unit in units.items()}
+
+
+def test_boxes_hold_those_below_them(town):
+    nodes = [json.loads(town.read_text())["tree"]]
+    while nodes:
+        node = nodes.pop()
+        for child in node.get("children", []):
+            assert (np.array(child["bound"]["min"]) >= node["bound"]["min"]).all() and (np.array(child["bound"]["max"]) <= node["bound"]["max"]).all()
+            nodes.append(child)
+
+
+def test_every_level_is_what_was_written(town):
+    for level, scene in enumerate(levels_of()):
+        found = joined(list(read_level(town, level)))
+        assert found.count == scene.count and found.sh_degree == 1
+        distances, _ = cKDTree(scene.means).query(found.means)
+        assert distances.max() < 0.001
+
+
+def test_it_is_read_as_its_finest_level(town):
+    assert read_scene(town).count == read_scene(town.parent).count == 6000
+    assert describe(town)["bytes"] == size_on_disk(town.parent) == sum(file.stat().st_size for file in town.parent.rglob("*") if file.is_file())
+    assert split_name(town)[0] == "town"
+    with pytest.raises(FormatError, match="level 3"):
+        list(read_level(town, 3))
+
+
+def test_an_older_one_is_replaced_with_its_files(town):
+    (town.parent / "mine.txt").write_text("kept")
+    write_levels(town, levels_of(1500, 0)[:2])
+    assert read_scene(town).count == 1500
+    meta = json.loads(town.read_text())
+    folders = {file.name for file in town.parent.iterdir() if file.is_dir()}
+    assert folders == {name.split("/")[0] for name in meta["filenames"]} and (town.parent / "mine.txt").exists()
+
+
+def test_an_older_one_stays_until_the_new_one_is_complete(town, monkeypatch):
+    def full(*_):
+        raise SceneError("no space")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(streamed_sog, "write_in_order", full)
+        with pytest.raises(SceneError, match="no space"):
+            write_levels(town, levels_of(1500))
+    assert read_scene(town).count == 6000
+
+
+def test_gaussians_in_one_place_end_in_one_leaf(tmp_path, monkeypatch):
+    monkeypatch.setattr(streamed_sog, "CHUNK", 100)
+    scene = like_trained(0, 500)
+    scene.means[:400] = 1
+    write_scene(tmp_path / "a" / "lod-meta.json", scene)
+    assert read_scene(tmp_path / "a").count == 500
+
+
+def test_units_with_fewer_bands_and_an_environment_are_joined(tmp_path):
+    path = tmp_path / "a" / "lod-meta.json"
+    write_scene(path, like_trained(2, 50))
+    write_scene(path.parent / "env" / "meta.json", like_trained(0, 30))
+    meta = json.loads(path.read_text())
+    path.write_text(json.dumps(meta | {"environment": "env/meta.json"}))
+    scene = read_scene(path)
+    assert scene.count == 80 and scene.sh_degree == 2 and not scene.sh[50:, 1:].any()
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"version": 2}, "version 1"),
+        ({"lodLevels": 0}, "lodLevels"),
+        ({"lodLevels": True}, "lodLevels"),
+        ({"filenames": ["../b/meta.json"]}, "not in folders beside it"),
+        ({"filenames": ["/b/meta.json"]}, "not in folders beside it"),
+        ({"filenames": "0_0/meta.json"}, "not in folders beside it"),
+        ({"environment": "a/../../b/meta.json"}, "not in folders beside it"),
+        ({"tree": []}, "tree"),
+        ({"tree": {"children": 3}}, "tree"),
+        ({"tree": {"lods": {"0": {"file": 700, "offset": 0, "count": 1}}}}, "names no file"),
+        ({"tree": {"lods": {"0": {"file": 0, "offset": 0, "count": 10**9}}}}, "1000000000 Gaussians"),
+        ({"tree": {}}, "no file of level 0"),
+    ],
+)
+def test_a_damaged_one_is_one_sentence(town, changed, said):
+    town.write_text(json.dumps(json.loads(town.read_text()) | changed))
+    with pytest.raises(FormatError, match=said) as caught:
+        read_scene(town)
+    assert "lod-meta.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_missing_unit_is_named(town):
+    (town.parent / "0_0" / "meta.json").unlink()
+    with pytest.raises(FormatError, match="0_0"):
+        read_scene(town)
+
+
+def test_a_streamed_sog_of_one_level_equals_the_sog(tmp_path):
+    scene = like_trained(1, 400)
+    write_scene(tmp_path / "a.sog", scene)
+    write_scene(tmp_path / "b" / "lod-meta.json", scene)
+    one, other = read_scene(tmp_path / "a.sog"), read_scene(tmp_path / "b")
+    assert all((getattr(one, name) == getattr(other, name)).all() for name in ("means", "log_scales", "quats", "sh"))
+    assert dataclasses.asdict(one).keys() == dataclasses.asdict(other).keys() and sog.degree_of(tmp_path / "b" / "0_0" / "meta.json") == 1
