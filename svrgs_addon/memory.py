@@ -22,6 +22,7 @@ SH_MOMENT = 2  # bytes of Adam moments per SH coefficient; other values have mom
 STATISTICS = 8  # bytes per Gaussian: the statistics of densification
 ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densification adds
 PROJECTED = 150  # bytes per projected Gaussian
+TEXTURED = 150  # bytes per Gaussian that becomes pixels of a SOG
 DECIMATED = 500  # bytes per Gaussian while it is removed or merged, without its values
 RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 100  # bytes per pixel of a view: rendering, fine-tuning, metrics
 LPIPS_PIXEL = 2000  # bytes per pixel of a view: LPIPS
@@ -38,6 +39,12 @@ def unpacking(count: int, coefficients: int) -> int:
     """Bytes of memory needed to read `count` Gaussians out of a compressed file: in parts, which are then joined. coefficients: SH coefficients per
     channel, K."""
     return 2 * 4 * (11 + 3 * coefficients) * count
+
+
+def texturing(count: int, coefficients: int) -> int:
+    """Bytes of memory needed to turn `count` Gaussians that are in memory already into textures and a palette. coefficients: SH coefficients per
+    channel, K."""
+    return (TEXTURED + 4 * 3 * coefficients) * count
 
 
 def rendering(count: int, width: int, height: int) -> int:

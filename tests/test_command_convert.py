@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 
+from svrgs_addon.cli import convert_scenes
 from svrgs_addon.cli.main import main
+from svrgs_addon.files import spooled
 from svrgs_addon.files.registry import describe, read_scene, write_scene
 from test_formats import differences, like_trained
 
@@ -98,3 +101,32 @@ def test_what_cannot_be_is_one_sentence(splat, tmp_path, capsys, monkeypatch, wo
     write_scene(tmp_path / "more" / "a.ply", like_trained(0, 5))
     assert main(["convert", *words]) == 2
     assert said in capsys.readouterr().err and not (tmp_path / "b.ply").exists() and not (tmp_path / "b.splat").exists()
+
+
+@pytest.mark.parametrize("suffix", (".ply", ".compressed.ply", ".spz", ".glb", ".splat", ".sog"))
+def test_a_large_scene_is_converted_by_way_of_the_disk_to_the_same_file(tmp_path, monkeypatch, suffix):
+    scene = like_trained(2, 70_000 if suffix == ".spz" else 9_000)
+    scene.means[17] = np.nan
+    scene = dataclasses.replace(scene, attributes={"label": np.arange(scene.count, dtype=np.int32)})
+    write_scene(tmp_path / "a.ply", scene)
+    words = [str(tmp_path / "a.ply"), "--sh-degree", "1", "--rotate", "0,30,0", "--box", "-1,-1,-1,1,1,1"]
+    assert main(["convert", *words, str(tmp_path / f"b{suffix}")]) == 0
+    monkeypatch.setattr(convert_scenes, "LARGE", 0)
+    monkeypatch.setattr(spooled, "LARGE", 0)
+    assert main(["convert", *words, str(tmp_path / f"c{suffix}")]) == 0
+    one, other = (read_scene(tmp_path / f"{name}{suffix}") for name in "bc")
+    assert (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"c{suffix}").read_bytes() and one.count == other.count > 1000
+    assert ("label" in one.attributes) == (suffix == ".ply")
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(["a.ply", f"b{suffix}", f"c{suffix}"])
+
+
+def test_a_full_disk_beside_the_output_is_told(tmp_path, capsys, monkeypatch):
+    write_scene(tmp_path / "a.ply", like_trained(0, 500))
+    monkeypatch.setattr(convert_scenes, "LARGE", 0)
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(spooled.tempfile, "TemporaryFile", full)
+    assert main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz")]) == 2
+    assert "b.spz: needs more space in its folder" in capsys.readouterr().err and not (tmp_path / "b.spz").exists()

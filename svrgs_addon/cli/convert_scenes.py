@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import glob
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,12 +15,15 @@ from .. import memory
 from ..errors import SceneError, SplatError
 from ..files import registry
 from ..files.atomic import check_writable
+from ..files.spooled import spooled
 from ..geometry.affine import scaled, transformed
 from ..scene import SH_COEFFICIENTS, Scene
 from ..selection.criteria import in_box
 from ..system.file_names import extended, real
 from .arguments import options_from
 from .convert_options import ConvertOptions
+
+LARGE = 1 << 28  # bytes of a file that is read in parts, by way of the disk
 
 
 def convert_scenes(words: argparse.Namespace) -> Iterator[dict]:
@@ -51,13 +55,24 @@ def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
     if real(path) == real(out):
         raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
     check_writable(out)
-    scene = _changed(registry.load_scene(path).scene, options)
-    if not scene.count:
-        raise SceneError(f"{path}: no Gaussian is inside the box, so no file was written")
     splat_format = registry.format_to_write(out)
-    registry.write_scene(out, scene, options.spz_version or 0)
-    facts = {"count": scene.count, "sh_degree": min(scene.sh_degree, splat_format.most_degree)}
-    return facts | {"bytes_before": registry.size_on_disk(path), "bytes": out.stat().st_size}
+    with _loaded(path, out, options) as scene:
+        if not scene.count:
+            raise SceneError(f"{path}: no Gaussian is inside the box, so no file was written")
+        registry.write_scene(out, scene, options.spz_version or 0)
+        facts = {"count": scene.count, "sh_degree": min(scene.sh_degree, splat_format.most_degree)}
+    return facts | {"bytes_before": registry.size_on_disk(path), "bytes": registry.size_on_disk(out)}
+
+
+@contextlib.contextmanager
+def _loaded(path: Path, out: Path, options: ConvertOptions) -> Iterator[Scene]:
+    """The changed scene; the values of a large one lie in files."""
+    registry.format_to_read(path)  # raises for what cannot be read
+    if registry.size_on_disk(path) < LARGE:
+        yield _changed(registry.load_scene(path).scene, options)
+        return
+    with spooled((_changed(part, options) for part in registry.load_parts(path)), out) as scene:
+        yield scene
 
 
 def _changed(scene: Scene, options: ConvertOptions) -> Scene:

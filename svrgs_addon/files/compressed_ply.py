@@ -74,15 +74,17 @@ def write(path: str | os.PathLike, scene: Scene):
     rest = 3 * (scene.sh.shape[1] - 1)
     check_space(path, len(head) + file_body(scene))
     order = morton_order(scene.means)
-    parts = [scene.select(order[start : start + PART]) for start in range(0, scene.count, PART)]
-    packed = [_packed(part) for part in parts]
+    rows_at = len(head) + 4 * len(RANGES) * -(-scene.count // CHUNK)
     with atomic_write(path) as file:
         file.write(head)
-        for column in range(2):
-            for arrays in packed:
-                file.write(np.ascontiguousarray(arrays[column]).data)
-        for part in parts if rest else ():
-            file.write(_sh_bytes(part.sh).data)
+        for start in range(0, scene.count, PART):
+            part = scene.select(order[start : start + PART])
+            ranges, packed = _packed(part)
+            pieces = {len(head) + ranges.itemsize * len(RANGES) * (start // CHUNK): ranges, rows_at + packed.itemsize * len(PACKED) * start: packed}
+            pieces |= {rows_at + 4 * len(PACKED) * scene.count + rest * start: _sh_bytes(part.sh)} if rest else {}
+            for at, piece in pieces.items():
+                file.seek(at)
+                file.write(np.ascontiguousarray(piece).data)
 
 
 def file_body(scene: Scene) -> int:

@@ -18,17 +18,19 @@ from ..geometry.merge import merged
 from ..geometry.rotations import rotation_matrices
 from ..scene import SH_COEFFICIENTS, Scene
 from .atomic import atomic_write, check_space
-from .axes import turned_over
+from .axes import AXES, turned_over
 from .glb_container import Glb, glb_of
 from .opened import MAX_COUNT, opened, refuse_unpacking
 from .quantised import colors_of_sh, logs_of
 from .splat_format import SplatFormat
+from .spooled import rows
 
 EXTENSION = "KHR_gaussian_splatting"
 COLORS = "srgb_rec709_display"  # display-referred, as in training
 BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
 FLOAT, BYTE = 5126, 5121  # types of components
 MOST_NODES = 100_000
+PART = 2**16  # Gaussians that are converted together
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
@@ -51,22 +53,34 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
 
 def write(path: str | os.PathLike, scene: Scene):
     """Writes the scene atomically, with its Gaussians in their order. Raises SceneError."""
-    head, arrays = _contents(scene)
-    check_space(path, len(head) + sum(array.nbytes for array in arrays))
+    head, lengths = _head(scene)
+    check_space(path, file_size(scene))
+    starts = len(head) + np.cumsum([0, *lengths])
     with atomic_write(path) as file:
         file.write(head)
-        for array in arrays:
-            file.write(np.ascontiguousarray(array).data)
+        for first in range(0, scene.count, PART):
+            arrays = _arrays(rows(scene, first, first + PART))
+            for start, length, array in zip(starts, lengths, arrays.values(), strict=False):
+                file.seek(int(start) + length // scene.count * first)
+                file.write(np.ascontiguousarray(array).data)
 
 
 def file_size(scene: Scene) -> int:
     """Size in bytes of the file that write() would make."""
-    head, arrays = _contents(scene)
-    return len(head) + sum(array.nbytes for array in arrays)
+    head, lengths = _head(scene)
+    return len(head) + sum(lengths)
 
 
-def _contents(scene: Scene) -> tuple[bytes, list[np.ndarray]]:
-    """What is before the arrays, and the arrays."""
+def _head(scene: Scene) -> tuple[bytes, list[int]]:
+    """What is before the arrays, and the length of each in bytes."""
+    ends = [scene.means.min(axis=0) * AXES, scene.means.max(axis=0) * AXES] if scene.count else [np.zeros(3), np.zeros(3)]
+    arrays = _arrays(rows(scene, 0, 0))
+    lengths = [scene.count * array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in arrays.values()]
+    return _header(arrays, scene.count, lengths, [np.minimum(*ends).tolist(), np.maximum(*ends).tolist()]), lengths
+
+
+def _arrays(scene: Scene) -> dict[str, np.ndarray]:
+    """The attributes of these Gaussians."""
     scene = turned_over(scene)
     norms = np.maximum(np.linalg.norm(scene.quats, axis=1, keepdims=True), np.float32(1e-30))
     unit = scene.quats / norms
@@ -76,18 +90,16 @@ def _contents(scene: Scene) -> tuple[bytes, list[np.ndarray]]:
         scales = np.exp(scene.log_scales)
     arrays: dict[str, np.ndarray] = {"POSITION": scene.means, "COLOR_0": colors, f"{EXTENSION}:ROTATION": np.roll(unit, -1, axis=1)}
     arrays |= {f"{EXTENSION}:SCALE": scales, f"{EXTENSION}:OPACITY": opacities}
-    arrays |= {f"{EXTENSION}:{name}": scene.sh[:, k] for name, k in _coefficients(scene.sh_degree)}
-    bounds = [axis.tolist() for axis in (scene.means.min(axis=0), scene.means.max(axis=0))] if scene.count else [[0.0] * 3] * 2
-    return _header(arrays, bounds), list(arrays.values())
+    return arrays | {f"{EXTENSION}:{name}": scene.sh[:, k] for name, k in _coefficients(scene.sh_degree)}
 
 
-def _header(arrays: dict[str, np.ndarray], bounds: list[list[float]]) -> bytes:
-    """The JSON of one mesh with these attributes."""
+def _header(arrays: dict[str, np.ndarray], count: int, lengths: list[int], bounds: list[list[float]]) -> bytes:
+    """The JSON of one mesh with `count` points that have attributes like these arrays."""
     accessors: list[dict[str, Any]] = []
     for number, (name, array) in enumerate(arrays.items()):
         kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[array.shape[1] if array.ndim > 1 else 1]
         byte = array.dtype == np.uint8
-        accessors.append({"bufferView": number, "componentType": BYTE if byte else FLOAT, "count": len(array), "type": kind})
+        accessors.append({"bufferView": number, "componentType": BYTE if byte else FLOAT, "count": count, "type": kind})
         accessors[-1] |= ({"normalized": True} if byte else {}) | (dict(zip(("min", "max"), bounds, strict=True)) if name == "POSITION" else {})
     primitive = {
         "attributes": {name: number for number, name in enumerate(arrays)}, "mode": 0,
@@ -95,7 +107,7 @@ def _header(arrays: dict[str, np.ndarray], bounds: list[list[float]]) -> bytes:
     }  # fmt: skip
     contents = {"asset": {"version": "2.0", "generator": "SVR-GS"}, "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}]}
     contents |= {"nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}], "accessors": accessors}
-    return glb_of(contents, [array.nbytes for array in arrays.values()])
+    return glb_of(contents, lengths)
 
 
 def _coefficients(degree: int) -> list[tuple[str, int]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene import SH_C0, Scene
+from .spooled import in_blocks
 
 LEAST_SCALE = np.float32(1e-30)  # for one of 0
 LARGEST_SHARE = 0.01  # of the Gaussians that count no more than the smallest of them: sky would count alone
@@ -65,10 +66,15 @@ def picture_weights(scene: Scene) -> np.ndarray:
     two largest scales, which is in proportion to the sum of alpha^2 over its pixels; at least LEAST_WEIGHT. What hides it is not known here."""
     if not scene.count:
         return np.ones(0, np.float32)
-    logs = np.sort(np.clip(np.nan_to_num(scene.log_scales.astype(np.float64)), -80, 80), axis=1)
-    weights = np.exp(logs[:, 1] + logs[:, 2]) / np.square(1 + np.exp(-np.clip(scene.opacity_logits.astype(np.float64), -40, 40)))
+    weights = in_blocks(_alpha_areas, scene)
     weights = np.minimum(weights, np.quantile(weights, 1 - LARGEST_SHARE))
     return np.maximum(weights / weights.mean(), LEAST_WEIGHT).astype(np.float32)
+
+
+def _alpha_areas(scene: Scene) -> np.ndarray:
+    """Squared opacity times the product of the two largest scales, (N,) float64."""
+    logs = np.sort(np.clip(np.nan_to_num(scene.log_scales.astype(np.float64)), -80, 80), axis=1)
+    return np.exp(logs[:, 1] + logs[:, 2]) / np.square(1 + np.exp(-np.clip(scene.opacity_logits.astype(np.float64), -40, 40)))
 
 
 def small_scale(scene: Scene) -> float:

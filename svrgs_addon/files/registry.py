@@ -7,6 +7,7 @@ FORMATS.
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -138,16 +139,39 @@ def load_scene(path: str | Path) -> Loaded:
 
     Raises FormatError, or SceneError also if no Gaussian is left.
     """
-    scene, filtered = bake_filter(read_scene(path))
+    loaded, filtered = _repaired(read_scene(path))
+    _log_repairs(path, loaded.dropped, loaded.clamped, filtered)
+    if not loaded.scene.count:
+        raise SceneError(f"{path}: has no usable Gaussian; export the scene again")
+    return loaded
+
+
+def load_parts(path: str | Path) -> Iterator[Scene]:
+    """As load_scene(), in parts in the order of the file; each may overwrite the arrays of the previous one. What was repaired is logged at the end."""
+    count = dropped = clamped = 0
+    filtered = False
+    for part in format_to_read(path).read_parts(extended(path)):
+        loaded, baked = _repaired(part)
+        count, dropped, clamped, filtered = count + loaded.scene.count, dropped + loaded.dropped, clamped + loaded.clamped, filtered or baked
+        yield loaded.scene
+    _log_repairs(path, dropped, clamped, filtered)
+    if not count:
+        raise SceneError(f"{path}: has no usable Gaussian; export the scene again")
+
+
+def _repaired(scene: Scene) -> tuple[Loaded, bool]:
+    """The repaired scene, and whether it had a filter."""
+    scene, filtered = bake_filter(scene)
     scene, dropped = drop_nonfinite(scene)
     scene, clamped = clamp_extremes(scene)
+    return Loaded(scene, dropped, clamped), filtered
+
+
+def _log_repairs(path: str | Path, dropped: int, clamped: int, filtered: bool):
     if filtered:
         logging.warning("%s: the 3D filter of Mip-Splatting was baked into scales and opacities", path)
     if dropped or clamped:
         logging.warning("%s: %d Gaussians with values that are not finite were dropped, %d with extreme values were clamped", path, dropped, clamped)
-    if not scene.count:
-        raise SceneError(f"{path}: has no usable Gaussian; export the scene again")
-    return Loaded(scene, dropped, clamped)
 
 
 def write_scene(path: str | Path, scene: Scene, version: int = 0):

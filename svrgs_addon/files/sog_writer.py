@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
+from .. import __version__, memory
 from ..geometry.morton_order import morton_order
 from ..scene import Scene
 from .atomic import atomic_path, atomic_write, check_space
@@ -42,6 +42,7 @@ def write(path: str | os.PathLike, scene: Scene):
 def write_in_order(path: str | os.PathLike, scene: Scene):
     """As write(), with the Gaussians in the order of the scene."""
     check_space(path, BYTES * scene.count)
+    memory.refuse_excess(f"{path}: writing so many Gaussians into one SOG", memory.texturing(scene.count, scene.sh.shape[1]))
     meta, textures = encoded(scene)
     if Path(path).name == META:
         _write_folder(Path(path), meta, textures)

@@ -28,6 +28,7 @@ from .axes import turned_over
 from .opened import MAX_COUNT, opened
 from .quantised import alphas_of, logits_of, picture_weights, quats_of_three, small_scale, three_of_quats
 from .splat_format import SplatFormat
+from .spooled import array_for
 from .spz_container import NEWEST, SMALLEST_THREE, Header, packed, streams
 
 PART = 2**16  # Gaussians that are converted together
@@ -55,9 +56,12 @@ def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST):
     order = morton_order(scene.means)
     header = Header(version, scene.count, scene.sh_degree, fraction_bits(scene), scene.antialiased)
     steps = sh_steps(picture_weights(scene))
-    rows = (order[start : start + PART] for start in range(0, max(scene.count, 1), PART))
-    parts = [_rows(header, scene.select(some), steps[some]) for some in rows]
-    data = packed(header, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, path)
+    stored = {name: array_for((scene.count, width), np.uint8, path) for name, width in header.widths().items()}
+    for start in range(0, scene.count, PART):
+        some = order[start : start + PART]
+        for name, rows in _rows(header, scene.select(some), steps[some]).items():
+            stored[name][start : start + PART] = rows
+    data = packed(header, stored, path)
     check_space(path, len(data))
     with atomic_write(path) as file:
         file.write(data)

@@ -6,7 +6,6 @@ each a frame of Zstandard. Versions 1 to 3: one gzip of a header of 16 bytes and
 
 from __future__ import annotations
 
-import gzip
 import os
 import struct
 import zlib
@@ -76,11 +75,12 @@ def streams(file: BinaryIO, max_count: int) -> tuple[Header, dict[str, np.ndarra
 
 def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike) -> bytes:
     """The bytes of a file. rows: the streams, (N, bytes) uint8 each. Raises SceneError, which names the file."""
-    contents = [np.ascontiguousarray(rows[name]).tobytes() for name, width in header.widths().items() if width * header.count]
+    contents = [np.ascontiguousarray(rows[name]).data.cast("B") for name, width in header.widths().items() if width * header.count]
     flags = ANTIALIASED * header.antialiased
     if header.version < NEWEST:
         head = GZIP_HEADER.pack(MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags)
-        return gzip.compress(b"".join([head, *contents]), GZIP_LEVEL, mtime=0)
+        packer = zlib.compressobj(GZIP_LEVEL, wbits=16 + zlib.MAX_WBITS)
+        return b"".join([packer.compress(head), *(packer.compress(content) for content in contents), packer.flush()])
     if not zstd.available():
         raise SceneError(f"{path}: cannot be written, {zstd.MISSING}")
     with ThreadPoolExecutor() as threads:

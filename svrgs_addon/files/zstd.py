@@ -16,7 +16,7 @@ def available() -> bool:
     return importlib.util.find_spec("zstandard") is not None or _in_python()
 
 
-def compress(data: bytes, level: int) -> bytes:
+def compress(data: bytes | memoryview, level: int) -> bytes:
     """One frame that says how long its content is."""
     if _in_python():
         return importlib.import_module("compression.zstd").compress(data, level)

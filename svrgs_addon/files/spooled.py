@@ -1,0 +1,89 @@
+"""Scenes and arrays larger than memory should hold: their values lie in files without a name, which the system maps into memory as needed and
+forgets again, and which are gone when this process ends."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from ..errors import SceneError
+from ..native_library import PARAMETERS
+from ..scene import Scene
+from .disk_space import existing_parent
+
+LARGE = 1 << 29  # bytes of an array that array_for() puts into a file
+
+
+@contextlib.contextmanager
+def spooled(parts: Iterable[Scene], out: str | os.PathLike) -> Iterator[Scene]:
+    """Yields the scene of parts with the same columns, at least one; each is done with before the next one is asked for. out: the output, in whose
+    folder there is space. Raises SceneError if there is not."""
+    with contextlib.ExitStack() as stack:
+        files: dict[str, IO[bytes]] = {}
+        count, first = 0, None
+        for part in parts:
+            first, columns = first or part.select(np.arange(0)), _columns(part)
+            for name, column in columns.items():
+                if name not in files:
+                    files[name] = stack.enter_context(_file_beside(out))
+                _append(files[name], column, out)
+            count += part.count
+        assert first is not None
+        arrays: dict[str, Any] = {name: _mapped(files[name], column.dtype, (count, *column.shape[1:])) for name, column in _columns(first).items()}
+        yield replace(first, **{name: arrays[name] for name in PARAMETERS}, attributes={name: arrays[name] for name in first.attributes})
+
+
+def array_for(shape: tuple[int, ...], dtype: Any, out: str | os.PathLike) -> np.ndarray:
+    """An array to be filled: in memory, or, if it is LARGE, in a file beside the output. Raises SceneError if there is no space for that."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    if size < LARGE:
+        return np.empty(shape, dtype)
+    file = _file_beside(out)
+    with file, _errors_of(out):
+        file.truncate(size)
+        return np.asarray(np.memmap(file, dtype, "r+", shape=shape))
+
+
+def in_blocks(work: Callable[[Scene], np.ndarray], scene: Scene, block: int = 1 << 18) -> np.ndarray:
+    """work(part) of the whole scene, joined; the temporary arrays of `work` are those of one block."""
+    starts = range(0, max(scene.count, 1), block)
+    return np.concatenate([work(rows(scene, start, start + block)) for start in starts])
+
+
+def rows(scene: Scene, start: int, end: int) -> Scene:
+    """Some Gaussians that follow each other, without copies and without further columns."""
+    return Scene(**{name: getattr(scene, name)[start:end] for name in PARAMETERS}, antialiased=scene.antialiased)
+
+
+def _columns(scene: Scene) -> dict[str, np.ndarray]:
+    return {name: getattr(scene, name) for name in PARAMETERS} | scene.attributes
+
+
+def _file_beside(out: str | os.PathLike) -> Any:
+    with _errors_of(out):
+        return tempfile.TemporaryFile(dir=existing_parent(Path(out).absolute().parent))  # noqa: SIM115 (callers close it)
+
+
+def _append(file: IO[bytes], column: np.ndarray, out: str | os.PathLike):
+    with _errors_of(out):
+        file.write(np.ascontiguousarray(column).data.cast("B") if column.size else b"")
+
+
+def _mapped(file: IO[bytes], dtype: np.dtype, shape: tuple[int, ...]) -> np.ndarray:
+    file.flush()
+    return np.asarray(np.memmap(file, dtype, "r", shape=shape)) if np.prod(shape) else np.empty(shape, dtype)
+
+
+@contextlib.contextmanager
+def _errors_of(out: str | os.PathLike) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise SceneError(f"{out}: needs more space in its folder while the scene is converted ({error.strerror or error})") from error
