@@ -77,7 +77,13 @@ def _alpha_areas(scene: Scene) -> np.ndarray:
     return np.exp(logs[:, 1] + logs[:, 2]) / np.square(1 + np.exp(-np.clip(scene.opacity_logits.astype(np.float64), -40, 40)))
 
 
+def widest_logs(scene: Scene) -> np.ndarray:
+    """The largest log-scale of each Gaussian, (N,) float32; NaN if one of them is."""
+    return np.maximum.reduce(scene.log_scales.T)
+
+
 def small_scale(scene: Scene) -> float:
     """The scale of small Gaussians: of each the largest of its three, of which 5 % are smaller. 1 if there are none."""
-    logs = scene.log_scales[np.isfinite(scene.log_scales).all(axis=1)].max(axis=1, initial=-np.inf)
+    logs = widest_logs(scene)
+    logs = logs[np.isfinite(logs)]
     return float(np.exp(np.clip(np.quantile(logs, 0.05), -80, 80))) if len(logs) else 1.0

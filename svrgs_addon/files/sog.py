@@ -23,7 +23,7 @@ from .opened import MAX_COUNT, opened, refuse_unpacking
 from .quantised import logits_of, quats_of_three
 from .sog_layout import HIGHEST, LARGEST_QUAT, META, PALETTE_ROW, ROOT2, SUFFIX, TABLE, VERSION
 from .sog_writer import limits, write
-from .splat_format import SplatFormat
+from .splat_format import SplatFormat, by_parts
 
 MAX_META = 1_000_000  # bytes of meta.json
 RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte of a bundle; bytes that are unpacked from any
@@ -61,8 +61,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
     file = path / META if path.is_dir() else path
     with opened(file), _folder(file) as folder:
         sog = _read(folder, max_count)
-    for start in range(0, max(sog.count, 1), PART):
-        yield _scene(sog, slice(start, min(start + PART, sog.count)))
+    yield from by_parts(lambda start: _scene(sog, slice(start, min(start + PART, sog.count))), range(0, max(sog.count, 1), PART))
 
 
 @contextlib.contextmanager

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,4 +46,23 @@ class SplatFormat:
 def joined(parts: list[Scene]) -> Scene:
     """One scene of the parts of a file, which have no further columns."""
     first = parts[0]
-    return first if len(parts) == 1 else replace(first, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in PARAMETERS})
+    if len(parts) == 1:
+        return first
+    ends = np.cumsum([part.count for part in parts])
+    arrays: dict[str, Any] = {name: np.empty((ends[-1], *getattr(first, name).shape[1:]), np.float32) for name in PARAMETERS}
+
+    def copy(number: int):
+        for name, array in arrays.items():
+            array[ends[number] - parts[number].count : ends[number]] = getattr(parts[number], name)
+
+    with ThreadPoolExecutor(os.cpu_count()) as threads:  # the memory is new, and most of the time is for that
+        list(threads.map(copy, range(len(parts))))
+    return replace(first, **arrays)
+
+
+def by_parts(work: Callable[[int], Scene], starts: Sequence[int]) -> Iterator[Scene]:
+    """work(start) of each start in their order, by all cores, a few ahead."""
+    ahead = os.cpu_count() or 1
+    with ThreadPoolExecutor(ahead) as threads:
+        for first in range(0, len(starts), ahead):
+            yield from threads.map(work, starts[first : first + ahead])

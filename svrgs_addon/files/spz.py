@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,8 @@ from ..scene import Scene
 from .atomic import atomic_write, check_space
 from .axes import turned_over
 from .opened import MAX_COUNT, opened
-from .quantised import alphas_of, logits_of, picture_weights, quats_of_three, small_scale, three_of_quats
-from .splat_format import SplatFormat
+from .quantised import alphas_of, logits_of, picture_weights, quats_of_three, small_scale, three_of_quats, widest_logs
+from .splat_format import SplatFormat, by_parts
 from .spooled import array_for
 from .spz_container import NEWEST, SMALLEST_THREE, Header, packed, streams
 
@@ -47,29 +48,31 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
     """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
     with opened(path) as file:
         header, stored = streams(file, max_count)
-    for start in range(0, max(header.count, 1), PART):
-        yield _scene(header, {name: rows[start : start + PART] for name, rows in stored.items()})
+    yield from by_parts(lambda start: _scene(header, {name: rows[start : start + PART] for name, rows in stored.items()}), range(0, max(header.count, 1), PART))
 
 
 def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST):
     """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format. Raises SceneError."""
     order = morton_order(scene.means)
-    header = Header(version, scene.count, scene.sh_degree, fraction_bits(scene), scene.antialiased)
+    header = Header(version, scene.count, scene.sh_degree, fraction_bits(*_extent(scene)), scene.antialiased)
     steps = sh_steps(picture_weights(scene))
     stored = {name: array_for((scene.count, width), np.uint8, path) for name, width in header.widths().items()}
-    for start in range(0, scene.count, PART):
+
+    def convert(start: int):
         some = order[start : start + PART]
         for name, rows in _rows(header, scene.select(some), steps[some]).items():
             stored[name][start : start + PART] = rows
+
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        list(threads.map(convert, range(0, scene.count, PART)))
     data = packed(header, stored, path)
     check_space(path, len(data))
     with atomic_write(path) as file:
         file.write(data)
 
 
-def fraction_bits(scene: Scene) -> int:
+def fraction_bits(largest: float, small: float) -> int:
     """Bits of the fraction of positions: at least FINER steps in the scales of small Gaussians, as far as the largest position allows."""
-    largest, small = _extent(scene)
     fitting = int(np.floor(np.log2(LARGEST_POSITION / max(largest, 1e-30))))
     wanted = int(np.ceil(np.log2(FINER / max(small, 1e-30))))
     return max(0, min(max(wanted, FRACTION_BITS), fitting, MOST_FRACTION_BITS))
@@ -77,14 +80,15 @@ def fraction_bits(scene: Scene) -> int:
 
 def limits(scene: Scene) -> list[str]:
     """A sentence if steps of positions show, and one if scales are beyond those that an SPZ can hold."""
-    sentences, (largest, small), step = [], _extent(scene), 2.0 ** -fraction_bits(scene)
+    largest, small = _extent(scene)
+    sentences, step = [], 2.0 ** -fraction_bits(largest, small)
     if step > small / COARSE or largest > LARGEST_POSITION * step:
         sentences.append(
             f"positions are stored in steps of {step:g}, because some lie {largest:g} away, and small Gaussians have a scale of {small:g}: "
             "remove those far away first (svrgs select), or write another format"
         )
     low, high = SMALLEST_SCALE, SMALLEST_SCALE + 255 / SCALE_STEPS
-    widest = scene.log_scales.max(axis=1, initial=-np.inf)
+    widest = widest_logs(scene)
     beyond = int(((widest < low) | (widest > high)).sum())
     if beyond > SOME * scene.count:
         sentences.append(
@@ -95,8 +99,10 @@ def limits(scene: Scene) -> list[str]:
 
 def _extent(scene: Scene) -> tuple[float, float]:
     """The largest coordinate, and the scale of small Gaussians."""
-    finite = scene.means[np.isfinite(scene.means).all(axis=1)]
-    return float(np.abs(finite).max(initial=0)), small_scale(scene)
+    largest = np.abs(scene.means).max(initial=0)
+    if not np.isfinite(largest):
+        largest = np.abs(scene.means[np.isfinite(scene.means).all(axis=1)]).max(initial=0)
+    return float(largest), small_scale(scene)
 
 
 def _scene(header: Header, stored: dict[str, np.ndarray]) -> Scene:
@@ -173,7 +179,11 @@ def sh_steps(weights: np.ndarray) -> np.ndarray:
 def _sh(sh: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """(N, 3 (K - 1)) uint8: rounded to multiples of the steps (N,) around 128, which is 0."""
     steps = steps[:, None, None]
-    return _bytes(np.rint(sh[:, 1:] * (128 / steps)) * steps + 128).reshape(len(sh), -1)
+    values = sh[:, 1:] * (128 / steps)
+    np.rint(values, out=values)
+    values *= steps
+    values += 128
+    return np.clip(values, 0, 255, out=values).astype(np.uint8).reshape(len(sh), -1)
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
 
 from ..errors import FormatError
 
+SHARED = 1 << 22  # bytes
 MISSING = "because the package zstandard is missing: pip install zstandard"
 DAMAGED = "is damaged: a stream cannot be unpacked; copy or export it again"
 
@@ -17,10 +19,11 @@ def available() -> bool:
 
 
 def compress(data: bytes | memoryview, level: int) -> bytes:
-    """One frame that says how long its content is."""
+    """One frame that says how long its content is. A long one is compressed by all cores."""
+    workers, module = (os.cpu_count() or 1) if len(data) > SHARED else 0, importlib.import_module(_module())
     if _in_python():
-        return importlib.import_module("compression.zstd").compress(data, level)
-    return importlib.import_module("zstandard").ZstdCompressor(level=level).compress(data)
+        return module.compress(data, options={module.CompressionParameter.compression_level: level, module.CompressionParameter.nb_workers: workers})
+    return module.ZstdCompressor(level=level, threads=workers).compress(data)
 
 
 def decompress(frame: bytes, size: int) -> bytes:
