@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import importlib.util
 import os
 import signal
 import sys
@@ -14,6 +15,7 @@ from types import ModuleType
 from .errors import NativeError, SceneError
 
 MISSING_VARIABLE = "SVRGS_MISSING_PACKAGES"  # of the environment: why packages are missing and what to do, a sentence
+ON_PYPI = {"pxr": "usd-core"}  # names of packages that have another one there
 
 
 def load(name: str, purpose: str) -> ModuleType:
@@ -27,11 +29,16 @@ def load(name: str, purpose: str) -> ModuleType:
             return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name == package:
-            remedy = os.environ.get(MISSING_VARIABLE) or f"run {sys.executable} -m pip install {package}"
+            remedy = os.environ.get(MISSING_VARIABLE) or f"run {sys.executable} -m pip install {ON_PYPI.get(package, package)}"
             raise SceneError(f"{purpose} needs the package {package}: {remedy}") from None
         raise NativeError(f"the package {package} cannot be loaded ({import_reason(error)})") from error
     except (ImportError, RuntimeError) as error:  # pycolmap turns an ImportError into a RuntimeError
         raise NativeError(f"the package {package} cannot be loaded ({import_reason(error)})") from error
+
+
+def is_installed(name: str) -> bool:
+    """Whether a package is there, without importing it."""
+    return importlib.util.find_spec(name) is not None
 
 
 @contextlib.contextmanager

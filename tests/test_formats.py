@@ -19,7 +19,7 @@ from svrgs_addon.geometry.morton_order import morton_order
 from svrgs_addon.scene import Scene
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-WRITTEN = (".compressed.ply", ".spz", ".splat", ".glb", ".sog")
+WRITTEN = (".compressed.ply", ".spz", ".splat", ".glb", ".sog", ".usdc", ".usda")
 JUDGED = (".compressed.ply", ".spz", ".splat", ".sog")  # formats that gaussforge knows
 GAUSSFORGE = {".ply": "ply", ".compressed.ply": "compressed.ply", ".spz": "spz", ".splat": "splat", ".ksplat": "ksplat", ".sog": "sog"}  # its names
 
@@ -78,6 +78,8 @@ STEPS = {  # largest differences of what is read from what was written
     ".compressed.ply": {"means": 6e-3, "logs": 5e-3, "turn": 6e-3, "alphas": 0.0022, "color": 0.003, "rest": 8 / 256},
     ".spz": {"means": 2.0**-13, "logs": 1 / 31, "turn": 6e-3, "alphas": 0.0022, "color": 0.0038, "rest": 0.5},
     ".glb": {"means": 0, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 0, "rest": 0},
+    ".usdc": {"means": 0, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 0, "rest": 0},
+    ".usda": {"means": 1e-6, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 1e-6, "rest": 1e-6},
     ".sog": {"means": 1e-3, "logs": 0.5, "turn": 0.02, "alphas": 0.0022, "color": 0.03, "rest": 0.6},
     ".splat": {"means": 0, "logs": 1e-6, "turn": 0.03, "alphas": 0.0022, "color": 0.0021},
 }
@@ -88,7 +90,7 @@ STEPS = {  # largest differences of what is read from what was written
 def test_what_is_read_is_what_was_written_within_the_steps_of_the_format(tmp_path, suffix, degree):
     scene, path = like_trained(degree), tmp_path / f"a{suffix}"
     write_scene(path, scene)
-    expected = scene if suffix in (".splat", ".glb") else scene.select(morton_order(scene.means))
+    expected = scene if suffix in (".splat", ".glb", ".usdc", ".usda") else scene.select(morton_order(scene.means))
     if suffix == ".splat":
         expected = dataclasses.replace(expected, sh=np.ascontiguousarray(scene.sh[:, :1]))
     found = differences(read_scene(path), expected)
@@ -217,8 +219,8 @@ def test_the_size_is_foreseen_to_the_byte(tmp_path, found):
 def test_the_flag_of_antialiasing_is_kept_or_its_loss_is_said(tmp_path, suffix, caplog):
     with caplog.at_level(logging.WARNING):
         write_scene(tmp_path / f"a{suffix}", dataclasses.replace(like_trained(0), antialiased=True))
-    assert read_scene(tmp_path / f"a{suffix}").antialiased == (suffix not in (".splat", ".glb"))
-    assert ("antialiased" in caplog.text) == (suffix in (".splat", ".glb"))
+    assert read_scene(tmp_path / f"a{suffix}").antialiased == (suffix not in (".splat", ".glb", ".usdc", ".usda"))
+    assert ("antialiased" in caplog.text) == (suffix in (".splat", ".glb", ".usdc", ".usda"))
 
 
 def test_further_columns_that_a_format_cannot_hold_are_named(tmp_path, caplog):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzz.targets import SPLATS, Checkpoint, Colmap, cameras_json, transforms_json
+from fuzz.targets import SPLATS, Checkpoint, Colmap, Streamed, cameras_json, transforms_json
 from ksplat_file import ksplat_of
 from svrgs_addon.bench.scenes import room
 from svrgs_addon.files import spz
@@ -26,6 +26,8 @@ def target(name: str, folder: Path):
         return transforms_json, [json.dumps(contents).encode() for contents in transforms_contents()]
     if name == "checkpoint":
         found = Checkpoint(checkpoint_folder(folder))
+    elif name == "streamed-sog":
+        found = Streamed(folder)
     else:
         found = Colmap(colmap_folder(folder, text=name == "colmap-text"))
     return found, found.seeds()
@@ -37,6 +39,15 @@ def splat_seeds(name: str, folder: Path) -> list[bytes]:
     for degree in (0, 1):
         write(folder / "seed", room(5, degree))
         found.append((folder / "seed").read_bytes())
+    return found
+
+
+def usd_seeds(folder: Path) -> list[bytes]:
+    """Binary and text; the text as it is for a file of the suffix .usd, which may be either."""
+    found = []
+    for degree, suffix in ((0, ".usdc"), (1, ".usdc"), (1, ".usda")):
+        write_scene(folder / f"seed{suffix}", room(3, degree))
+        found.append((folder / f"seed{suffix}").read_bytes())
     return found
 
 
@@ -78,7 +89,7 @@ def ply_seeds(folder: Path) -> list[bytes]:
     return [*found, header + more + body + b"\3" + bytes(12)]
 
 
-SEEDS = {"ply": ply_seeds, "spz": spz_seeds, "ksplat": ksplat_seeds, "sog": sog_seeds}
+SEEDS = {"ply": ply_seeds, "spz": spz_seeds, "ksplat": ksplat_seeds, "sog": sog_seeds, "usd": usd_seeds}
 
 
 def camera_entries(count: int = 2) -> list[dict]:

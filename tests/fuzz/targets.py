@@ -18,8 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
+from svrgs_addon.bench.scenes import room
 from svrgs_addon.camera import Camera
 from svrgs_addon.errors import SplatError
+from svrgs_addon.files import streamed_sog
 from svrgs_addon.files.registry import FORMATS
 from svrgs_addon.files.repair import clamp_extremes, drop_nonfinite
 from svrgs_addon.files.splat_format import SplatFormat
@@ -48,7 +50,7 @@ def splat(splat_format: SplatFormat, data: bytes) -> bool:
         return accepted
 
 
-SPLATS = {found.name: functools.partial(splat, found) for found in FORMATS}
+SPLATS = {found.name: functools.partial(splat, found) for found in FORMATS if found.suffixes}
 ply = SPLATS["ply"]
 
 
@@ -127,6 +129,27 @@ class Checkpoint:
 
     def seeds(self) -> list[bytes]:
         return [bytes([i]) + (self.folder / name).read_bytes() for i, name in enumerate(self.names)]
+
+
+class Streamed:
+    """A streamed SOG whose lod-meta.json is replaced: its files are read, or not; none outside of its folder."""
+
+    def __init__(self, folder: Path):
+        self.path = folder / streamed_sog.INDEX
+        streamed_sog.write_levels(self.path, [room(9, 1), room(5, 0)])
+
+    def __call__(self, data: bytes) -> bool:
+        self.path.write_bytes(data)
+        accepted, parts = _held(lambda: list(streamed_sog.read_parts(self.path)), len(data))
+        for part in parts or ():
+            _check_scene(part, True)
+        for file in streamed_sog.parts(self.path):
+            assert file.resolve().is_relative_to(self.path.parent.resolve())
+        return accepted
+
+    def seeds(self) -> list[bytes]:
+        one = self.path.read_bytes()
+        return [one, one.replace(b'"filenames"', b'"environment": "1_0/meta.json", "filenames"')]
 
 
 @contextlib.contextmanager

@@ -1,0 +1,149 @@
+"""OpenUSD with prims ParticleField3DGaussianSplat (26.03 and later), as float32: read and written by pxr, which Blender brings along, or usd-core.
+
+positions, orientations (unit quaternions), scales (not logarithms), opacities (0 to 1), radiance:sphericalHarmonicsCoefficients, those of one Gaussian
+together. Stages are written with y up: right, up, back. All such prims of a stage are read, at its first frame, moved as their parents say; what else is
+in it is ignored.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import packages
+from ..errors import FormatError, SceneError
+from ..geometry.affine import transformed
+from ..geometry.merge import merged
+from ..scene import SH_COEFFICIENTS, Scene
+from ..system.processes import ChildProcess
+from . import usd_arrays
+from .atomic import atomic_path, check_space
+from .axes import turned_over
+from .opened import MAX_COUNT, opened, refuse_unpacking, size_of
+from .quantised import logs_of
+from .splat_format import SplatFormat
+from .usd_arrays import DEGREE, SH, TYPE
+
+BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
+ROWS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1}  # attributes, and the numbers of a Gaussian in each
+Z_TO_Y = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+SECONDS, LONGER = 5, 4  # of the processor that reading a small file may take; factor on it, for a clock
+MEGABYTES, TIMES_FILE = 4096, 8  # of addresses for a small file: OpenUSD and NumPy take most of them; for each byte of a larger one
+FREE_SPACE = 3  # bytes of free space for each byte of the values
+BROKEN = "; export it again"
+
+
+def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
+    """All Gaussians as one part. Raises FormatError, which names the file, and SceneError if pxr is missing."""
+    with opened(path) as file, _arrays_of(Path(path), size_of(file)) as arrays:
+        number = sum(name.endswith(":positions") for name in arrays)
+        if not number:
+            raise FormatError(f"holds no splat: no prim of the type {TYPE}")
+        degrees = [_degree(arrays, one) for one in range(number)]
+        refuse_unpacking(sum(arrays[f"{one}:positions"].size // 3 for one in range(number)), SH_COEFFICIENTS[max(degrees)], max_count)
+        upright = Z_TO_Y if arrays["z_up"] else np.eye(4)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
+                scenes = [transformed(_scene(arrays, one, max(degrees)), upright @ arrays[f"{one}:matrix"]) for one in range(number)]
+        except SceneError as error:
+            raise FormatError(f"has a prim that cannot be placed: {error}") from None
+    yield turned_over(merged(scenes) if len(scenes) > 1 else scenes[0])
+
+
+@contextlib.contextmanager
+def _arrays_of(path: Path, size: int) -> Iterator[Any]:
+    """The arrays of the stage (usd_arrays.py). Raises FormatError (without the name of the file), as the functions below, and SceneError."""
+    if not packages.is_installed("pxr"):
+        _module("Usd")  # raises
+    with tempfile.TemporaryDirectory() as folder:
+        out, megabytes = Path(folder) / "arrays.npz", MEGABYTES + TIMES_FILE * (size >> 20)
+        command = [sys.executable, str(Path(usd_arrays.__file__)), str(path.absolute()), str(out), str(SECONDS + (size >> 22)), str(megabytes)]
+        with ChildProcess(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
+            try:
+                child.wait(LONGER * (SECONDS + (size >> 22)))
+            except subprocess.TimeoutExpired:
+                child.kill()
+        if child.returncode or not out.is_file():
+            raise FormatError(f"is damaged: OpenUSD cannot read it{BROKEN}")
+        with np.load(out, allow_pickle=False) as arrays:
+            yield dict(arrays)
+
+
+def write(path: str | os.PathLike, scene: Scene):
+    """Writes a stage with one prim, atomically, with the Gaussians in their order. Raises SceneError."""
+    Usd, UsdGeom, Sdf, Vt, Gf = map(_module, ("Usd", "UsdGeom", "Sdf", "Vt", "Gf"))
+    check_space(path, FREE_SPACE * scene.count * 4 * (11 + 3 * scene.sh.shape[1]))
+    scene = turned_over(scene)
+    layer = Sdf.Layer.CreateAnonymous(Path(path).suffix.lower())
+    stage, kinds = Usd.Stage.Open(layer), Sdf.ValueTypeNames
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    prim = stage.DefinePrim("/Splat", TYPE)
+    stage.SetDefaultPrim(prim)
+    norms = np.maximum(np.linalg.norm(scene.quats, axis=1, keepdims=True), np.float32(1e-30))
+    opacities = 1 / (1 + np.exp(-scene.opacity_logits.clip(-80, 80)))
+    with np.errstate(over="ignore"):
+        scales = np.exp(scene.log_scales)
+    radius = 3 * scales.max(initial=0)
+    extent = np.array([scene.means.min(axis=0) - radius, scene.means.max(axis=0) + radius]) if scene.count else np.zeros((2, 3), np.float32)
+    values = {
+        "positions": (kinds.Point3fArray, Vt.Vec3fArray, scene.means),
+        "orientations": (kinds.QuatfArray, Vt.QuatfArray, np.roll(scene.quats / norms, -1, axis=1)),
+        "scales": (kinds.Float3Array, Vt.Vec3fArray, scales), "opacities": (kinds.FloatArray, Vt.FloatArray, opacities),
+        SH: (kinds.Float3Array, Vt.Vec3fArray, scene.sh.reshape(-1, 3)), "extent": (kinds.Float3Array, Vt.Vec3fArray, extent),
+    }  # fmt: skip
+    for name, (kind, array, rows) in values.items():
+        prim.CreateAttribute(name, kind, False).Set(array.FromNumpy(np.ascontiguousarray(rows, np.float32)))
+    prim.CreateAttribute(DEGREE, kinds.Int, False, Sdf.VariabilityUniform).Set(scene.sh_degree)
+    with atomic_path(path) as temporary:
+        if not layer.Export(str(temporary)):
+            raise SceneError(f"{path}: cannot be written by OpenUSD; is the disk full?")
+
+
+def _scene(arrays: dict[str, np.ndarray], number: int, degree: int) -> Scene:
+    """The Gaussians of a prim in its own coordinates, with SH up to `degree`."""
+    count, own = arrays[f"{number}:positions"].size // 3, _degree(arrays, number)
+    means, orientations, scales, opacities = (_rows(arrays, number, name, count, width) for name, width in ROWS.items())
+    sh = np.zeros((count, SH_COEFFICIENTS[degree], 3), np.float32)
+    sh[:, : SH_COEFFICIENTS[own]] = _rows(arrays, number, "sh", count, 3 * SH_COEFFICIENTS[own]).reshape(count, -1, 3)
+    opacities = np.clip(opacities[:, 0].astype(np.float64), BEYOND, 1 - BEYOND)
+    return Scene.of(means, logs_of(scales), np.roll(orientations, 1, axis=1), np.log(opacities / (1 - opacities)), sh)
+
+
+def _degree(arrays: dict[str, np.ndarray], number: int) -> int:
+    degree = int(arrays[f"{number}:degree"])
+    if degree not in range(len(SH_COEFFICIENTS)):
+        raise FormatError(f"has spherical harmonics of degree {degree}; 0 to {len(SH_COEFFICIENTS) - 1} are read")
+    return degree
+
+
+def _rows(arrays: dict[str, np.ndarray], number: int, name: str, count: int, width: int) -> np.ndarray:
+    """(count, width) float32."""
+    found = arrays[f"{number}:{name}"]
+    if found.size != count * width:
+        raise FormatError(f"has a splat whose {name} are missing, or not those of {count:,} Gaussians{BROKEN}")
+    return found.reshape(count, width)
+
+
+def _module(name: str) -> Any:
+    """A module of pxr. Raises SceneError if it is not installed."""
+    return packages.load(f"pxr.{name}", "reading and writing USD")
+
+
+FORMAT = SplatFormat(
+    name="usd",
+    label="USD",
+    suffixes=(".usd", ".usdc", ".usda"),
+    sniff=lambda head: True,
+    read_parts=read_parts,
+    write=write,
+    carries=("order",),
+)
