@@ -22,6 +22,7 @@ from . import (
     depths,
     edit_guard,
     estimate,
+    export_levels,
     former_methods,
     goals,
     job_pictures,
@@ -256,6 +257,10 @@ def _marked(_) -> int:
     return job_result.marked_count(bpy.context.object) if bridge.is_splat(bpy.context.object) else 0
 
 
+def _exported(_) -> str:
+    return "\n".join(export_levels.lines())
+
+
 class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     native_problem: StringProperty(get=_native_problem)
     stage: StringProperty(get=_stage)
@@ -278,6 +283,7 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     strength_help: StringProperty(get=_strength_help)  # empty: the method has no λ_F
     method_renamed: StringProperty(get=_method_renamed)
     size: StringProperty(get=_size)
+    exported: StringProperty(get=_exported)  # what was said of the levels of detail that are or were exported, one splat a line
     marked: IntProperty(get=_marked)  # Gaussians of the active splat that are marked as removed
 
 

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.files.registry import foreseen_size
+from ..svrgs_addon.errors import SplatError
+from ..svrgs_addon.files.registry import FORMATS, foreseen_size, sampled_size
+from ..svrgs_addon.files.splat_format import SplatFormat
 from . import bridge
+
+MOST_READ = 1_000_000  # Gaussians of a splat that is read to foresee the size
 
 
 def size_of(obj: bpy.types.Object, count: int) -> int:
     """Bytes of a file with this many of the splat's Gaussians."""
-    return foreseen_size(bridge.sample_scene(obj), count)
+    size = foreseen_size(bridge.sample_scene(obj), count)
+    assert size is not None
+    return size
 
 
 def size_text(obj: bpy.types.Object, count: int) -> str:
@@ -23,3 +30,26 @@ def count_in(obj: bpy.types.Object, size: float) -> int:
     """How many of the splat's Gaussians fit into a file of this many bytes; at least 0."""
     header = size_of(obj, 0)
     return max(0, int((size - header) / (size_of(obj, 1) - header)))
+
+
+def size_in(obj: bpy.types.Object, count: int, kind: str) -> str:
+    """What an export says on the size of `count` Gaussians of the splat in the format of this name; '' for a large splat whose values decide."""
+    key = (obj.session_uid, kind, count)
+    if key not in _said:
+        _said.clear()
+        _said[key] = _size_in(obj, count, next(one for one in FORMATS if one.name == kind))
+    return _said[key]
+
+
+def _size_in(obj: bpy.types.Object, count: int, splat_format: SplatFormat) -> str:
+    size = foreseen_size(bridge.sample_scene(obj), count, splat_format)
+    if size is None and count > MOST_READ:
+        return ""
+    try:
+        size = size or sampled_size(bridge.scene_from_object(obj), splat_format) * count // max(1, bridge.count(obj))
+    except SplatError:
+        return ""
+    return tr("{count:,} Gaussians, about {size:.1f} MB").format(count=count, size=size / 1e6)
+
+
+_said: dict[tuple[int, str, int], str] = {}  # at most one: by splat, format and number

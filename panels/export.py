@@ -22,6 +22,9 @@ class SVRGS_PT_export(bpy.types.Panel):
         if state.marked:
             wrapped_label(layout, tr("{count:,} hidden Gaussians stay out of the file. Apply deletes them").format(count=state.marked), "INFO")
         layout.operator("svrgs.export_ply", icon="EXPORT")
+        layout.operator("svrgs.export_levels", icon="MOD_DECIM")
+        for line in filter(None, state.exported.split("\n")):
+            wrapped_label(layout, line)
 
 
 def register():

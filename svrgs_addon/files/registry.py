@@ -7,6 +7,7 @@ FORMATS.
 from __future__ import annotations
 
 import logging
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format
     ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, glb.FORMAT, usd.FORMAT, sog.FORMAT, streamed_sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
 )  # fmt: skip
 INDEXES = tuple(one.index for one in FORMATS if one.index)
+SAMPLE, CHUNKED = 16_384, 256  # Gaussians of which sizes of files are foreseen
 SNIFFED_BYTES = 65_536  # bytes at the start of a file that decide between formats with the same suffix
 
 
@@ -211,10 +213,24 @@ def file_size(scene: Scene) -> int:
     return size(scene)
 
 
-def foreseen_size(one: Scene, count: int) -> int:
-    """As file_size, of a scene of `count` Gaussians with the columns of `one`, which has one Gaussian. Right but for the digits of the count."""
-    header = file_size(one.select(np.arange(0)))
-    return header + count * (file_size(one) - header)
+def foreseen_size(one: Scene, count: int, splat_format: SplatFormat = FORMATS[0]) -> int | None:
+    """Size in bytes of a scene of `count` Gaussians with the columns of `one`, which has one Gaussian. Right but for the digits of the count and the end
+    of the last chunk. None if it depends on the values."""
+    if splat_format.size is None:
+        return None
+    header = splat_format.size(one.select(np.arange(0)))
+    return header + count * (splat_format.size(one.select(np.zeros(CHUNKED, int))) - header) // CHUNKED
+
+
+def sampled_size(scene: Scene, splat_format: SplatFormat) -> int:
+    """Size in bytes of the file that the format would make, by that of a part of the scene: Gaussians that lie together. Within a few per cent. Raises
+    SceneError."""
+    assert splat_format.write is not None
+    around = np.argsort(np.abs(scene.means - np.median(scene.means, axis=0)).max(axis=1))[:SAMPLE] if scene.count > SAMPLE else np.arange(scene.count)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"sample{splat_format.suffixes[0]}"
+        splat_format.write(path, scene.select(around))
+        return path.stat().st_size * scene.count // max(1, len(around))
 
 
 def invisible(scene: Scene) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from extension import part
 
-WRITTEN = (".ply", ".compressed.ply", ".spz", ".glb", ".splat")
+WRITTEN = (".ply", ".compressed.ply", ".spz", ".glb", ".usd", ".sog", ".splat")
 
 
 @pytest.fixture

@@ -1,0 +1,73 @@
+"""Levels of detail in one go: every selected splat and smaller ones of each, in any format or one streamed SOG, without losing a file."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+from extension import part
+
+
+@pytest.fixture
+def formats():
+    return part("svrgs_addon.files.registry")
+
+
+def export(folder, **words):
+    return bpy.ops.svrgs.export_levels(directory=str(folder), **words)
+
+
+@pytest.fixture
+def two(splat, bridge):
+    """The tiny splat and a copy of it, both selected."""
+    bpy.ops.object.duplicate()
+    for obj in (splat, bpy.context.object):
+        obj.select_set(True)
+    return splat, bpy.context.object
+
+
+@pytest.mark.parametrize("kind, suffix", [("spz", ".spz"), ("ply", ".ply")])
+def test_every_selected_splat_and_its_levels_are_written(two, kind, suffix, formats, bridge, tmp_path):
+    assert export(tmp_path, kind=kind, shares="50, 25") == {"FINISHED"}
+    for obj in two:
+        name, count = bpy.path.clean_name(obj.name), bridge.count(obj)
+        counts = [formats.describe(tmp_path / f"{name}{end}{suffix}")["count"] for end in ("", "_50", "_25")]
+        assert counts[0] <= count and counts[1:] == [round(counts[0] * share) for share in (0.5, 0.25)]
+    said = bpy.context.window_manager.svrgs_prune_state.exported
+    assert all(f"{obj.name}: 100 %" in said for obj in two) and "50 %" in said and "dB" in said
+
+
+def test_a_streamed_sog_holds_all_levels(splat, formats, tmp_path):
+    assert export(tmp_path, kind="streamed-sog", shares="40") == {"FINISHED"}
+    path = tmp_path / bpy.path.clean_name(splat.name) / "lod-meta.json"
+    assert part("svrgs_addon.files.streamed_sog").levels(path) == 2 and formats.read_scene(path).count > 0
+
+
+def test_without_levels_every_splat_is_written_as_it_is(two, formats, bridge, tmp_path):
+    assert export(tmp_path, kind="splat", shares="") == {"FINISHED"}
+    assert {file.name for file in tmp_path.glob("*.splat")} == {f"{bpy.path.clean_name(obj.name)}.splat" for obj in two}
+    assert formats.describe(tmp_path / f"{bpy.path.clean_name(two[0].name)}.splat")["count"] == bridge.count(two[0])
+
+
+def test_a_file_that_is_there_is_kept_unless_overwrite_is_set(splat, tmp_path):
+    path = tmp_path / f"{bpy.path.clean_name(splat.name)}_50.ply"
+    path.write_text("mine")
+    with pytest.raises(RuntimeError, match="exists already"):
+        export(tmp_path, kind="ply", shares="50")
+    assert path.read_text() == "mine" and len(list(tmp_path.glob("*.ply"))) == 1
+    assert export(tmp_path, kind="ply", shares="50", overwrite=True) == {"FINISHED"}
+    assert path.stat().st_size > 100
+
+
+@pytest.mark.parametrize("shares", ("0", "100", "50, x", "-3"))
+def test_levels_that_are_none_are_refused(splat, shares, tmp_path):
+    with pytest.raises(RuntimeError, match="between 0 and 100"):
+        export(tmp_path, kind="ply", shares=shares)
+
+
+def test_what_the_dialog_foresees_is_nearly_what_is_written(splat, bridge, tmp_path):
+    size_in = part("operators.splat_size").size_in
+    for kind, suffix in (("ply", ".ply"), ("compressed-ply", ".compressed.ply"), ("spz", ".spz"), ("glb", ".glb"), ("splat", ".splat")):
+        assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / f"a{suffix}"), what="STORED") == {"FINISHED"}
+        size = (tmp_path / f"a{suffix}").stat().st_size / 1e6
+        said = size_in(splat, bridge.count(splat), kind)
+        assert float(said.split("about ")[1].split(" MB")[0]) == pytest.approx(size, abs=0.06), kind
