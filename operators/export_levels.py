@@ -13,6 +13,7 @@ from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.files.registry import FORMATS, size_on_disk, write_scene
 from ..svrgs_addon.jobs.level_files import level_files
+from ..svrgs_addon.memory import size_text
 from . import bridge
 from .child_work import ChildWork
 from .export_space import KINDS, WHAT_FOR, ExportSpace
@@ -77,13 +78,14 @@ class SVRGS_OT_export_levels(JobOperator, ExportSpace):
             scene, _ = self.chosen(context, obj)
             if not shares:
                 write_scene(out, scene)
-                _lines.append(tr("{name}: {size:.1f} MB").format(name=obj.name, size=size_on_disk(out) / 1e6))
+                _lines.append(f"{obj.name}: {size_text(size_on_disk(out))}")
                 continue
             temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
             write_scene(Path(temporary.name) / "scene.ply", scene)
             levels = ",".join(f"{share:g}" for share in shares)
             _running.append(obj.name)
             _child_work.start(_export, obj.name, temporary, out, ["--levels", levels, "--threads", str(threads(context)), "--json", "--quiet"])
+        redraw_panels()
         return "; ".join(lines())
 
     def parsed(self) -> list[float]:
@@ -124,7 +126,7 @@ def _finished():
             _lines.append(f"{name}: {result.get('error') or tr('the export ended with status {status}').format(status=status)}")
             continue
         found = [{"share": 1, **result}, *result.get("levels", ())]
-        texts = [tr("{share:g} %: {size:.1f} MB, {psnr:.1f} dB").format(share=100 * one["share"], size=one["bytes"] / 1e6, psnr=one["psnr"]) for one in found]
+        texts = [tr("{share:g} %: {size}, {psnr:.1f} dB").format(share=100 * one["share"], size=size_text(one["bytes"]), psnr=one["psnr"]) for one in found]
         _lines.append(f"{name}: {'; '.join(texts)}")
     redraw_panels()
 

@@ -39,6 +39,7 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     "svrgs prune scene.ply --quick --target 0.25 --out quarter.ply": ("quarter.ply",),
     "svrgs select scene.ply --floaters --invert --out clean.ply": ("clean.ply",),
     "svrgs convert pruned.ply pruned.spz": ("pruned.spz",),
+    "svrgs prune scene.ply --quick --levels 0.5,0.25,0.12 --out scene/lod-meta.json": ("scene/lod-meta.json", "scene/3_0/meta.json"),
     "svrgs eval pruned.ply --colmap DATASET": (),
     "svrgs render pruned.ply --colmap DATASET --views test --outputs rgb,mask --out pictures": ("pictures/00.rgb.png", "pictures/00.mask.png"),
     "svrgs compare trained.ply pruned.ply --colmap DATASET --out comparison": ("comparison/index.html",),
