@@ -2,7 +2,8 @@
 
 python benchmarks/formats.py SPLAT... [--against ORIGINAL] [--out TABLE.md]
 
-PSNR in dB, SSIM and FLIP are means of the 50 views of no_photographs.py, against the splat itself or, of one that was pruned, its original. Seconds: medians of REPEATS, of the scene in memory to the file and back.
+PSNR in dB, SSIM and FLIP are means of the 50 views of no_photographs.py, against the splat itself or, of one that was pruned, its original.
+Seconds: medians of REPEATS, of the scene in memory to the file and back.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from svrgs_addon.cli import convert_scenes
 from svrgs_addon.cli.main import main
 from svrgs_addon.files import spooled
 from svrgs_addon.files.registry import describe, read_scene, write_scene
+from svrgs_addon.files.streamed_sog import read_level
 from test_formats import differences, like_trained
 
 
@@ -130,3 +131,12 @@ def test_a_full_disk_beside_the_output_is_told(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(spooled.tempfile, "TemporaryFile", full)
     assert main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz")]) == 2
     assert "b.spz: needs more space in its folder" in capsys.readouterr().err and not (tmp_path / "b.spz").exists()
+
+
+def test_levels_of_detail_in_files_become_one_streamed_sog(tmp_path, capsys):
+    scene = like_trained(1, 900)
+    for name, share in (("b_25", 4), ("b", 1), ("b_50", 2)):
+        write_scene(tmp_path / f"{name}.ply", scene.select(np.arange(0, 900, share)))
+    (line,) = convert(capsys, tmp_path / "b*.ply", tmp_path / "b.ply", tmp_path / "town" / "lod-meta.json")
+    assert line["count"] == 900 and line["levels"] == [900, 900, 450, 225]
+    assert [sum(part.count for part in read_level(tmp_path / "town" / "lod-meta.json", level)) for level in range(4)] == line["levels"]

@@ -99,6 +99,7 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path, monkeypatch):
     write_scene(out, like_trained(1, 300))
     assert {file.name for file in out.parent.iterdir()} == {"meta.json", *(f"{name}.webp" for name in NAMES)}
     before = read_scene(out)
+    (out.parent / "photo.webp").write_bytes(b"mine")
 
     def full(*_):
         raise SceneError("no space")
@@ -109,7 +110,8 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path, monkeypatch):
             write_scene(out, like_trained(1, 500))
     assert differences(before, read_scene(out.parent)) == dict.fromkeys(differences(before, before), 0)
     write_scene(out, like_trained(1, 500))
-    assert read_scene(out.parent).count == 500 and len(list(out.parent.iterdir())) == 1 + len(NAMES)
+    assert read_scene(out.parent).count == 500 and len(list(out.parent.iterdir())) == 2 + len(NAMES)
+    assert (out.parent / "photo.webp").read_bytes() == b"mine"
     named = [name for part in json.loads(out.read_text()).values() if isinstance(part, dict) for name in part.get("files", ())]
     assert len(named) == len(NAMES) and all((out.parent / name).is_file() for name in named)
 

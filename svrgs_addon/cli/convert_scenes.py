@@ -16,7 +16,9 @@ from ..errors import SceneError, SplatError
 from ..files import registry
 from ..files.atomic import check_writable
 from ..files.spooled import spooled
+from ..files.streamed_sog import write_levels
 from ..geometry.affine import scaled, transformed
+from ..jobs.level_files import holds_levels
 from ..scene import SH_COEFFICIENTS, Scene
 from ..selection.criteria import in_box
 from ..system.file_names import extended, real
@@ -30,6 +32,9 @@ def convert_scenes(words: argparse.Namespace) -> Iterator[dict]:
     """Converts one file after another. Yields scene and out of each, with count, sh_degree and the bytes before and after; or skipped; or, with several
     inputs, the error of one. Raises SplatError."""
     options = options_from(ConvertOptions, words)
+    if holds_levels(words.out) and len(words.inputs) > 1:
+        yield _convert_levels([scene for path in words.inputs for scene in _files(Path(path))], words.out, options)
+        return
     pairs = _pairs([Path(path) for path in words.inputs], words.out, options)
     for scene, out in pairs:
         line = {"scene": str(scene), "out": str(out)}
@@ -62,6 +67,17 @@ def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
         registry.write_scene(out, scene, options.spz_version or 0)
         facts = {"count": scene.count, "sh_degree": min(scene.sh_degree, splat_format.most_degree)}
     return facts | {"bytes_before": registry.size_on_disk(path), "bytes": registry.size_on_disk(out)}
+
+
+def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> dict:
+    """Levels of detail in files of their own as one streamed SOG, the largest one first."""
+    check_writable(out)
+    scenes = sorted((_changed(registry.load_scene(path).scene, options) for path in paths), key=lambda scene: -scene.count)
+    if not scenes[-1].count:
+        raise SceneError(f"{out}: no Gaussian of one of the levels is inside the box, so no file was written")
+    write_levels(out, scenes)
+    facts = {"scene": ", ".join(map(str, paths)), "out": str(out), "count": scenes[0].count, "sh_degree": scenes[0].sh_degree}
+    return facts | {"bytes_before": sum(map(registry.size_on_disk, paths)), "bytes": registry.size_on_disk(out), "levels": [scene.count for scene in scenes]}
 
 
 @contextlib.contextmanager

@@ -21,7 +21,7 @@ from ..scene import SH_COEFFICIENTS, Scene
 from .images import read_texture
 from .opened import MAX_COUNT, opened, refuse_unpacking
 from .quantised import logits_of, quats_of_three
-from .sog_layout import HIGHEST, LARGEST_QUAT, META, PALETTE_ROW, ROOT2, SUFFIX, TABLE, VERSION
+from .sog_layout import HIGHEST, LARGEST_QUAT, META, PALETTE_ROW, ROOT2, SUFFIX, TABLE, VERSION, is_texture
 from .sog_writer import limits, write
 from .splat_format import SplatFormat, by_parts
 
@@ -45,7 +45,7 @@ class _Sog:
 
 
 def parts(meta: Path) -> list[Path]:
-    """The files of a SOG in a folder."""
+    """The files that a SOG in a folder may have: also one that is damaged is a SOG by them, but a dataset with a meta.json is none."""
     return [meta, *sorted(meta.parent.glob("*.webp"))]
 
 
@@ -175,7 +175,7 @@ def _file(folder: Path, part: dict[str, Any], number: int) -> Path:
     """A file that meta.json names, in the folder itself."""
     names = part.get("files")
     name = names[number] if isinstance(names, list) and len(names) > number else None
-    if not isinstance(name, str) or not name.endswith(".webp") or Path(name).name != name or "\\" in name or "\0" in name:
+    if not isinstance(name, str) or not is_texture(name):
         raise FormatError(f"names no texture next to its {META}{BROKEN}")
     if not (folder / name).is_file():
         raise FormatError(f"is incomplete: {name} is missing; copy or export it again")

@@ -12,6 +12,9 @@ Axes are those of 3DGS.
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 
 VERSION = 2
@@ -21,3 +24,19 @@ PALETTE_ROW, MOST_ENTRIES = 64, 1 << 16  # entries of the palette in a row of pi
 LARGEST_QUAT = 252  # alpha of quats for w
 HIGHEST = 65535  # of the 16 bits of a position
 ROOT2 = np.float32(2**0.5)
+
+
+def files_of(meta: Path) -> list[Path]:
+    """The meta.json of a SOG in a folder and the textures that it names, of which some may be missing; itself alone, if it is none."""
+    try:
+        contents = json.loads(meta.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return [meta]
+    lists = [part.get("files") for part in contents.values() if isinstance(part, dict)] if isinstance(contents, dict) else []
+    names = [name for names in lists if isinstance(names, list) for name in names if isinstance(name, str) and is_texture(name)]
+    return [meta, *(meta.parent / name for name in dict.fromkeys(names) if (meta.parent / name).is_file())]
+
+
+def is_texture(name: str) -> bool:
+    """Whether this is the name of a texture in the same folder."""
+    return name.endswith(".webp") and Path(name).name == name and "\\" not in name and "\0" not in name

@@ -23,7 +23,7 @@ from .atomic import atomic_path, atomic_write, check_space
 from .images import write_texture
 from .palette import nearest, palette, table
 from .quantised import alphas_of, picture_weights, small_scale, three_of_quats
-from .sog_layout import HIGHEST, LARGEST_QUAT, META, MOST_ENTRIES, PALETTE_ROW, ROOT2, TABLE, VERSION
+from .sog_layout import HIGHEST, LARGEST_QUAT, META, MOST_ENTRIES, PALETTE_ROW, ROOT2, TABLE, VERSION, files_of
 
 SHARE = 16  # Gaussians for each entry of the palette
 FEWEST_ENTRIES = 1024
@@ -142,7 +142,7 @@ def _bytes(values: np.ndarray) -> np.ndarray:
 
 def _write_folder(path: Path, meta: dict[str, Any], textures: dict[str, np.ndarray]):
     """Writes the textures, then meta.json, and removes those that an older meta.json named. Until then, the older one stays as it is."""
-    old = [file for file in path.parent.glob("*.webp") if file.is_file()] if path.exists() else []
+    old = files_of(path)[1:]
     tag = f".{secrets.token_hex(4)}" if old else ""
     text = json.dumps(meta)
     for name in textures:

@@ -8,6 +8,7 @@ environment         meta.json of Gaussians that belong to every level; is read, 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -26,6 +27,7 @@ from ..scene import SH_COEFFICIENTS, Scene
 from . import sog
 from .atomic import atomic_write, check_space
 from .opened import MAX_COUNT, opened, refuse_many
+from .sog_layout import META, files_of
 from .sog_writer import BYTES, limits, write_in_order
 from .splat_format import SplatFormat
 
@@ -72,15 +74,15 @@ def parts(path: Path) -> list[Path]:
             meta = _checked(path)
     except FormatError:
         return [path]
-    units = [path.parent / name for name in _names(meta)]
-    return [path, *(file for unit in units if unit.is_file() for file in sog.parts(unit))]
+    units = [path.parent / name for name in dict.fromkeys(_names(meta))]
+    return [path, *(file for unit in units if unit.is_file() for file in files_of(unit))]
 
 
 def level_bytes(path: Path, level: int) -> int:
     """Bytes of the files with Gaussians of the level. Raises FormatError, which names the file."""
     with opened(path):
         units = _units_of(_checked(path), level)
-    return sum(file.stat().st_size for unit in units for file in sog.parts(path.parent / unit))
+    return sum(file.stat().st_size for unit in units for file in files_of(path.parent / unit))
 
 
 def write(path: str | os.PathLike, scene: Scene):
@@ -104,8 +106,9 @@ def write_levels(path: str | os.PathLike, scenes: Sequence[Scene]):
         file.write(json.dumps(meta | {"filenames": list(cut.files), "tree": tree}).encode())
     for one in old:
         one.unlink(missing_ok=True)
-        if not any(one.parent.iterdir()):
-            one.parent.rmdir()
+    for folder in {one.parent for one in old}:
+        with contextlib.suppress(OSError):  # it holds files of others
+            folder.rmdir()
 
 
 @dataclass
@@ -138,9 +141,9 @@ class _Cut:
             if not len(some):
                 continue
             some = some[morton_order(scene.means[some])]
-            name, held = self.open_files.get(level) or (f"{level}_0{self.tag}/{sog.META}", 0)
+            name, held = self.open_files.get(level) or (f"{level}_0{self.tag}/{META}", 0)
             if held >= CHUNK:
-                name, held = f"{level}_{sum(one == level for one, _ in self.files.values())}{self.tag}/{sog.META}", 0
+                name, held = f"{level}_{sum(one == level for one, _ in self.files.values())}{self.tag}/{META}", 0
             self.files.setdefault(name, (level, []))[1].append(some)
             self.open_files[level] = (name, held + len(some))
             lods[str(level)] = {"file": list(self.files).index(name), "offset": held, "count": len(some)}
