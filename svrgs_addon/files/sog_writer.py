@@ -25,7 +25,9 @@ from .palette import nearest, palette, table
 from .quantised import alphas_of, picture_weights, small_scale, three_of_quats
 from .sog_layout import HIGHEST, LARGEST_QUAT, META, MOST_ENTRIES, PALETTE_ROW, ROOT2, TABLE, VERSION, files_of
 
-SHARE = 16  # Gaussians for each entry of the palette
+SHARES = (64, 16, 4)  # Gaussians for each entry of the palette: the first one whose error is small enough
+SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture (docs/formats.md)
+SAMPLE = 1 << 15  # Gaussians by which that is found out
 FEWEST_ENTRIES = 1024
 FARTHEST = 1e30  # positions beyond are written as if they were there
 COARSE = 2  # steps of a position in the scale of a small Gaussian, at least: beyond, a sentence says so
@@ -116,7 +118,8 @@ def _higher_bands(scene: Scene, weights: np.ndarray) -> tuple[dict[str, Any], np
     """shN of meta.json, the texture of the palette, and the label of each Gaussian, (N, 3)."""
     coefficients = scene.sh.shape[1] - 1
     rows = np.nan_to_num(scene.sh[:, 1:].reshape(scene.count, -1), posinf=1, neginf=-1)
-    entries, labels = palette(rows, weights, min(MOST_ENTRIES, max(FEWEST_ENTRIES, scene.count // SHARE)), MOST_ENTRIES)
+    size = min(MOST_ENTRIES, max(FEWEST_ENTRIES, scene.count // _share(rows, weights)))
+    entries, labels = palette(rows, weights, size, MOST_ENTRIES)
     heights = -(-max(len(entries), 1) // PALETTE_ROW)
     used = np.bincount(labels, weights, len(entries)).astype(np.float32)
     levels, stored = _by_table(entries.reshape(-1, 3), np.repeat(used, coefficients))
@@ -124,6 +127,17 @@ def _higher_bands(scene: Scene, weights: np.ndarray) -> tuple[dict[str, Any], np
     image[: len(stored)] = stored
     meta = {"count": len(entries), "bands": scene.sh_degree, "codebook": levels, "files": ["shN_centroids.webp", "shN_labels.webp"]}
     return meta, image.reshape(heights, -1, 3), np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)])
+
+
+def _share(rows: np.ndarray, weights: np.ndarray) -> int:
+    """One of SHARES, by a part of the rows."""
+    some = np.random.default_rng(0).permutation(len(rows))[:SAMPLE]
+    part, mass = rows[some], weights[some]
+    for share in SHARES[:-1]:
+        entries, labels = palette(part, mass, max(1, len(some) // share), 0)
+        if (mass * np.square(part - entries[labels]).sum(axis=1)).sum() <= SMALL_ERROR * mass.sum():
+            return share
+    return SHARES[-1]
 
 
 def _texture(rows: np.ndarray) -> np.ndarray:
