@@ -189,7 +189,12 @@ def _select(commands):
 def _convert(commands):
     command = _command(commands, "convert", "Writes splats in another format; with --json, one JSON object for each.")
     command.add_argument("inputs", type=extended, nargs="+", metavar="IN", help="splat files, folders of them, or patterns such as 'captures/*.ply'")
-    command.add_argument("out", type=extended, metavar="OUT", help="file to write; with several inputs, a folder, and --to says the format")
+    command.add_argument(
+        "out",
+        type=extended,
+        metavar="OUT",
+        help="file to write; with several inputs, a folder, and --to says the format, or the lod-meta.json of a streamed SOG, whose levels they become",
+    )
     _options(command, ConvertOptions)
 
 

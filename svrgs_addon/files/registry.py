@@ -223,7 +223,7 @@ def foreseen_size(one: Scene, count: int, splat_format: SplatFormat = FORMATS[0]
 
 
 def sampled_size(scene: Scene, splat_format: SplatFormat) -> int:
-    """Size in bytes of the file that the format would make, by that of a part of the scene: Gaussians that lie together. Within a few per cent. Raises
+    """Size in bytes of the file that the format would make, by that of a part of the scene: Gaussians that lie together. Within a fifth. Raises
     SceneError."""
     assert splat_format.write is not None
     around = np.argsort(np.abs(scene.means - np.median(scene.means, axis=0)).max(axis=1))[:SAMPLE] if scene.count > SAMPLE else np.arange(scene.count)
