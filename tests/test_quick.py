@@ -245,3 +245,12 @@ def test_levels_of_detail_go_into_one_streamed_sog(splat, tmp_path):
     assert result["bytes"] > result["levels"][0]["bytes"] > result["levels"][1]["bytes"] > 0 and {level["out"] for level in result["levels"]} == {str(out)}
     alone = run(splat, out=tmp_path / "half.sog", target=0.5)
     assert abs(alone["psnr"] - result["levels"][0]["psnr"]) < 0.5
+
+
+def test_an_allowed_drop_counts_what_the_format_loses(splat, tmp_path):
+    exact = run(splat, out=tmp_path / "a.ply", target=None, max_drop=0.3)
+    packed = run(splat, out=tmp_path / "a.compressed.ply", target=None, max_drop=0.3)
+    assert packed["drop"] <= 0.3 and exact["drop"] <= 0.3 and packed["count"] >= exact["count"]
+    with pytest.raises(SceneError, match="the format alone loses .* more than --max-drop allows"):
+        run(splat, out=tmp_path / "a.splat", target=None, max_drop=0.01)
+    assert not (tmp_path / "a.splat").exists()

@@ -193,6 +193,17 @@ def stored(path: str | Path, scene: Scene) -> Scene:
     return scene if format_to_write(path).lossless else read_scene(path)
 
 
+def as_held(scene: Scene, splat_format: SplatFormat) -> Scene:
+    """The scene as a file of the format would hold it. Raises SceneError, FormatError."""
+    if splat_format.lossless:
+        return scene
+    assert splat_format.write is not None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / (splat_format.index or f"scene{splat_format.suffixes[0]}")
+        splat_format.write(path, scene)
+        return splat_format.whole(path)
+
+
 def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:
     """A sentence on each thing of the scene that the format cannot hold, or that is beyond its limits."""
     sentences, columns = [], [name for name in scene.attributes if name not in ply.NORMALS]

@@ -113,7 +113,7 @@ def _scene(arrays: dict[str, np.ndarray], number: int, degree: int) -> Scene:
     count, own = arrays[f"{number}:positions"].size // 3, _degree(arrays, number)
     means, orientations, scales, opacities = (_rows(arrays, number, name, count, width) for name, width in ROWS.items())
     sh = np.zeros((count, SH_COEFFICIENTS[degree], 3), np.float32)
-    sh[:, : SH_COEFFICIENTS[own]] = _rows(arrays, number, "sh", count, 3 * SH_COEFFICIENTS[own]).reshape(count, -1, 3)
+    sh[:, : SH_COEFFICIENTS[own]] = _rows(arrays, number, "sh", count, 3 * SH_COEFFICIENTS[own]).reshape(count, SH_COEFFICIENTS[own], 3)
     opacities = np.clip(opacities[:, 0].astype(np.float64), BEYOND, 1 - BEYOND)
     return Scene.of(means, logs_of(scales), np.roll(orientations, 1, axis=1), np.log(opacities / (1 - opacities)), sh)
 

@@ -23,7 +23,7 @@ from ..decimate.order import Order, looks, lost_columns, order_of
 from ..decimate.saved_order import write_order
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
-from ..files.registry import format_to_write, invisible, load_scene, size_on_disk
+from ..files.registry import as_held, format_to_write, invisible, load_scene, size_on_disk
 from ..finetune.quality import LEAST
 from ..finetune.refit import USUAL, interpolated, pace_at, refit
 from ..geometry.affine import scaled
@@ -113,7 +113,7 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     least = max(1, math.floor(min(options.levels, default=1) * wanted))
     order = order_of(enlarged, sums, min(least, math.ceil(SMALLEST * scene.count)) if job.order else least)
     likeness = _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options)
-    count = _fewest_within(order, wanted, likeness, options.max_drop) if options.max_drop else wanted
+    count = _fewest_within(order, wanted, lambda some: likeness.psnr(_as_held(some, options, factor)), options) if options.max_drop else wanted
     counts = [count, *(max(1, round(share * count)) for share in options.levels)]
     scenes = [_tuned(order, some, likeness, cameras, pictures, options, job.stop) for some in counts]
     written = write_with_levels(options.out, options.levels, [scaled(scene, 1 / factor) for scene in scenes])
@@ -190,14 +190,24 @@ def _tuned(
     return best
 
 
-def _fewest_within(order: Order, least: int, likeness: _Likeness, drop: float) -> int:
+def _fewest_within(order: Order, least: int, psnr_of: Callable[[Scene], float], options: PruneOptions) -> int:
     """The fewest Gaussians, at least `least`, that hold the allowed drop in dB before the steps of fine-tuning, which win a part of it back. Bisection
-    to 1 % of N."""
-    few, enough = least - 1, order.scene.count
+    to 1 % of N. psnr_of: of a scene as the output will hold it. Raises SceneError if the format alone loses more."""
+    assert options.max_drop and options.out is not None
+    few, enough, floor = least - 1, order.scene.count, ASSUMED - options.max_drop
+    if not format_to_write(options.out).lossless and (found := psnr_of(order.scene)) < floor:
+        raise SceneError(f"{options.out}: the format alone loses {ASSUMED - found:.2f} dB, more than --max-drop allows: write another format")
     while enough - few > max(1, order.scene.count // 100):
         middle = (few + enough) // 2
-        few, enough = (few, middle) if likeness.psnr(order.at(middle)) >= ASSUMED - drop else (middle, enough)
+        few, enough = (few, middle) if psnr_of(order.at(middle)) >= floor else (middle, enough)
     return enough
+
+
+def _as_held(scene: Scene, options: PruneOptions, factor: float) -> Scene:
+    """An enlarged scene as the output will hold it."""
+    assert options.out is not None
+    splat_format = format_to_write(options.out)
+    return scene if splat_format.lossless else scaled(as_held(scaled(scene, 1 / factor), splat_format), factor)
 
 
 def _hidden(sums: np.ndarray) -> int:
