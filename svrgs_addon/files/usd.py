@@ -65,7 +65,7 @@ def _arrays_of(path: Path, size: int) -> Iterator[Any]:
         _module("Usd")  # raises
     with tempfile.TemporaryDirectory() as folder:
         out, megabytes = Path(folder) / "arrays.npz", MEGABYTES + TIMES_FILE * (size >> 20)
-        command = [sys.executable, str(Path(usd_arrays.__file__)), str(path.absolute()), str(out), str(SECONDS + (size >> 22)), str(megabytes)]
+        command = [sys.executable, "-P", str(Path(usd_arrays.__file__)), str(path.absolute()), str(out), str(SECONDS + (size >> 22)), str(megabytes)]
         with ChildProcess(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
             try:
                 child.wait(LONGER * (SECONDS + (size >> 22)))
