@@ -140,3 +140,23 @@ def test_levels_of_detail_in_files_become_one_streamed_sog(tmp_path, capsys):
     (line,) = convert(capsys, tmp_path / "b*.ply", tmp_path / "b.ply", tmp_path / "town" / "lod-meta.json")
     assert line["count"] == 900 and line["levels"] == [900, 900, 450, 225]
     assert [sum(part.count for part in read_level(tmp_path / "town" / "lod-meta.json", level)) for level in range(4)] == line["levels"]
+
+
+@pytest.mark.parametrize("command", (["convert"], ["prune", "--quick", "--target", "0.5", "--out"]))
+@pytest.mark.parametrize(
+    ("kind", "scene", "out"),
+    [
+        ("lod-meta.json", "town", "town/lod-meta.json"),
+        ("lod-meta.json", "town/lod-meta.json", "town/lod-meta.json"),
+        ("lod-meta.json", "town/0_0", "town/lod-meta.json"),
+        ("lod-meta.json", "town/0_0/meta.json", "town/lod-meta.json"),
+        ("meta.json", "town", "town/meta.json"),
+    ],
+)
+def test_a_splat_of_several_files_is_not_replaced_by_itself(tmp_path, capsys, monkeypatch, command, kind, scene, out):
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "town" / kind, like_trained(1, 300))
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    assert main([command[0], scene, *command[1:], out]) == 2
+    assert "is the input itself" in capsys.readouterr().err
+    assert before == {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}

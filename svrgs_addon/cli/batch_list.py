@@ -40,7 +40,11 @@ def expand(paths: list[Path], colmap: Path | None, out: Path | None, report: Pat
     if len(set(names)) < len(names) and (out or report):
         raise SceneError(f"two scenes have the name '{next(n for n in names if names.count(n) > 1)}': prune them into separate folders")
     alone = len(found) == 1 and not paths[0].is_dir()
-    to_file = out is not None and not out.is_dir() and (out.name.lower().endswith(registry.suffixes(written=True)) or (alone and out.suffix != ""))
+    to_file = (
+        out is not None
+        and not out.is_dir()
+        and (out.name.lower().endswith((*registry.suffixes(written=True), *registry.INDEXES)) or (alone and out.suffix != ""))
+    )
     if to_file and len(found) > 1:
         raise SceneError(f"{out}: is the name of a file, but there are {len(found)} scenes; give a folder instead")
     items = []

@@ -57,8 +57,7 @@ def as_text(line: dict) -> str:
 
 
 def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
-    if real(path) == real(out):
-        raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
+    registry.refuse_input(out, path)
     check_writable(out)
     splat_format = registry.format_to_write(out)
     with _loaded(path, out, options) as scene:
@@ -72,6 +71,8 @@ def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
 def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> dict:
     """Levels of detail in files of their own as one streamed SOG, the largest one first."""
     check_writable(out)
+    for path in paths:
+        registry.refuse_input(out, path)
     scenes = sorted((_changed(registry.load_scene(path).scene, options) for path in paths), key=lambda scene: -scene.count)
     if not scenes[-1].count:
         raise SceneError(f"{out}: no Gaussian of one of the levels is inside the box, so no file was written")

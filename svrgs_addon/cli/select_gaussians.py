@@ -9,14 +9,13 @@ from .. import memory
 from ..camera import Camera
 from ..errors import SceneError
 from ..files.atomic import check_writable
-from ..files.registry import format_to_write, read_scene, write_scene
+from ..files.registry import format_to_write, read_scene, refuse_input, write_scene
 from ..files.repair import unusable
 from ..photographs.camera_files import load_cameras
 from ..photographs.dataset import load_dataset
 from ..scene import Scene
 from ..selection.options import OF_VIEWS, SelectOptions
 from ..selection.select import selected
-from ..system.file_names import real
 from .arguments import options_from
 from .render_views import choose
 
@@ -68,7 +67,6 @@ def _refuse_outputs(scene, options: SelectOptions) -> None:
         raise SceneError("--colmap and --cameras both name views; leave one out")
     if options.out is None:
         return
-    if real(options.out) == real(scene):
-        raise SceneError(f"{options.out}: is the input itself, which is never overwritten; choose another output")
+    refuse_input(options.out, scene)
     format_to_write(options.out)
     check_writable(options.out)

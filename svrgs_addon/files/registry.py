@@ -18,7 +18,7 @@ from .. import memory
 from ..errors import FormatError, SceneError
 from ..native_library import thresholds
 from ..scene import Scene
-from ..system.file_names import extended
+from ..system.file_names import extended, real
 from . import compressed_ply, dot_splat, glb, ksplat, ply, sog, spz, streamed_sog, usd
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
@@ -114,6 +114,15 @@ def _indexed(path: Path) -> tuple[SplatFormat, Path] | None:
         if one.parts and (path / one.index).is_file() and len(one.parts(path / one.index)) > 1:
             return one, path / one.index
     return None
+
+
+def refuse_input(out: Path, path: Path):
+    """Raises SceneError if writing `out` would replace the splat `path`, or a file of it. Both may be the index of a splat of several files, and the
+    path also the folder of one."""
+    found, written = _indexed(extended(path)), _indexed(extended(out)) if out.exists() else None
+    replaced = [out, *(written[0].parts(written[1]) if written and written[0].parts else ())]
+    if real(found[1] if found else path) in set(map(real, replaced)):
+        raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
 
 
 def size_on_disk(path: str | Path) -> int:

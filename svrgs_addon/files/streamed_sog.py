@@ -23,6 +23,7 @@ import numpy as np
 from .. import __version__
 from ..errors import FormatError
 from ..geometry.morton_order import morton_order
+from ..geometry.rotations import rotation_matrices
 from ..scene import SH_COEFFICIENTS, Scene
 from . import sog
 from .atomic import atomic_write, check_space
@@ -125,7 +126,7 @@ class _Cut:
         means = np.concatenate([scene.means[some] for scene, some in zip(self.scenes, rows, strict=True)])
         sides = np.ptp(means, axis=0) if len(means) else np.zeros(3)
         axis, largest = int(np.argmax(sides)), float(sides.max())
-        if largest == 0 or (len(means) <= CHUNK and (largest <= EXTENT or len(means) <= LEAST)):
+        if not largest > 0 or (len(means) <= CHUNK and (largest <= EXTENT or len(means) <= LEAST)):
             return self.leaf(rows)
         middle = np.partition(means[:, axis], len(means) // 2)[len(means) // 2]
         low = [scene.means[some, axis] < middle for scene, some in zip(self.scenes, rows, strict=True)]
@@ -156,10 +157,7 @@ class _Cut:
 
 def _box(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """The corners (3,) of the box around ellipsoids of one sigma."""
-    w, x, y, z = (scene.quats / np.linalg.norm(scene.quats, axis=1, keepdims=True)).astype(np.float64).T
-    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
-    turn = np.stack([*rows, 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1).reshape(-1, 3, 3)
-    half = np.einsum("nij,nj->ni", np.abs(turn), np.exp(scene.log_scales.astype(np.float64)))
+    half = np.einsum("nij,nj->ni", np.abs(rotation_matrices(scene.quats)), np.exp(scene.log_scales.astype(np.float64)))
     return (scene.means - half).min(axis=0), (scene.means + half).max(axis=0)
 
 

@@ -23,7 +23,7 @@ from ..decimate.order import Order, looks, lost_columns, order_of
 from ..decimate.saved_order import write_order
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
-from ..files.registry import as_held, format_to_write, invisible, load_scene, size_on_disk
+from ..files.registry import as_held, format_to_write, invisible, load_scene, refuse_input, size_on_disk
 from ..finetune.quality import LEAST
 from ..finetune.refit import USUAL, interpolated, pace_at, refit
 from ..geometry.affine import scaled
@@ -37,7 +37,6 @@ from ..photographs.rendered import PHOTOGRAPHED, RenderedDataset
 from ..rig.around import DISTANCE, cameras_around, middle_and_radius
 from ..rig.place import quick_rig
 from ..scene import Scene
-from ..system.file_names import real
 from .context import JobContext
 from .level_files import level_files, write_with_levels
 from .options import PruneOptions
@@ -65,8 +64,7 @@ def prune_quick(options: PruneOptions, job: JobContext) -> dict:
     format_to_write(options.out)
     for out in (options.out, *level_files(options.out, options.levels).values()):
         check_writable(out)
-        if real(out) == real(options.scene):
-            raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
+        refuse_input(out, options.scene)
     with reserved(options.out):
         return _prune_quick(options, job)
 

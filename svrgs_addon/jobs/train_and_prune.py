@@ -15,7 +15,7 @@ from .. import memory
 from ..decimate.order import NORMALS, lost_columns
 from ..errors import SceneError
 from ..files.atomic import check_writable, reserved
-from ..files.registry import FORMATS, format_to_write, invisible, load_scene, size_on_disk, stored, write_scene
+from ..files.registry import FORMATS, format_to_write, invisible, load_scene, refuse_input, size_on_disk, stored, write_scene
 from ..finetune import checkpoint, loop, masks, scores
 from ..finetune.engine import NativeEngine
 from ..finetune.model import Model, scene_from_points
@@ -30,7 +30,6 @@ from ..photographs.dataset import Dataset
 from ..photographs.rendered import RenderedDataset
 from ..report.prune_report import report_pictures, write_prune_report
 from ..scene import Scene
-from ..system.file_names import real
 from ..system.memory import peak
 from .context import JobContext
 from .disk_room import DiskRoom
@@ -73,8 +72,7 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
     Raises SplatError, Cancelled."""
     check_outputs(job)
     for out in (job.out, *job.level_files.values()):
-        if real(out) == real(scene_path):
-            raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
+        refuse_input(out, scene_path)
     with contextlib.ExitStack() as outputs:
         for out in (job.out, *job.level_files.values()):
             outputs.enter_context(reserved(out))
