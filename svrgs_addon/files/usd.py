@@ -23,6 +23,7 @@ from ..errors import FormatError, SceneError
 from ..geometry.affine import transformed
 from ..geometry.merge import merged
 from ..scene import SH_COEFFICIENTS, Scene
+from ..system import limited
 from ..system.processes import ChildProcess
 from . import usd_arrays
 from .atomic import atomic_path, check_space
@@ -64,11 +65,12 @@ def _arrays_of(path: Path, size: int) -> Iterator[Any]:
     if not packages.is_installed("pxr"):
         _module("Usd")  # raises
     with tempfile.TemporaryDirectory() as folder:
-        out, megabytes = Path(folder) / "arrays.npz", MEGABYTES + TIMES_FILE * (size >> 20)
-        command = [sys.executable, "-P", str(Path(usd_arrays.__file__)), str(path.absolute()), str(out), str(SECONDS + (size >> 22)), str(megabytes)]
+        out, seconds, megabytes = Path(folder) / "arrays.npz", SECONDS + (size >> 22), MEGABYTES + TIMES_FILE * (size >> 20)
+        words = [limited.__file__, seconds, megabytes, usd_arrays.__file__, path.absolute(), out]
+        command = [sys.executable, "-P", *map(str, words)]
         with ChildProcess(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
             try:
-                child.wait(LONGER * (SECONDS + (size >> 22)))
+                child.wait(LONGER * seconds)
             except subprocess.TimeoutExpired:
                 child.kill()
         if child.returncode or not out.is_file():

@@ -1,13 +1,12 @@
 """A script, run by usd.py in a child process: reads the splats of a USD stage into an .npz. OpenUSD takes much time and memory for some damaged files,
 and may end its process.
 
-python usd_arrays.py STAGE OUT.npz SECONDS MEGABYTES
+python usd_arrays.py STAGE OUT.npz
 
 Of splat n: n:positions, n:orientations (x, y, z, w), n:scales, n:opacities, n:sh, n:degree, n:matrix (4, 4), to the coordinates of the stage; and z_up.
 Arrays are as the file has them. Nothing else of this package is imported.
 """
 
-import contextlib
 import sys
 
 TYPE = "ParticleField3DGaussianSplat"
@@ -16,8 +15,7 @@ ARRAYS = {"positions": "positions", "orientations": "orientations", "scales": "s
 HALF = "h"  # end of the names of the same attributes in half precision
 
 
-def main(stage_path: str, out: str, seconds: str, megabytes: str):
-    _limit(int(seconds), int(megabytes))
+def main(stage_path: str, out: str):
     import numpy as np
     from pxr import Usd, UsdGeom
 
@@ -31,15 +29,6 @@ def main(stage_path: str, out: str, seconds: str, megabytes: str):
         arrays[f"{number}:degree"] = np.array(degree if isinstance(degree, int) else -1)
         arrays[f"{number}:matrix"] = np.array(cache.GetLocalToWorldTransform(prim), np.float64).T
     np.savez(out, **arrays)
-
-
-def _limit(seconds: int, megabytes: int):
-    """Seconds of the processor, and memory, where the system can limit them."""
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-        resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
 
 
 if __name__ == "__main__":
