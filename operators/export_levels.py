@@ -29,7 +29,7 @@ _answers: list[tuple[str, int, dict]] = []  # name of a splat, exit status and r
 
 
 def lines() -> list[str]:
-    """What the panel says: splats that are being exported, then what was written last."""
+    """The lines of the panel: one for each splat that is being exported now, then one for each splat of the last export."""
     return [tr("Exporting levels of '{name}' …").format(name=name) for name in _running] + _lines
 
 

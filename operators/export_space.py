@@ -30,7 +30,7 @@ KINDS = [(one.name, one.label, WHAT_FOR[one.name]) for one in FORMATS if one.wri
 
 
 class ExportSpace:
-    """Properties of an operator, and what they choose."""
+    """Base class of the operators that export splats: the choice of the Gaussians and of the coordinates."""
 
     what: EnumProperty(
         name="Gaussians",

@@ -283,7 +283,7 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     strength_help: StringProperty(get=_strength_help)  # empty: the method has no λ_F
     method_renamed: StringProperty(get=_method_renamed)
     size: StringProperty(get=_size)
-    exported: StringProperty(get=_exported)  # what was said of the levels of detail that are or were exported, one splat a line
+    exported: StringProperty(get=_exported)  # sizes and quality of the levels of detail that were exported last, one splat a line
     marked: IntProperty(get=_marked)  # Gaussians of the active splat that are marked as removed
 
 

@@ -6,6 +6,7 @@ scene. Quality is measured on views that the result was not fitted to.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable
@@ -62,10 +63,13 @@ def prune_quick(options: PruneOptions, job: JobContext) -> dict:
     assert options.scene is not None and options.out is not None
     refuse_options(options)
     format_to_write(options.out)
-    for out in (options.out, *level_files(options.out, options.levels).values()):
+    outs = [options.out, *level_files(options.out, options.levels).values()]
+    for out in outs:
         check_writable(out)
         refuse_input(out, options.scene)
-    with reserved(options.out):
+    with contextlib.ExitStack() as stack:
+        for out in outs:
+            stack.enter_context(reserved(out))
         return _prune_quick(options, job)
 
 
