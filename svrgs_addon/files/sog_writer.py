@@ -26,7 +26,7 @@ from .quantised import alphas_of, picture_weights, small_scale, three_of_quats
 from .sog_layout import HIGHEST, LARGEST_QUAT, META, MOST_ENTRIES, PALETTE_ROW, ROOT2, TABLE, VERSION, files_of
 
 SHARES = (64, 16, 4)  # Gaussians for each entry of the palette: the first one whose error is small enough
-SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture (docs/formats.md)
+SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture
 SAMPLE = 1 << 15  # Gaussians by which that is found out
 FEWEST_ENTRIES = 1024
 FARTHEST = 1e30  # positions beyond are written as if they were there
