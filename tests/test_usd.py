@@ -87,6 +87,24 @@ def test_several_splats_of_a_stage_are_joined_and_half_precision_is_read(tmp_pat
     assert scene.count == 50 and scene.sh_degree == 1
 
 
+def test_instances_of_a_splat_are_read_where_they_are(tmp_path):
+    scene, stage = like_trained(1, 20), Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    stage.CreateClassPrim("/Prototype")
+    add(stage, scene, "/Prototype/Splat")
+    for number in range(3):
+        instance = UsdGeom.Xform.Define(stage, f"/Instance{number}")
+        instance.AddTranslateOp().Set((10 * number, 0, 0))
+        instance.GetPrim().GetReferences().AddInternalReference("/Prototype")
+        instance.GetPrim().SetInstanceable(True)
+    stage.Export(str(tmp_path / "a.usdc"))
+    found = read_scene(tmp_path / "a.usdc")
+    first = transformed(scene, TURN)
+    assert found.count == 60
+    for number in range(3):
+        assert np.allclose(found.means[20 * number :][:20], first.means + [10 * number, 0, 0], atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [

@@ -39,6 +39,7 @@ Z_TO_Y = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.
 SECONDS, LONGER = 5, 4  # of the processor that reading a small file may take; factor on it, for a clock
 MEGABYTES, TIMES_FILE = 4096, 8  # of addresses for a small file: OpenUSD and NumPy take most of them; for each byte of a larger one
 FREE_SPACE = 3  # bytes of free space for each byte of the values
+POINTS = ("Points", "Mesh")  # prims in which Blender exports the data of a splat
 BROKEN = "; export it again"
 
 
@@ -81,15 +82,39 @@ def _arrays_of(path: Path, size: int) -> Iterator[Any]:
 
 def write(path: str | os.PathLike, scene: Scene):
     """Writes a stage with one prim, atomically, with the Gaussians in their order. Raises SceneError."""
-    Usd, UsdGeom, Sdf, Vt, Gf = map(_module, ("Usd", "UsdGeom", "Sdf", "Vt", "Gf"))
+    Usd, UsdGeom, Sdf = map(_module, ("Usd", "UsdGeom", "Sdf"))
     check_space(path, FREE_SPACE * scene.count * 4 * (11 + 3 * scene.sh.shape[1]))
-    scene = turned_over(scene)
     layer = Sdf.Layer.CreateAnonymous(Path(path).suffix.lower())
-    stage, kinds = Usd.Stage.Open(layer), Sdf.ValueTypeNames
+    stage = Usd.Stage.Open(layer)
     UsdGeom.SetStageUpAxis(stage, "Y")
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     prim = stage.DefinePrim("/Splat", TYPE)
     stage.SetDefaultPrim(prim)
+    _fill(prim, turned_over(scene))
+    with atomic_path(path) as temporary:
+        if not layer.Export(str(temporary)):
+            raise SceneError(f"{path}: cannot be written by OpenUSD; is the disk full?")
+
+
+def replace_points(stage: Any, path: Any, scene: Scene):
+    """In a stage that Blender exports: makes the points below the prim of an object this splat, in the object's coordinates; also those of an
+    instance, in its prototype. Raises SceneError if there are none, or without pxr."""
+    Usd = _module("Usd")
+    everything = Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)  # prototypes too
+    found = [prim for prim in stage.GetPrimAtPath(path).GetFilteredChildren(everything) if prim.GetTypeName() in (*POINTS, TYPE)]
+    if not found:
+        raise SceneError(f"{path}: has no points in the stage, so its splat is not in it")
+    spec = found[0].GetPrimStack()[-1]
+    spec.typeName = TYPE
+    for attribute in list(spec.properties):
+        spec.RemoveProperty(attribute)
+    _fill(stage.GetPrimAtPath(spec.path), scene)
+
+
+def _fill(prim: Any, scene: Scene):
+    """Sets the attributes of a prim, in its own coordinates."""
+    Sdf, Vt = map(_module, ("Sdf", "Vt"))
+    kinds = Sdf.ValueTypeNames
     norms = np.maximum(np.linalg.norm(scene.quats, axis=1, keepdims=True), np.float32(1e-30))
     opacities = 1 / (1 + np.exp(-scene.opacity_logits.clip(-80, 80)))
     with np.errstate(over="ignore"):
@@ -105,9 +130,6 @@ def write(path: str | os.PathLike, scene: Scene):
     for name, (kind, array, rows) in values.items():
         prim.CreateAttribute(name, kind, False).Set(array.FromNumpy(np.ascontiguousarray(rows, np.float32)))
     prim.CreateAttribute(DEGREE, kinds.Int, False, Sdf.VariabilityUniform).Set(scene.sh_degree)
-    with atomic_path(path) as temporary:
-        if not layer.Export(str(temporary)):
-            raise SceneError(f"{path}: cannot be written by OpenUSD; is the disk full?")
 
 
 def _scene(arrays: dict[str, np.ndarray], number: int, degree: int) -> Scene:

@@ -21,7 +21,7 @@ def main(stage_path: str, out: str):
 
     stage, time = Usd.Stage.Open(stage_path), Usd.TimeCode.EarliestTime()
     cache, arrays = UsdGeom.XformCache(time), {"z_up": np.array(UsdGeom.GetStageUpAxis(stage) == "Z")}
-    for number, prim in enumerate(prim for prim in stage.Traverse() if prim.GetTypeName() == TYPE):
+    for number, prim in enumerate(prim for prim in stage.Traverse(Usd.TraverseInstanceProxies()) if prim.GetTypeName() == TYPE):
         for name, attribute in ARRAYS.items():
             values = [value for one in (attribute, attribute + HALF) if (value := prim.GetAttribute(one).Get(time)) is not None]
             arrays[f"{number}:{name}"] = np.array(values[0] if values else [], np.float32)
