@@ -8,18 +8,16 @@ from .. import memory
 from ..errors import SceneError
 from ..files.atomic import check_writable
 from ..files.images import write_image
-from ..files.registry import load_scene
+from ..files.registry import load_scene, refuse_input
 from ..photographs.cameras_json import write_cameras_json
 from ..rig import place_rig
-from ..system.file_names import real
 
 
 def place_cameras(words: argparse.Namespace) -> dict:
     """Places the cameras that `svrgs prune` uses without photographs. Returns their facts and the files. Raises SplatError."""
     for out in (words.out, words.preview):
-        if out is not None and real(out) == real(words.scene):
-            raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
         if out is not None:
+            refuse_input(out, words.scene)
             check_writable(out)
     if words.preview is not None and words.preview.suffix.lower() != ".png":
         raise SceneError(f"{words.preview}: the preview is a PNG; give it the suffix .png")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,6 +30,17 @@ def opened(path: str | os.PathLike) -> Iterator[BinaryIO]:
         raise FormatError(f"{path} {error}") from None
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def json_object(path: Path, most: int) -> dict[str, Any] | None:
+    """The JSON object in a file of at most so many bytes; None if it holds none. Raises OSError."""
+    with open(path, "rb") as file:
+        data = file.read(most + 1)
+    try:
+        found = json.loads(data) if len(data) <= most else None
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
 
 
 def size_of(file: BinaryIO) -> int:

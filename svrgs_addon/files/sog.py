@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import lzma
 import os
 import tempfile
@@ -19,13 +18,12 @@ import numpy as np
 from ..errors import FormatError
 from ..scene import SH_COEFFICIENTS, Scene
 from .images import read_texture
-from .opened import MAX_COUNT, opened, refuse_unpacking
+from .opened import MAX_COUNT, json_object, opened, refuse_unpacking
 from .quantised import logits_of, quats_of_three
-from .sog_layout import HIGHEST, LARGEST_QUAT, META, PALETTE_ROW, ROOT2, SUFFIX, TABLE, VERSION, is_texture
+from .sog_layout import HIGHEST, LARGEST_QUAT, MAX_META, META, PALETTE_ROW, ROOT2, SUFFIX, TABLE, VERSION, is_texture
 from .sog_writer import limits, write
 from .splat_format import SplatFormat, by_parts
 
-MAX_META = 1_000_000  # bytes of meta.json
 RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte of a bundle; bytes that are unpacked from any
 MANY = 1 << 16  # Gaussians that any file may name; more need a byte each
 PART = 2**16  # Gaussians that are converted together
@@ -114,13 +112,8 @@ _TEXTURES = (("low", "means", 0), ("high", "means", 1), ("scales", "scales", 0),
 def _meta(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise FormatError(f"has no {META}, so it is no SOG")
-    with open(path, "rb") as file:
-        data = file.read(MAX_META + 1)
-    try:
-        meta = json.loads(data) if len(data) <= MAX_META else None
-    except (ValueError, RecursionError):
-        meta = None
-    if not isinstance(meta, dict):
+    meta = json_object(path, MAX_META)
+    if meta is None:
         raise FormatError(f"has no {META} of at most {MAX_META:,} bytes that can be read{BROKEN}")
     return meta
 

@@ -12,13 +12,15 @@ Axes are those of 3DGS.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
+from .opened import json_object
+
 VERSION = 2
 META, SUFFIX = "meta.json", ".sog"
+MAX_META = 1_000_000  # bytes of meta.json
 TABLE = 256  # values of a table
 PALETTE_ROW, MOST_ENTRIES = 64, 1 << 16  # entries of the palette in a row of pixels, and in all
 LARGEST_QUAT = 252  # alpha of quats for w
@@ -29,10 +31,10 @@ ROOT2 = np.float32(2**0.5)
 def files_of(meta: Path) -> list[Path]:
     """The meta.json of a SOG in a folder and the textures that it names, of which some may be missing; itself alone, if it is none."""
     try:
-        contents = json.loads(meta.read_bytes())
-    except (OSError, ValueError, RecursionError):
+        contents = json_object(meta, MAX_META) or {}
+    except OSError:
         return [meta]
-    lists = [part.get("files") for part in contents.values() if isinstance(part, dict)] if isinstance(contents, dict) else []
+    lists = [part.get("files") for part in contents.values() if isinstance(part, dict)]
     names = [name for names in lists if isinstance(names, list) for name in names if isinstance(name, str) and is_texture(name)]
     return [meta, *(meta.parent / name for name in dict.fromkeys(names) if (meta.parent / name).is_file())]
 

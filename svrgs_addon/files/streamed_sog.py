@@ -27,7 +27,7 @@ from ..geometry.rotations import rotation_matrices
 from ..scene import SH_COEFFICIENTS, Scene
 from . import sog
 from .atomic import atomic_write, check_space
-from .opened import MAX_COUNT, opened, refuse_many
+from .opened import MAX_COUNT, json_object, opened, refuse_many
 from .sog_layout import META, files_of
 from .sog_writer import BYTES, limits, write_in_order
 from .splat_format import SplatFormat
@@ -169,13 +169,8 @@ def _with_degree(scene: Scene, degree: int) -> Scene:
 
 def _checked(path: Path) -> dict[str, Any]:
     """lod-meta.json with a valid version, lodLevels, filenames. Raises FormatError (without the name of the file), as the functions below."""
-    with open(path, "rb") as file:
-        data = file.read(MAX_INDEX + 1)
-    try:
-        meta = json.loads(data) if len(data) <= MAX_INDEX else None
-    except (ValueError, RecursionError):
-        meta = None
-    if not isinstance(meta, dict) or meta.get("version", VERSION) != VERSION:
+    meta = json_object(path, MAX_INDEX)
+    if meta is None or meta.get("version", VERSION) != VERSION:
         raise FormatError(f"has no JSON of version {VERSION} and at most {MAX_INDEX:,} bytes that can be read{BROKEN}")
     names, number = meta.get("filenames"), meta.get("lodLevels")
     if not isinstance(number, int) or isinstance(number, bool) or not 0 < number <= 1000:
