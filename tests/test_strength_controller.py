@@ -14,7 +14,8 @@ pytest.importorskip("OpenImageIO")
 import tiny_dataset
 from plans import prune_settings
 from svrgs_addon.errors import SceneError
-from svrgs_addon.files.registry import load_scene
+from svrgs_addon.files import compressed_ply
+from svrgs_addon.files.registry import as_held, load_scene
 from svrgs_addon.finetune import checkpoint, quality, recovery_pruning
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import method_named
@@ -194,3 +195,17 @@ def test_a_drop_counts_from_the_scene_before_its_first_cut(tiny, data, tmp_path)
     result = train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply"))
     assert result["first_cut"] > 20
     assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)
+
+
+def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path):
+    settings = replace(prune_settings("svr", 60, 0), max_drop=2.0)
+    result = train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.compressed.ply"))
+    assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)
+    source, held = load_scene(tiny.splat).scene, result["before"]["psnr"]
+    left = train_and_prune.without_format_loss(source, data, settings, tmp_path / "o.compressed.ply").max_drop
+    seen = train_and_prune.measured(as_held(source, compressed_ply.FORMAT), data, train_and_prune.JobContext(tmp_path / "o.compressed.ply"), tiny.splat)
+    assert 2.0 - left == pytest.approx(max(0.0, held - seen["psnr"]), abs=1e-3) and left < 2.0
+    assert train_and_prune.without_format_loss(source, data, settings, tmp_path / "o.ply").max_drop == 2.0
+    with pytest.raises(SceneError, match="o.splat: the format alone loses"):
+        train_and_prune.prune(tiny.splat, data, replace(settings, max_drop=0.01), train_and_prune.JobContext(tmp_path / "o.splat"))
+    assert not (tmp_path / "o.splat").exists()

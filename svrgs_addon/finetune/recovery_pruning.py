@@ -61,7 +61,3 @@ class RecoveryPruning:
         """The share of the next cut's loss that the recovery is expected to win back."""
         loss = self.before_cut - self.after_cut
         return min(max(DECAY * (now - self.after_cut) / loss, 0.0), RECOVERED) if loss > 0 else RECOVERED
-
-    def drop(self, run: RunView) -> float:
-        """PSNR lost since before the first step, in dB."""
-        return self.start - run.psnr(None)

@@ -39,6 +39,7 @@ from ..rig.around import DISTANCE, cameras_around, middle_and_radius
 from ..rig.place import quick_rig
 from ..scene import Scene
 from .context import JobContext
+from .format_loss import refuse_loss
 from .level_files import level_files, write_with_levels
 from .options import PruneOptions
 
@@ -197,8 +198,8 @@ def _fewest_within(order: Order, least: int, psnr_of: Callable[[Scene], float], 
     to 1 % of N. psnr_of: of a scene as the output will hold it. Raises SceneError if the format alone loses more."""
     assert options.max_drop and options.out is not None
     few, enough, floor = least - 1, order.scene.count, ASSUMED - options.max_drop
-    if not format_to_write(options.out).lossless and (found := psnr_of(order.scene)) < floor:
-        raise SceneError(f"{options.out}: the format alone loses {ASSUMED - found:.2f} dB, more than --max-drop allows: write another format")
+    if not format_to_write(options.out).lossless:
+        refuse_loss(options.out, ASSUMED - psnr_of(order.scene), options.max_drop)
     while enough - few > max(1, order.scene.count // 100):
         middle = (few + enough) // 2
         few, enough = (few, middle) if psnr_of(order.at(middle)) >= floor else (middle, enough)

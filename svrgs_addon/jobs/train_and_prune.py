@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import logging
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,7 @@ from ..scene import Scene
 from ..system.memory import peak
 from .context import JobContext
 from .disk_room import DiskRoom
+from .format_loss import format_loss
 from .job_folder import ROW
 
 CURVE_VIEWS = 4  # test views on which the PSNR of the curves is measured
@@ -93,6 +94,7 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         pictures = report_pictures(source, dataset) if job.report else []
     with clock.phase("first cut"):
         held = psnr_to_hold(source, dataset, plan)
+        plan = without_format_loss(source, dataset, plan, job.out)
         start = first_cut(source, dataset, plan)
         dataset.notes += tuple(lost_columns(source, start, (*NORMALS, ROW)))
         model, cut = Model.of(start, copy=False), source.count - start.count
@@ -103,6 +105,7 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         levels = written_levels(scene, dataset, job)
         scene = stored(job.out, scene)
         after = measured(scene, dataset, job)
+        run.drop = held - psnr_to_hold(scene, dataset, plan) if plan.max_drop else None
     result = {**after, "scene": str(scene_path), "before": before, "after": after, "levels": levels, "first_cut": cut}
     result |= run_facts(run, job, clock) | ({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {})
     if job.report:
@@ -196,6 +199,13 @@ def psnr_to_hold(scene: Scene, dataset: Dataset, plan: Plan) -> float:
     return mean_psnr(scene, dataset, quality_views(dataset), Rasterizer(), options, error=dataset.unexplained)
 
 
+def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -> Plan:
+    """The plan, with what the format of the output loses taken off an allowed drop. Raises SceneError if nothing is left of it."""
+    if not plan.max_drop:
+        return plan
+    return replace(plan, max_drop=plan.max_drop - format_loss(out, scene, lambda some: psnr_to_hold(some, dataset, plan), plan.max_drop))
+
+
 def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
     """The scene after the first removal and the first cut (docs/methods.md, "What all methods share"). Raises SceneError if almost nothing stays.
 
@@ -257,7 +267,6 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
 
     loop.run_to_end(run, observe, job.stop, save, lambda: curve_psnr(run))
     clock.phases |= run.seconds
-    run.drop = run.recovery_pruning.drop(run) if run.recovery_pruning else None
     run.engine = make_engine(job.engine)  # a new engine frees the buffers of the old one
     scene = model.into_scene(source_order=not plan.nested)
     room.release()

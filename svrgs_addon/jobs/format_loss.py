@@ -1,0 +1,27 @@
+"""What the format of an output takes of an allowed drop in PSNR (--max-drop): the values that it stores in few bits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ..errors import SceneError
+from ..files.registry import as_held, format_to_write
+from ..scene import Scene
+
+
+def format_loss(out: Path, scene: Scene, psnr_of: Callable[[Scene], float], allowed: float) -> float:
+    """dB that the scene loses in the format of the output; 0 if every value is stored as it is. psnr_of: PSNR in dB of a scene. Raises SceneError if
+    that alone is not less than what is allowed."""
+    splat_format = format_to_write(out)
+    if splat_format.lossless:
+        return 0.0
+    loss = max(0.0, psnr_of(scene) - psnr_of(as_held(scene, splat_format)))
+    refuse_loss(out, loss, allowed)
+    return loss
+
+
+def refuse_loss(out: Path, loss: float, allowed: float):
+    """Raises SceneError if the format loses so many dB that nothing is left of what is allowed."""
+    if loss >= allowed:
+        raise SceneError(f"{out}: the format alone loses {loss:.2f} dB, not less than --max-drop allows: write another format")
