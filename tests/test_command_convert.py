@@ -13,6 +13,7 @@ from svrgs_addon.cli.main import main
 from svrgs_addon.files import spooled
 from svrgs_addon.files.registry import describe, read_scene, write_scene
 from svrgs_addon.files.streamed_sog import read_level
+from svrgs_addon.geometry.morton_order import morton_order
 from test_formats import differences, like_trained
 
 
@@ -160,3 +161,23 @@ def test_a_splat_of_several_files_is_not_replaced_by_itself(tmp_path, capsys, mo
     assert main([command[0], scene, *command[1:], out]) == 2
     assert "is the input itself" in capsys.readouterr().err
     assert before == {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize(("out", "factors"), [("b.spz", (0.3, 1, 8)), ("b.sog", (0.1, 100)), ("meta.json", (0.1, 100)), ("lod-meta.json", (0.1, 100))])
+def test_coarser_spherical_harmonics_make_smaller_files_that_are_less_exact(tmp_path, capsys, out, factors):
+    scene, lines, errors = like_trained(2, 8_000), [], []
+    scene = scene.select(morton_order(scene.means))
+    write_scene(tmp_path / "a.ply", scene)
+    for factor in factors:
+        path = tmp_path / str(factor) / out
+        lines += convert(capsys, tmp_path / "a.ply", path, "--quantise", factor)
+        errors.append(np.square(scene.sh[:, 1:] - read_scene(path).sh[:, 1:]).mean())
+    sizes = [line["bytes"] for line in lines]
+    assert sizes == sorted(sizes, reverse=True) and sizes[0] > 1.1 * sizes[-1]
+    assert errors == sorted(errors) and errors[-1] > 1.2 * errors[0]
+
+
+@pytest.mark.parametrize("out", ["b.ply", "b.compressed.ply", "b.splat"])
+def test_formats_without_a_choice_of_steps_take_no_quantise(splat, tmp_path, capsys, out):
+    assert main(["convert", str(splat), str(tmp_path / out), "--quantise", "2"]) == 2
+    assert "leave --quantise out" in capsys.readouterr().err and not (tmp_path / out).exists()

@@ -14,6 +14,7 @@ from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import read_scene
 from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.refit import interpolated
+from svrgs_addon.jobs import smallest_file
 from svrgs_addon.jobs.context import JobContext
 from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.jobs.quick import prune_quick
@@ -225,6 +226,18 @@ def test_an_allowed_drop_decides_how_many_stay(splat):
     for result, drop in zip(results, (0.05, 0.5, 3.0), strict=True):
         assert 0 < result["drop"] < 1.3 * drop
     assert run(splat)["drop"] is None
+
+
+def test_the_smallest_file_within_a_drop_is_chosen_by_count_and_steps_together(splat, tmp_path, monkeypatch):
+    """Coarser steps of SH that hardly show make the file smaller than more pruning does."""
+    scene, chance = ball(), np.random.default_rng(0)
+    write_ply(splat, dataclasses.replace(scene, sh=np.concatenate([scene.sh[:, :1], 0.02 * chance.standard_normal((2_000, 15, 3), np.float32)], axis=1)))
+    out = tmp_path / "a.spz"
+    together = run(splat, out=out, target=None, max_drop=0.5)
+    assert any("--quantise" in note for note in together["notes"]) and together["bytes"] == out.stat().st_size and together["drop"] < 0.5
+    monkeypatch.setattr(smallest_file, "FACTORS", (1.0,))
+    alone = run(splat, out=out, target=None, max_drop=0.5)
+    assert together["bytes"] < alone["bytes"] and together["count"] >= alone["count"] and not any("--quantise" in note for note in alone["notes"])
 
 
 @pytest.mark.parametrize("suffix", (".ply", ".sog"))

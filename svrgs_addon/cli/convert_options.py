@@ -14,6 +14,9 @@ class ConvertOptions:
     to: str = option(TEXT, "", "suffix of the outputs, if OUT is a folder", metavar="SUFFIX", default_help="that of OUT")
     sh_degree: int | None = option(SH_DEGREE, None, "highest degree of the spherical harmonics that is kept", default_help="all")
     spz_version: int | None = option(SPZ_VERSION, None, "version of an SPZ: some programs read older ones only", default_help="4")
+    quantise: float = option(
+        POSITIVE_FLOAT, 1.0, "factor on the error that an SPZ or SOG may make in spherical harmonics: above 1 for smaller files", metavar="FACTOR"
+    )
     box: tuple | None = option(BOX, None, "keep only the Gaussians inside the box between two opposite corners", metavar="X,Y,Z,X,Y,Z")
     scale: float = option(POSITIVE_FLOAT, 1.0, "factor on all lengths, around the origin", metavar="FACTOR")
     rotate: tuple = option(ANGLES, (0.0, 0.0, 0.0), "degrees around x, then y, then z", metavar="X,Y,Z", default_help="none")

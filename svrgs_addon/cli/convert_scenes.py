@@ -63,7 +63,7 @@ def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
     with _loaded(path, out, options) as scene:
         if not scene.count:
             raise SceneError(f"{path}: no Gaussian is inside the box, so no file was written")
-        registry.write_scene(out, scene, options.spz_version or 0)
+        registry.write_scene(out, scene, options.spz_version or 0, options.quantise)
         facts = {"count": scene.count, "sh_degree": min(scene.sh_degree, splat_format.most_degree)}
     return facts | {"bytes_before": registry.size_on_disk(path), "bytes": registry.size_on_disk(out)}
 
@@ -76,7 +76,7 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
     scenes = sorted((_changed(registry.load_scene(path).scene, options) for path in paths), key=lambda scene: -scene.count)
     if not scenes[-1].count:
         raise SceneError(f"{out}: no Gaussian of one of the levels is inside the box, so no file was written")
-    write_levels(out, scenes)
+    write_levels(out, scenes, options.quantise)
     facts = {"scene": ", ".join(map(str, paths)), "out": str(out), "count": scenes[0].count, "sh_degree": scenes[0].sh_degree}
     return facts | {"bytes_before": sum(map(registry.size_on_disk, paths)), "bytes": registry.size_on_disk(out), "levels": [scene.count for scene in scenes]}
 

@@ -185,14 +185,16 @@ def _log_repairs(path: str | Path, dropped: int, clamped: int, filtered: bool):
         logging.warning("%s: %d Gaussians with values that are not finite were dropped, %d with extreme values were clamped", path, dropped, clamped)
 
 
-def write_scene(path: str | Path, scene: Scene, version: int = 0):
+def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: float = 1.0):
     """Writes the scene atomically, in the format of the suffix of `path`. What the format cannot hold is logged. version: of the format; 0: the
-    newest. Raises SceneError."""
+    newest. quantise: factor on the error in SH that a format may make which chooses it. Raises SceneError."""
     splat_format = format_to_write(path)
     assert splat_format.write is not None
     if version and version not in splat_format.versions:
         raise SceneError(f"{path}: the format {splat_format.label} has no version {version}")
-    splat_format.write(extended(path), scene, *([version] if version else []))
+    if quantise != 1 and not splat_format.quantises:
+        raise SceneError(f"{path}: the format {splat_format.label} has no choice of how exactly it stores spherical harmonics: leave --quantise out")
+    splat_format.write(extended(path), scene, **({"version": version} if version else {}), **({"quantise": quantise} if quantise != 1 else {}))
     for sentence in left_out(scene, splat_format):
         logging.warning("%s: %s", path, sentence)
 
@@ -204,13 +206,16 @@ def stored(path: str | Path, scene: Scene) -> Scene:
 
 def as_held(scene: Scene, splat_format: SplatFormat) -> Scene:
     """The scene as a file of the format would hold it. Raises SceneError, FormatError."""
-    if splat_format.lossless:
-        return scene
-    assert splat_format.write is not None
+    return scene if splat_format.lossless else tried(scene, splat_format)[0]
+
+
+def tried(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0) -> tuple[Scene, int]:
+    """The scene as a file of the format would hold it, and the size in bytes. Raises SceneError, FormatError."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / (splat_format.index or f"scene{splat_format.suffixes[0]}")
-        splat_format.write(path, scene)
-        return splat_format.whole(path)
+        assert splat_format.write is not None
+        splat_format.write(path, scene, **({"quantise": quantise} if quantise != 1 else {}))
+        return splat_format.whole(path), size_on_disk(path)
 
 
 def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:

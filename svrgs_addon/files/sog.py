@@ -203,6 +203,7 @@ FORMAT = SplatFormat(
     sniff=lambda head: head.startswith(b"PK"),
     read_parts=read_parts,
     write=write,
+    quantises=True,
     limits=limits,
     index=META,
     parts=parts,

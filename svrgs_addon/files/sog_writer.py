@@ -35,17 +35,17 @@ BYTES = 40  # free space per Gaussian that is asked for
 FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # of the files in a bundle: the same scene gives the same bytes
 
 
-def write(path: str | os.PathLike, scene: Scene):
+def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
     """Writes the scene with its Gaussians in Morton order, as a bundle, or, if the name is meta.json, as the files of a folder, this one last.
-    Raises SceneError."""
-    write_in_order(path, scene.select(morton_order(scene.means)))
+    quantise: factor on SMALL_ERROR's root. Raises SceneError."""
+    write_in_order(path, scene.select(morton_order(scene.means)), quantise)
 
 
-def write_in_order(path: str | os.PathLike, scene: Scene):
+def write_in_order(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
     """As write(), with the Gaussians in the order of the scene."""
     check_space(path, BYTES * scene.count)
     memory.refuse_excess(f"{path}: writing so many Gaussians into one SOG", memory.texturing(scene.count, scene.sh.shape[1]))
-    meta, textures = encoded(scene)
+    meta, textures = encoded(scene, quantise)
     if Path(path).name == META:
         _write_folder(Path(path), meta, textures)
     else:
@@ -66,7 +66,7 @@ def limits(scene: Scene) -> list[str]:
     ]
 
 
-def encoded(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def encoded(scene: Scene, quantise: float = 1.0) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """meta.json and the textures by name, (H, W, 3 or 4) uint8."""
     weights = picture_weights(scene)
     means, ranges = _means(scene)
@@ -87,7 +87,7 @@ def encoded(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     }
     textures = {}
     if scene.sh_degree:
-        meta["shN"], textures["shN_centroids"], pixels["shN_labels"] = _higher_bands(scene, weights)
+        meta["shN"], textures["shN_centroids"], pixels["shN_labels"] = _higher_bands(scene, weights, quantise)
     textures.update({name: _texture(rows.astype(np.uint8)) for name, rows in pixels.items()})
     return meta, textures
 
@@ -114,11 +114,11 @@ def _by_table(values: np.ndarray, weights: np.ndarray) -> tuple[list[float], np.
     return levels.tolist(), nearest(values, levels)
 
 
-def _higher_bands(scene: Scene, weights: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+def _higher_bands(scene: Scene, weights: np.ndarray, quantise: float) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """shN of meta.json, the texture of the palette, and the label of each Gaussian, (N, 3)."""
     coefficients = scene.sh.shape[1] - 1
     rows = np.nan_to_num(scene.sh[:, 1:].reshape(scene.count, -1), posinf=1, neginf=-1)
-    size = min(MOST_ENTRIES, max(FEWEST_ENTRIES, scene.count // _share(rows, weights)))
+    size = min(MOST_ENTRIES, max(FEWEST_ENTRIES, scene.count // _share(rows, weights, quantise)))
     entries, labels = palette(rows, weights, size, MOST_ENTRIES)
     heights = -(-max(len(entries), 1) // PALETTE_ROW)
     used = np.bincount(labels, weights, len(entries)).astype(np.float32)
@@ -129,13 +129,13 @@ def _higher_bands(scene: Scene, weights: np.ndarray) -> tuple[dict[str, Any], np
     return meta, image.reshape(heights, -1, 3), np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)])
 
 
-def _share(rows: np.ndarray, weights: np.ndarray) -> int:
+def _share(rows: np.ndarray, weights: np.ndarray, quantise: float) -> int:
     """One of SHARES, by a part of the rows."""
     some = np.random.default_rng(0).permutation(len(rows))[:SAMPLE]
     part, mass = rows[some], weights[some]
     for share in SHARES[:-1]:
         entries, labels = palette(part, mass, max(1, len(some) // share), 0)
-        if (mass * np.square(part - entries[labels]).sum(axis=1)).sum() <= SMALL_ERROR * mass.sum():
+        if (mass * np.square(part - entries[labels]).sum(axis=1)).sum() <= SMALL_ERROR * quantise**2 * mass.sum():
             return share
     return SHARES[-1]
 

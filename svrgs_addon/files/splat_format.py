@@ -28,8 +28,9 @@ class SplatFormat:
     sniff: Callable[[bytes], bool]  # whether a file that begins with these bytes may be of this format
     read_parts: Callable[[Path], Iterator[Scene]]  # the scene with values as stored, not repaired, in parts of some thousand Gaussians, at least one
     read: Callable[[Path], Scene] | None = None  # the same as one scene, if each part overwrites the arrays of the previous one
-    write: Callable[..., None] | None = None  # of path, scene and, if there are several, version; atomic. None: the format is read only
+    write: Callable[..., None] | None = None  # of path, scene and, by name, what there is of version and quantise; atomic. None: read only
     versions: tuple[int, ...] = ()  # that are written, if there are several; the first one if nothing is said
+    quantises: bool = False  # whether write takes quantise: a factor on the error that it may make in SH, 1 is the usual one
     size: Callable[[Scene], int] | None = None  # size in bytes of the file that write would make; None: it depends on the values
     limits: Callable[[Scene], list[str]] | None = None  # a sentence on each limit of the format that the scene is beyond
     most_degree: int = 3  # of SH that it can hold

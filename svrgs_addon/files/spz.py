@@ -51,11 +51,12 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
     yield from by_parts(lambda start: _scene(header, {name: rows[start : start + PART] for name, rows in stored.items()}), range(0, max(header.count, 1), PART))
 
 
-def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST):
-    """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format. Raises SceneError."""
+def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST, quantise: float = 1.0):
+    """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format. quantise: factor on the steps of SH. Raises
+    SceneError."""
     order = morton_order(scene.means)
     header = Header(version, scene.count, scene.sh_degree, fraction_bits(*_extent(scene)), scene.antialiased)
-    steps = sh_steps(picture_weights(scene))
+    steps = sh_steps(picture_weights(scene), quantise)
     stored = {name: array_for((scene.count, width), np.uint8, path) for name, width in header.widths().items()}
 
     def convert(start: int):
@@ -169,10 +170,10 @@ def _rotations(header: Header, quats: np.ndarray) -> np.ndarray:
     return whole.astype("<u4")[:, None].view(np.uint8)
 
 
-def sh_steps(weights: np.ndarray) -> np.ndarray:
+def sh_steps(weights: np.ndarray, quantise: float = 1.0) -> np.ndarray:
     """Steps of 256 between the values of SH of each Gaussian, (N,) float32, powers of two: all of them cause about the same error in a picture."""
     with np.errstate(divide="ignore"):
-        steps = np.exp2(np.rint(np.log2(SH_STEP / weights**0.25)))
+        steps = np.exp2(np.rint(np.log2(quantise * SH_STEP / weights**0.25)))
     return np.clip(steps, FINEST_SH, COARSEST_SH).astype(np.float32)
 
 
@@ -202,6 +203,7 @@ FORMAT = SplatFormat(
     read_parts=read_parts,
     write=write,
     versions=(4, 3, 2),
+    quantises=True,
     limits=limits,
     carries=("antialiased",),
 )

@@ -86,14 +86,14 @@ def level_bytes(path: Path, level: int) -> int:
     return sum(file.stat().st_size for unit in units for file in files_of(path.parent / unit))
 
 
-def write(path: str | os.PathLike, scene: Scene):
+def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
     """Writes the scene as the only level of detail. Raises SceneError."""
-    write_levels(path, [scene])
+    write_levels(path, [scene], quantise)
 
 
-def write_levels(path: str | os.PathLike, scenes: Sequence[Scene]):
+def write_levels(path: str | os.PathLike, scenes: Sequence[Scene], quantise: float = 1.0):
     """Writes levels of detail, the finest one first: the SOGs, then lod-meta.json. Until then, an older one and its files stay as they are; at the
-    end, its files are removed. Raises SceneError."""
+    end, its files are removed. quantise: as of a SOG. Raises SceneError."""
     path = Path(path)
     check_space(path, BYTES * sum(scene.count for scene in scenes))
     old = parts(path)[1:] if path.exists() else []
@@ -102,7 +102,7 @@ def write_levels(path: str | os.PathLike, scenes: Sequence[Scene]):
     counts = [scene.count for scene in scenes]
     meta = {"version": VERSION, "asset": {"generator": f"SVR-GS {__version__}"}, "count": sum(counts), "counts": counts, "lodLevels": len(scenes)}
     for name, (level, rows) in cut.files.items():
-        write_in_order(path.parent / name, scenes[level].select(np.concatenate(rows)))
+        write_in_order(path.parent / name, scenes[level].select(np.concatenate(rows)), quantise)
     with atomic_write(path) as file:
         file.write(json.dumps(meta | {"filenames": list(cut.files), "tree": tree}).encode())
     for one in old:
@@ -213,6 +213,7 @@ FORMAT = SplatFormat(
     sniff=lambda _: False,
     read_parts=read_parts,
     write=write,
+    quantises=True,
     limits=limits,
     index=INDEX,
     parts=parts,

@@ -33,13 +33,13 @@ class Written:
     scene: Scene
 
 
-def write_with_levels(out: Path, shares: Sequence[float], scenes: Sequence[Scene]) -> list[Written]:
-    """Writes the result, scenes[0], and its levels of detail. Raises SceneError, FormatError."""
+def write_with_levels(out: Path, shares: Sequence[float], scenes: Sequence[Scene], quantise: float) -> list[Written]:
+    """Writes the result, scenes[0], and its levels of detail. quantise: as of write_scene(). Raises SceneError, FormatError."""
     if holds_levels(out):
-        streamed_sog.write_levels(out, scenes)
+        streamed_sog.write_levels(out, scenes, quantise)
         return [Written(out, streamed_sog.level_bytes(out, level), joined(list(streamed_sog.read_level(out, level)))) for level in range(len(scenes))]
     written = []
     for path, scene in zip([out, *level_files(out, shares).values()], scenes, strict=True):
-        write_scene(path, scene)
+        write_scene(path, scene, quantise=quantise)
         written.append(Written(path, size_on_disk(path), stored(path, scene)))
     return written

@@ -24,7 +24,7 @@ from ..decimate.order import Order, looks, lost_columns, order_of
 from ..decimate.saved_order import write_order
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
-from ..files.registry import as_held, format_to_write, invisible, load_scene, refuse_input, size_on_disk
+from ..files.registry import format_to_write, invisible, load_scene, refuse_input, size_on_disk
 from ..finetune.quality import LEAST
 from ..finetune.refit import USUAL, interpolated, pace_at, refit
 from ..geometry.affine import scaled
@@ -39,9 +39,9 @@ from ..rig.around import DISTANCE, cameras_around, middle_and_radius
 from ..rig.place import quick_rig
 from ..scene import Scene
 from .context import JobContext
-from .format_loss import refuse_loss
 from .level_files import level_files, write_with_levels
 from .options import PruneOptions
+from .smallest_file import ASSUMED, smallest_file
 
 SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
@@ -55,7 +55,6 @@ TAKES = (  # options; others are refused
 )  # fmt: skip
 SMALLEST = 0.01  # share of the Gaussians down to which an order is kept
 LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee the time
-ASSUMED = with_error(math.inf, PHOTOGRAPHED)  # PSNR of the original in dB, if a drop is allowed
 NOT_FINISHED = "stopped; nothing was written, and a quick job has no checkpoint: start it again"
 
 
@@ -116,10 +115,10 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     least = max(1, math.floor(min(options.levels, default=1) * wanted))
     order = order_of(enlarged, sums, min(least, math.ceil(SMALLEST * scene.count)) if job.order else least)
     likeness = _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options)
-    count = _fewest_within(order, wanted, lambda some: likeness.psnr(_as_held(some, options, factor)), options) if options.max_drop else wanted
+    count, quantise = smallest_file(order, wanted, likeness.psnr, options.out, options.max_drop, 1 / factor) if options.max_drop else (wanted, 1.0)
     counts = [count, *(max(1, round(share * count)) for share in options.levels)]
     scenes = [_tuned(order, some, likeness, cameras, pictures, options, job.stop) for some in counts]
-    written = write_with_levels(options.out, options.levels, [scaled(scene, 1 / factor) for scene in scenes])
+    written = write_with_levels(options.out, options.levels, [scaled(scene, 1 / factor) for scene in scenes], quantise)
     notes += _kept(job.order, order, visible, source.count, 1 / factor) if job.order else []
     facts: dict[str, Any] = {
         "method": "quick",
@@ -132,7 +131,7 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     after, *levels = (_measured(scaled(one.scene, factor), enlarged, test, rasterizer, options) | {"bytes": one.bytes, "out": str(one.path)} for one in written)
     facts["levels"] = [{"share": share, **level} for share, level in zip(options.levels, levels, strict=True)]
     facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
-    notes += [*_of_hidden(facts["hidden"]), *lost_columns(source, written[0].scene)]
+    notes += [*_of_hidden(facts["hidden"]), *_of_quantise(quantise), *lost_columns(source, written[0].scene)]
     return {**after, "scene": str(options.scene), "before": before, "after": after, **facts, "notes": notes}
 
 
@@ -193,26 +192,6 @@ def _tuned(
     return best
 
 
-def _fewest_within(order: Order, least: int, psnr_of: Callable[[Scene], float], options: PruneOptions) -> int:
-    """The fewest Gaussians, at least `least`, that hold the allowed drop in dB before the steps of fine-tuning, which win a part of it back. Bisection
-    to 1 % of N. psnr_of: of a scene as the output will hold it. Raises SceneError if the format alone loses more."""
-    assert options.max_drop and options.out is not None
-    few, enough, floor = least - 1, order.scene.count, ASSUMED - options.max_drop
-    if not format_to_write(options.out).lossless:
-        refuse_loss(options.out, ASSUMED - psnr_of(order.scene), options.max_drop)
-    while enough - few > max(1, order.scene.count // 100):
-        middle = (few + enough) // 2
-        few, enough = (few, middle) if psnr_of(order.at(middle)) >= floor else (middle, enough)
-    return enough
-
-
-def _as_held(scene: Scene, options: PruneOptions, factor: float) -> Scene:
-    """An enlarged scene as the output will hold it."""
-    assert options.out is not None
-    splat_format = format_to_write(options.out)
-    return scene if splat_format.lossless else scaled(as_held(scaled(scene, 1 / factor), splat_format), factor)
-
-
 def _hidden(sums: np.ndarray) -> int:
     """The number of Gaussians that no view sees, or only through what is nearly opaque. sums: from looks()."""
     columns = dict(zip(VISIBILITY, sums.T, strict=True))
@@ -221,6 +200,10 @@ def _hidden(sums: np.ndarray) -> int:
 
 def _of_hidden(count: int) -> list[str]:
     return [f"{count:,} Gaussians are hidden in all views, so they are removed or merged first"] if count else []
+
+
+def _of_quantise(factor: float) -> list[str]:
+    return [f"spherical harmonics are stored more coarsely, as by svrgs convert --quantise {factor:g}: that makes the smallest file"] if factor != 1 else []
 
 
 def _steps(share: float) -> int:

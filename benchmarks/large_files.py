@@ -1,0 +1,100 @@
+"""How long large files take to convert, and how much memory: copies of a splat side by side, no two Gaussians alike.
+
+python benchmarks/large_files.py SPLAT [--count 1000000] [--to .compressed.ply .spz .sog]
+
+Written: seconds of `svrgs convert` from a PLY, reading included, and its largest anonymous memory (what is not a file's). Read: seconds from the file to
+arrays in memory, in a process that has read a file before. Medians of REPEATS. The copies are N(0, 0.01) apart in SH, so no palette holds them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from svrgs_addon.files.registry import load_parts, load_scene, write_scene
+from svrgs_addon.files.spooled import spooled
+from svrgs_addon.scene import Scene
+
+REPEATS, LARGE = 5, 5_000_000  # of LARGE Gaussians on, once
+APART, ROW, NOISE = 10.0, 20, 0.01  # between copies; copies in a row; standard deviation of the noise in SH
+POLL = 0.02  # seconds between two looks at the memory of a command
+HEAD = "| file | MB | write, s | memory, MB | read, s |\n|---|---:|---:|---:|---:|"
+
+
+def copies(scene: Scene, count: int) -> Iterator[Scene]:
+    """Copies of the scene in a grid, `count` Gaussians together."""
+    chance = np.random.default_rng(0)
+    for number, start in enumerate(range(0, count, scene.count)):
+        part = scene.select(np.arange(min(scene.count, count - start)))
+        place = np.array([APART * (number % ROW), 0, APART * (number // ROW)], np.float32)
+        yield replace(part, means=part.means + place, sh=part.sh + NOISE * chance.standard_normal(part.sh.shape, np.float32), attributes={}, property_order=())
+
+
+def converted(source: Path, out: Path) -> tuple[float, int]:
+    """Runs `svrgs convert`. Seconds, and the largest anonymous memory in bytes."""
+    out.unlink(missing_ok=True)
+    started, most = time.perf_counter(), 0
+    command = [sys.executable, "-m", "svrgs_addon", "convert", str(source), str(out)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).resolve().parents[1]) as child:
+        while child.poll() is None:
+            most = max(most, anonymous(child.pid))
+            time.sleep(POLL)
+    if child.returncode:
+        raise SystemExit(f"{' '.join(command)}: exit status {child.returncode}")
+    return time.perf_counter() - started, most
+
+
+def anonymous(pid: int) -> int:
+    """Bytes of anonymous memory of a process; 0 when it has ended."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("RssAnon")), 0)
+
+
+def seconds_to_read(path: Path, large: bool) -> float:
+    started = time.perf_counter()
+    if large:
+        for _ in load_parts(path):
+            pass
+    else:
+        load_scene(path)
+    return time.perf_counter() - started
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("splat", type=Path)
+    parser.add_argument("--count", type=int, default=1_000_000)
+    parser.add_argument("--to", nargs="+", default=[".compressed.ply", ".spz", ".sog"])
+    words = parser.parse_args()
+    large = words.count >= LARGE
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "scene.ply"
+        with spooled(copies(load_scene(words.splat).scene, words.count), source) as scene:
+            degree = scene.sh_degree
+            write_scene(source, scene)
+        print(f"{words.count:,} Gaussians, SH degree {degree}, a PLY of {source.stat().st_size / 1e6:,.0f} MB\n\n{HEAD}", flush=True)
+        for suffix in words.to:
+            out, repeats = Path(folder) / f"out{suffix}", 1 if large else REPEATS
+            runs = [converted(source, out) for _ in range(repeats)]
+            reading = median([seconds_to_read(out, large) for _ in range(repeats + 1)][1:])
+            seconds, memory = median(run[0] for run in runs), max(run[1] for run in runs)
+            print(f"| {suffix} | {out.stat().st_size / 1e6:,.1f} | {seconds:.2f} | {memory / 1e6:,.0f} | {reading:.2f} |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
