@@ -9,11 +9,12 @@ from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import FORMATS, format_to_write, left_out, menu_label, split_name, suffixes, write_scene
+from ..svrgs_addon.files.splat_format import SplatFormat
 from . import bridge, job_result
 from .export_space import KINDS, ExportSpace
 from .splat_size import size_in
@@ -27,6 +28,22 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
 
     filename_ext = suffixes(written=True)[0]
     kind: EnumProperty(name="Format", description="Format of the file. It gives the name its suffix", items=KINDS)
+    version: EnumProperty(
+        name="Version",
+        description="Version of the format",
+        items=[
+            ("4", "4", "The newest version"),
+            ("3", "3", "For programs that do not read version 4 yet"),
+            ("2", "2", "For programs that do not read version 3 yet"),
+        ],
+    )
+    quantise: FloatProperty(
+        name="SH Error",
+        description="Factor on the error in colours that depend on the view. Above 1 for smaller files, below 1 for more exact ones",
+        default=1.0,
+        min=0.1,
+        max=10.0,
+    )
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in suffixes(written=True)), options={"HIDDEN"})
 
     @classmethod
@@ -44,7 +61,7 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
 
     def check(self, context):
         """Gives the name the suffix of the format. Returns whether it had another one."""
-        (wanted,) = (one.suffixes[0] for one in FORMATS if one.name == self.kind)
+        wanted = _format(self.kind).suffixes[0]
         path = Path(self.filepath)
         name, suffix = split_name(path)
         if suffix.lower() == wanted:
@@ -57,7 +74,12 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
         self.layout.prop(self, "kind")
         obj = context.object
         hidden = job_result.marked_count(obj) if self.what == "SEEN" else 0
-        if foreseen := size_in(obj, bridge.count(obj) - hidden, self.kind):
+        splat_format = _format(self.kind)
+        if splat_format.versions:
+            self.layout.prop(self, "version")
+        if splat_format.quantises and bridge.sh_degree(obj):
+            self.layout.prop(self, "quantise")
+        if foreseen := size_in(obj, bridge.count(obj) - hidden, self.kind, self.quantise):
             self.layout.label(text=foreseen)
         self.draw_space(self.layout)
 
@@ -65,14 +87,20 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
         obj, path = context.object, Path(bpy.path.abspath(self.filepath))
         try:
             scene, dropped = self.chosen(context, obj)
-            write_scene(path, scene)
+            splat_format = format_to_write(path)
+            version, quantise = int(self.version) if splat_format.versions else 0, self.quantise if splat_format.quantises else 1.0
+            write_scene(path, scene, version, quantise)
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         texts = [tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(count=scene.count, file=path.name, size=path.stat().st_size / 1e6)]
-        lost = left_out(scene, format_to_write(path))
+        lost = left_out(scene, splat_format)
         self.report({"WARNING" if lost else "INFO"}, "; ".join([*texts, *self.left_out(obj, dropped), *lost]))
         return {"FINISHED"}
+
+
+def _format(kind: str) -> SplatFormat:
+    return next(one for one in FORMATS if one.name == kind)
 
 
 def default_path(obj: bpy.types.Object) -> Path:

@@ -32,24 +32,26 @@ def count_in(obj: bpy.types.Object, size: float) -> int:
     return max(0, int((size - header) / (size_of(obj, 1) - header)))
 
 
-def size_in(obj: bpy.types.Object, count: int, kind: str) -> str:
-    """What an export says on the size of `count` Gaussians of the splat in the format of this name; '' for a large splat whose values decide."""
-    key = (obj.session_uid, kind, count)
+def size_in(obj: bpy.types.Object, count: int, kind: str, quantise: float = 1.0) -> str:
+    """What an export says on the size of `count` Gaussians of the splat in the format of this name; '' for a large splat whose values decide.
+    quantise: as of write_scene(), for formats that take it."""
+    splat_format = next(one for one in FORMATS if one.name == kind)
+    key = (obj.session_uid, kind, count, quantise if splat_format.quantises else 1.0)
     if key not in _said:
         _said.clear()
-        _said[key] = _size_in(obj, count, next(one for one in FORMATS if one.name == kind))
+        _said[key] = _size_in(obj, count, splat_format, key[-1])
     return _said[key]
 
 
-def _size_in(obj: bpy.types.Object, count: int, splat_format: SplatFormat) -> str:
+def _size_in(obj: bpy.types.Object, count: int, splat_format: SplatFormat, quantise: float) -> str:
     size = foreseen_size(bridge.sample_scene(obj), count, splat_format)
     if size is None and count > MOST_READ:
         return ""
     try:
-        size = size or sampled_size(bridge.scene_from_object(obj), splat_format) * count // max(1, bridge.count(obj))
+        size = size or sampled_size(bridge.scene_from_object(obj), splat_format, quantise) * count // max(1, bridge.count(obj))
     except SplatError:
         return ""
     return tr("{count:,} Gaussians, about {size:.1f} MB").format(count=count, size=size / 1e6)
 
 
-_said: dict[tuple[int, str, int], str] = {}  # at most one: by splat, format and number
+_said: dict[tuple[int, str, int, float], str] = {}  # at most one: by splat, format, number and quantise

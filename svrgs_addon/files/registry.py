@@ -247,15 +247,11 @@ def foreseen_size(one: Scene, count: int, splat_format: SplatFormat = FORMATS[0]
     return header + count * (splat_format.size(one.select(np.zeros(CHUNKED, int))) - header) // CHUNKED
 
 
-def sampled_size(scene: Scene, splat_format: SplatFormat) -> int:
+def sampled_size(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0) -> int:
     """Size in bytes of the file that the format would make, by that of a part of the scene: Gaussians that lie together. Within a fifth. Raises
-    SceneError."""
-    assert splat_format.write is not None
+    SceneError, FormatError."""
     around = np.argsort(np.abs(scene.means - np.median(scene.means, axis=0)).max(axis=1))[:SAMPLE] if scene.count > SAMPLE else np.arange(scene.count)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"sample{splat_format.suffixes[0]}"
-        splat_format.write(path, scene.select(around))
-        return path.stat().st_size * scene.count // max(1, len(around))
+    return tried(scene.select(around), splat_format, quantise)[1] * scene.count // max(1, len(around))
 
 
 def invisible(scene: Scene) -> np.ndarray:

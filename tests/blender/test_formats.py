@@ -29,6 +29,22 @@ def test_a_file_is_imported_upright_under_its_name_and_exported_again(suffix, sp
     assert np.allclose(found.matrix_world, splat.matrix_world)
 
 
+@pytest.mark.parametrize("version", ["4", "3", "2"])
+def test_an_spz_of_each_version_is_exported(version, splat, formats, tmp_path):
+    assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "a.spz"), version=version) == {"FINISHED"}
+    assert part("svrgs_addon.files.spz").streams(open(tmp_path / "a.spz", "rb"), 1_000)[0].version == int(version)
+
+
+def test_a_larger_error_in_sh_makes_a_smaller_spz_and_leaves_a_ply_as_it_is(splat, bridge, tmp_path):
+    sizes = {}
+    for suffix in (".spz", ".ply"):
+        for quantise in (0.2, 8):
+            assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / f"a{suffix}"), quantise=quantise) == {"FINISHED"}
+            sizes[suffix, quantise] = (tmp_path / f"a{suffix}").stat().st_size
+    assert sizes[".ply", 0.2] == sizes[".ply", 8]
+    assert sizes[".spz", 0.2] > sizes[".spz", 8] if bridge.sh_degree(splat) else sizes[".spz", 0.2] == sizes[".spz", 8]
+
+
 def test_blenders_own_reader_of_gltf_takes_a_splat_for_points(splat, bridge, tmp_path):
     """It does not know the extension; its axes are those of Blender, as those of the imported splat."""
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "toy.glb"), space="WORLD")
