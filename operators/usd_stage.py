@@ -14,10 +14,10 @@ from ..svrgs_addon.scene import Scene
 from . import bridge, bridge_graph
 
 NAME = "userProperties:blender:object_name"  # attribute of prims by which Blenders without a map of prims tell them apart
-HAS_USD = hasattr(bpy.types, "USDHook")  # Blender can be built without OpenUSD
+HOOK: Any = getattr(bpy.types, "USDHook", object)  # object: Blender was built without OpenUSD
 
 
-class SVRGS_USD_splats(bpy.types.USDHook if HAS_USD else object):
+class SVRGS_USD_splats(HOOK):
     bl_idname = "SVRGS_USD_splats"
     bl_label = "SVR-GS Splats"
     bl_description = "Writes Gaussian splats as such, with modifiers and without Gaussians that are hidden as removed"
@@ -52,10 +52,10 @@ def _prims(export_context, stage) -> list[tuple[Any, bpy.types.Object]]:
 
 
 def register():
-    if HAS_USD:
+    if HOOK is not object:
         bpy.utils.register_class(SVRGS_USD_splats)
 
 
 def unregister():
-    if HAS_USD:
+    if HOOK is not object:
         bpy.utils.unregister_class(SVRGS_USD_splats)

@@ -7,8 +7,8 @@ pythons=()
 for version in ${BLENDERS:-4.2.23 4.5.15 5.2.3}; do
     venv=$PWD/build/bpy-$version
     case $version in
-        4.* | 5.0.* | 5.1.*) needs=3.11 with="numpy<2" ;;
-        *) needs=3.13 with=OpenImageIO ;; # the module brings no OpenImageIO
+        4.* | 5.0.* | 5.1.*) needs=3.11 with=("numpy<2") ;;
+        *) needs=3.13 with=(OpenImageIO) ;; # the module brings no OpenImageIO
     esac
     if ! [ -f "$venv/.ready" ]; then
         python=$(tools/find_python.sh "$needs")
@@ -18,7 +18,7 @@ for version in ${BLENDERS:-4.2.23 4.5.15 5.2.3}; do
         fi
         echo "installing Blender $version into $venv"
         "$python" -m venv "$venv"
-        "$venv/bin/python" -m pip install -qq --disable-pip-version-check "bpy==$version" pytest "$with"
+        "$venv/bin/python" -m pip install -qq --disable-pip-version-check "bpy==$version" pytest usd-core "${with[@]}"
         touch "$venv/.ready"
     fi
     pythons+=("$venv/bin/python")
