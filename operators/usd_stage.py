@@ -7,7 +7,6 @@ from typing import Any
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon import packages
 from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.files import usd
 from ..svrgs_addon.scene import Scene
@@ -20,7 +19,6 @@ HOOK: Any = getattr(bpy.types, "USDHook", object)  # object: Blender was built w
 class SVRGS_USD_splats(HOOK):
     bl_idname = "SVRGS_USD_splats"
     bl_label = "SVR-GS Splats"
-    bl_description = "Writes Gaussian splats as such, with modifiers and without Gaussians that are hidden as removed"
 
     @staticmethod
     def on_export(export_context) -> bool:
@@ -28,7 +26,7 @@ class SVRGS_USD_splats(HOOK):
         graph = export_context.get_depsgraph()
         if not any(True for _ in bridge_graph.placed_splats(graph)):
             return True
-        packages.load("pxr.Usd", "exporting splats in a USD stage")  # before the stage, which is an object of this module
+        usd.module("Usd")  # before the stage, which is an object of this module
         stage = export_context.get_stage()
         scenes: dict[bpy.types.Object, Scene] = {}
         for path, obj in _prims(export_context, stage):

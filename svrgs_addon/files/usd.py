@@ -64,7 +64,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
 def _arrays_of(path: Path, size: int) -> Iterator[Any]:
     """The arrays of the stage (usd_arrays.py). Raises FormatError (without the name of the file), as the functions below, and SceneError."""
     if not packages.is_installed("pxr"):
-        _module("Usd")  # raises
+        module("Usd")  # raises
     with tempfile.TemporaryDirectory() as folder:
         out, seconds, megabytes = Path(folder) / "arrays.npz", SECONDS + (size >> 22), MEGABYTES + TIMES_FILE * (size >> 20)
         words = [limited.__file__, seconds, megabytes, usd_arrays.__file__, path.absolute(), out]
@@ -82,7 +82,7 @@ def _arrays_of(path: Path, size: int) -> Iterator[Any]:
 
 def write(path: str | os.PathLike, scene: Scene):
     """Writes a stage with one prim, atomically, with the Gaussians in their order. Raises SceneError."""
-    Usd, UsdGeom, Sdf = map(_module, ("Usd", "UsdGeom", "Sdf"))
+    Usd, UsdGeom, Sdf = map(module, ("Usd", "UsdGeom", "Sdf"))
     check_space(path, FREE_SPACE * scene.count * 4 * (11 + 3 * scene.sh.shape[1]))
     layer = Sdf.Layer.CreateAnonymous(Path(path).suffix.lower())
     stage = Usd.Stage.Open(layer)
@@ -99,7 +99,7 @@ def write(path: str | os.PathLike, scene: Scene):
 def replace_points(stage: Any, path: Any, scene: Scene):
     """In a stage that Blender exports: makes the points below the prim of an object this splat, in the object's coordinates; also those of an
     instance, in its prototype. Raises SceneError if there are none, or without pxr."""
-    Usd = _module("Usd")
+    Usd = module("Usd")
     everything = Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)  # prototypes too
     found = [prim for prim in stage.GetPrimAtPath(path).GetFilteredChildren(everything) if prim.GetTypeName() in (*POINTS, TYPE)]
     if not found:
@@ -113,7 +113,7 @@ def replace_points(stage: Any, path: Any, scene: Scene):
 
 def _fill(prim: Any, scene: Scene):
     """Sets the attributes of a prim, in its own coordinates."""
-    Sdf, Vt = map(_module, ("Sdf", "Vt"))
+    Sdf, Vt = map(module, ("Sdf", "Vt"))
     kinds = Sdf.ValueTypeNames
     norms = np.maximum(np.linalg.norm(scene.quats, axis=1, keepdims=True), np.float32(1e-30))
     opacities = 1 / (1 + np.exp(-scene.opacity_logits.clip(-80, 80)))
@@ -157,7 +157,7 @@ def _rows(arrays: dict[str, np.ndarray], number: int, name: str, count: int, wid
     return found.reshape(count, width)
 
 
-def _module(name: str) -> Any:
+def module(name: str) -> Any:
     """A module of pxr. Raises SceneError if it is not installed."""
     return packages.load(f"pxr.{name}", "reading and writing USD")
 
