@@ -21,6 +21,7 @@ WHAT_FOR = {  # by the names of the formats
     "compressed-ply": "A quarter of the size. Read by SuperSplat, PlayCanvas and Brush",
     "spz": "A tenth of the size. Read by many programs and by web viewers",
     "glb": "Every value as it is, in a scene file. Read by glTF programs that know splats",
+    "glb-spz": "A tenth of the size, in a scene file. A draft of a standard, which few programs read yet",
     "usd": "Every value as it is, in a stage. Read by Blender 5.3, Omniverse and other programs that know splats",
     "sog": "A fifteenth of the size. Read by SuperSplat and PlayCanvas",
     "streamed-sog": "A folder for each splat with all levels, which web viewers load as they need them",

@@ -19,7 +19,7 @@ from svrgs_addon.geometry.morton_order import morton_order
 from svrgs_addon.scene import Scene
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-WRITTEN = (".compressed.ply", ".spz", ".splat", ".glb", ".sog", ".usdc", ".usda")
+WRITTEN = (".compressed.ply", ".spz", ".splat", ".glb", ".spz.glb", ".sog", ".usdc", ".usda")
 JUDGED = (".compressed.ply", ".spz", ".splat", ".sog")  # formats that gaussforge knows
 GAUSSFORGE = {".ply": "ply", ".compressed.ply": "compressed.ply", ".spz": "spz", ".splat": "splat", ".ksplat": "ksplat", ".sog": "sog"}  # its names
 
@@ -77,6 +77,7 @@ def judged(data: bytes, kind: str, path: Path) -> Scene:
 STEPS = {  # largest differences of what is read from what was written
     ".compressed.ply": {"means": 6e-3, "logs": 5e-3, "turn": 6e-3, "alphas": 0.0022, "color": 0.003, "rest": 8 / 256},
     ".spz": {"means": 2.0**-13, "logs": 1 / 31, "turn": 6e-3, "alphas": 0.0022, "color": 0.0038, "rest": 0.5},
+    ".spz.glb": {"means": 2.0**-13, "logs": 1 / 31, "turn": 0.2, "alphas": 0.0022, "color": 0.0038, "rest": 0.5},
     ".glb": {"means": 0, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 0, "rest": 0},
     ".usdc": {"means": 0, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 0, "rest": 0},
     ".usda": {"means": 1e-6, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 1e-6, "rest": 1e-6},

@@ -1,4 +1,5 @@
-"""A .glb: nodes that move splats, several splats, whole numbers for values; what is damaged, packed or hostile is one sentence."""
+"""A .glb: nodes that move splats, several splats, whole numbers for values; a splat that is packed as an SPZ; what is damaged or
+hostile is one sentence."""
 
 from __future__ import annotations
 
@@ -10,18 +11,25 @@ import numpy as np
 import pytest
 
 from svrgs_addon.errors import FormatError
+from svrgs_addon.files.axes import turned_around, turned_over
 from svrgs_addon.files.glb_container import Glb
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.geometry.affine import transformed
-from test_formats import differences, like_trained
+from test_formats import differences, judged, like_trained, rotations
 
-SPLAT = "KHR_gaussian_splatting"
+SPLAT, DRAFT = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"
 
 
 @pytest.fixture
 def path(tmp_path):
     write_scene(tmp_path / "a.glb", like_trained(1, 50))
     return tmp_path / "a.glb"
+
+
+@pytest.fixture
+def packed(tmp_path):
+    write_scene(tmp_path / "a.spz.glb", like_trained(2, 50))
+    return tmp_path / "a.spz.glb"
 
 
 def change(path, changed, data=None):
@@ -137,6 +145,80 @@ def test_it_is_cut_anywhere(path):
         path.write_bytes(data[:length])
         with pytest.raises(FormatError):
             read_scene(path)
+
+
+def test_the_spz_inside_is_one_that_others_read_in_axes_of_its_own(packed, tmp_path):
+    """Unpacked to the axes of glTF, it is the splat that .glb holds."""
+    with open(packed, "rb") as file:
+        glb = Glb.read(file)
+    extension = primitive(glb.contents)["extensions"][SPLAT]
+    assert glb.contents["extensionsRequired"] == [SPLAT, DRAFT] and extension["kernel"] == "ellipse"
+    assert all("bufferView" not in accessor and accessor["count"] == 50 for accessor in glb.contents["accessors"])
+    theirs = judged(glb.view(extension["extensions"][DRAFT]["bufferView"]), ".spz", tmp_path / "judged.ply")
+    assert max(differences(turned_around(theirs), read_scene(packed)).values()) < 0.002
+
+
+def test_a_packed_splat_of_the_first_drafts_keeps_the_axes_of_the_spz(packed):
+    now = read_scene(packed)
+    change(packed, lambda contents: primitive(contents)["extensions"][SPLAT].pop("kernel"))
+    assert max(differences(read_scene(packed), turned_around(now)).values()) < 1e-6
+
+
+def test_packed_splats_stand_beside_others_and_more_than_once(packed):
+    scene = read_scene(packed)
+    nodes = [{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}]
+    change(packed, lambda contents: contents.update(nodes=nodes, scenes=[{"nodes": [0, 1]}]))
+    found = read_scene(packed)
+    assert found.count == 100 and sorted(found.means[:, 0].tolist()) == pytest.approx(sorted([*scene.means[:, 0], *(scene.means[:, 0] + 5)]))
+
+
+@pytest.mark.parametrize("turn, matrix", [(turned_over, np.diag([1.0, -1, -1, 1])), (turned_around, np.diag([-1.0, 1, -1, 1]))])
+def test_half_a_turn_is_the_transform(turn, matrix):
+    """Quaternions may differ by half turns around the axes of the ellipsoid, so covariances are compared."""
+    scene = like_trained(3)
+    ours, theirs = turn(scene), transformed(scene, matrix)
+    found = differences(ours, theirs)
+    covariances = [np.einsum("nij,nj,nkj->nik", rotations(one.quats), np.exp(2.0 * one.log_scales), rotations(one.quats)) for one in (ours, theirs)]
+    assert np.abs(covariances[0] - covariances[1]).max() < 1e-5
+    assert max(value for name, value in found.items() if name != "turn") < 1e-5
+
+
+def extension_of(contents) -> dict:
+    return primitive(contents)["extensions"][SPLAT]["extensions"][DRAFT]
+
+
+@pytest.mark.parametrize(
+    "changed, said",
+    [
+        (lambda contents: extension_of(contents).pop("bufferView"), "without its values"),
+        (lambda contents: extension_of(contents).update(bufferView=[0]), "without its values"),
+        (lambda contents: extension_of(contents).update(bufferView=7), "does not have"),
+        (lambda contents: contents["bufferViews"][0].update(byteLength=10**6), "beyond its end"),
+        (lambda contents: contents["bufferViews"][0].pop("byteLength"), "beyond its end"),
+        (lambda contents: contents["bufferViews"][0].update(byteLength=100), "incomplete"),
+        (lambda contents: contents["bufferViews"][0].update(byteOffset=1), "no SPZ"),
+    ],
+)
+def test_a_packed_splat_that_does_not_fit_is_refused(packed, changed, said):
+    change(packed, lambda contents: contents["bufferViews"][0].update(byteLength=contents["bufferViews"][0]["byteLength"] - 1))  # to have room
+    change(packed, changed)
+    with pytest.raises(FormatError, match=said) as caught:
+        read_scene(packed)
+    assert str(caught.value).startswith(str(packed))
+
+
+def test_splats_that_are_packed_in_the_same_bytes_are_refused(packed):
+    """Each would be unpacked by itself."""
+
+    def changed(contents):
+        view, one = contents["bufferViews"][0], primitive(contents)
+        again = json.loads(json.dumps(one))
+        again["extensions"][SPLAT]["extensions"][DRAFT]["bufferView"] = 1
+        contents.update(bufferViews=[view, view], meshes=[{"primitives": [one, again]}])
+
+    change(packed, changed)
+    with pytest.raises(FormatError, match="the same bytes"):
+        read_scene(packed)
 
 
 def test_values_are_kept(tmp_path):

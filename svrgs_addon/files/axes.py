@@ -1,4 +1,4 @@
-"""Axes of files whose y points up: right, up, back. Those of 3DGS, and of a Scene, are right, down, forward."""
+"""Axes of files whose y points up: right, up, back. Those of 3DGS, and of a Scene, are right, down, forward. glTF has left, up, forward."""
 
 from __future__ import annotations
 
@@ -8,14 +8,26 @@ import numpy as np
 
 from ..scene import Scene
 
-AXES = np.array([1, -1, -1], np.float32)  # signs of positions; of the (x, y, z) of quaternions, too
-SH_SIGNS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)  # of the coefficients of degree 1 to 3
+AXES = np.array([1, -1, -1], np.float32)  # signs of positions after half a turn around x; of the (x, y, z) of quaternions, too
+AROUND_Y = np.array([-1, 1, -1], np.float32)  # the same around y
+FACTORS = ("y z x", "xy yz 1 xz 1", "y xyz y z x z x")  # of the coefficients of degree 1 to 3: coordinates of which they are odd functions
 
 
 def turned_over(scene: Scene) -> Scene:
     """The scene after half a turn around x, from the one kind of axes to the other. It is its own inverse."""
-    sh = scene.sh.copy()
+    return _turned(scene, AXES)
+
+
+def turned_around(scene: Scene) -> Scene:
+    """The scene after half a turn around y, which turns right and back to left and forward. It is its own inverse."""
+    return _turned(scene, AROUND_Y)
+
+
+def _turned(scene: Scene, signs: np.ndarray) -> Scene:
+    """The scene after half a turn, which gives coordinates these signs."""
+    sh, sign_of = scene.sh.copy(), dict(zip("xyz1", [*signs, 1], strict=True))
+    sh_signs = np.array([np.prod([sign_of[name] for name in factors]) for factors in " ".join(FACTORS).split()], np.float32)
     with np.errstate(invalid="ignore"):  # a file may hold values that are not numbers
-        sh[:, 1:] *= SH_SIGNS[: sh.shape[1] - 1, None]
-        means, xyz = scene.means * AXES, scene.quats[:, 1:] * AXES
+        sh[:, 1:] *= sh_signs[: sh.shape[1] - 1, None]
+        means, xyz = scene.means * signs, scene.quats[:, 1:] * signs
     return replace(scene, means=means, quats=np.concatenate([scene.quats[:, :1], xyz], axis=1), sh=sh)

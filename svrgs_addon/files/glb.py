@@ -1,7 +1,8 @@
 """glTF 2.0 in one binary file (.glb), with the extension KHR_gaussian_splatting as Khronos ratified it: all values as float32.
 
 A primitive of points has the attributes POSITION, ROTATION (x, y, z, w), SCALE (not logarithms), OPACITY (0 to 1) and SH_DEGREE_l_COEF_n. Axes are
-right, up, back. All such primitives of a scene are read, moved as their nodes say; what else is in the file is ignored.
+right, up, back. All such primitives of a scene are read, moved as their nodes say; what else is in the file is ignored. A primitive whose values are
+packed as an SPZ (a draft, glb_spz.py) is read too.
 """
 
 from __future__ import annotations
@@ -17,19 +18,21 @@ from ..geometry.affine import transformed
 from ..geometry.merge import merged
 from ..geometry.rotations import rotation_matrices
 from ..scene import SH_COEFFICIENTS, Scene
+from . import spz
 from .atomic import atomic_write, check_space
-from .axes import AXES, turned_over
+from .axes import AXES, turned_around, turned_over
 from .glb_container import Glb, glb_of
 from .opened import MAX_COUNT, opened, refuse_unpacking
 from .quantised import colors_of_sh, logs_of
-from .splat_format import SplatFormat
+from .splat_format import SplatFormat, joined
 from .spooled import rows
 
 EXTENSION = "KHR_gaussian_splatting"
+PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")  # names of the draft; the first one is written
 COLORS = "srgb_rec709_display"  # display-referred, as in training
 BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
 FLOAT, BYTE = 5126, 5121  # types of components
-MOST_NODES = 100_000
+MOST_NODES, MOST_PACKED = 100_000, 64  # nodes, and packed splats in a file
 PART = 2**16  # Gaussians that are converted together
 
 
@@ -40,12 +43,12 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
         placed = list(_placed(glb))
         if not placed:
             raise FormatError(f"holds no splat: no points with the extension {EXTENSION}")
-        counts = [glb.count(_attributes(primitive).get("POSITION")) for primitive, _ in placed]
-        degrees = [_degree(primitive) for primitive, _ in placed]
-        refuse_unpacking(sum(counts), SH_COEFFICIENTS[max(degrees)], max_count)
+        unpacked = _unpacked(glb, {_view_of(primitive) for primitive, _ in placed} - {None}, max_count)
+        sizes = [_count_and_degree(glb, primitive, unpacked) for primitive, _ in placed]
+        refuse_unpacking(sum(count for count, _ in sizes), SH_COEFFICIENTS[max(degree for _, degree in sizes)], max_count)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
-                scenes = [transformed(_scene(glb, primitive, max(degrees)), matrix) for primitive, matrix in placed]
+                scenes = [transformed(_scene(glb, primitive, unpacked), matrix) for primitive, matrix in placed]
         except SceneError as error:
             raise FormatError(f"has a node that cannot be placed: {error}") from None
     yield turned_over(merged(scenes) if len(scenes) > 1 else scenes[0])
@@ -73,10 +76,9 @@ def file_size(scene: Scene) -> int:
 
 def _head(scene: Scene) -> tuple[bytes, list[int]]:
     """What is before the arrays, and the length of each in bytes."""
-    ends = [scene.means.min(axis=0) * AXES, scene.means.max(axis=0) * AXES] if scene.count else [np.zeros(3), np.zeros(3)]
     arrays = _arrays(rows(scene, 0, 0))
     lengths = [scene.count * array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in arrays.values()]
-    return _header(arrays, scene.count, lengths, [np.minimum(*ends).tolist(), np.maximum(*ends).tolist()]), lengths
+    return glb_of(contents(scene), lengths), lengths
 
 
 def _arrays(scene: Scene) -> dict[str, np.ndarray]:
@@ -93,21 +95,22 @@ def _arrays(scene: Scene) -> dict[str, np.ndarray]:
     return arrays | {f"{EXTENSION}:{name}": scene.sh[:, k] for name, k in _coefficients(scene.sh_degree)}
 
 
-def _header(arrays: dict[str, np.ndarray], count: int, lengths: list[int], bounds: list[list[float]]) -> bytes:
-    """The JSON of one mesh with `count` points that have attributes like these arrays."""
+def contents(scene: Scene) -> dict[str, Any]:
+    """The JSON of one mesh with the Gaussians as points: all but buffers and their views, one for each accessor."""
+    ends = [scene.means.min(axis=0) * AXES, scene.means.max(axis=0) * AXES] if scene.count else [np.zeros(3), np.zeros(3)]
+    bounds, arrays = [np.minimum(*ends).tolist(), np.maximum(*ends).tolist()], _arrays(rows(scene, 0, 0))
     accessors: list[dict[str, Any]] = []
     for number, (name, array) in enumerate(arrays.items()):
         kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[array.shape[1] if array.ndim > 1 else 1]
         byte = array.dtype == np.uint8
-        accessors.append({"bufferView": number, "componentType": BYTE if byte else FLOAT, "count": count, "type": kind})
+        accessors.append({"bufferView": number, "componentType": BYTE if byte else FLOAT, "count": scene.count, "type": kind})
         accessors[-1] |= ({"normalized": True} if byte else {}) | (dict(zip(("min", "max"), bounds, strict=True)) if name == "POSITION" else {})
     primitive = {
         "attributes": {name: number for number, name in enumerate(arrays)}, "mode": 0,
         "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": COLORS}},
     }  # fmt: skip
-    contents = {"asset": {"version": "2.0", "generator": "SVR-GS"}, "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}]}
-    contents |= {"nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}], "accessors": accessors}
-    return glb_of(contents, lengths)
+    whole = {"asset": {"version": "2.0", "generator": "SVR-GS"}, "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}]}
+    return whole | {"nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}], "accessors": accessors}
 
 
 def _coefficients(degree: int) -> list[tuple[str, int]]:
@@ -144,7 +147,7 @@ def _is_splat(primitive: Any) -> bool:
     if not isinstance(extensions, dict) or not isinstance(extensions.get(EXTENSION), dict):
         return False
     inner = extensions[EXTENSION].get("extensions")
-    if isinstance(inner, dict) and inner:
+    if isinstance(inner, dict) and inner and not set(PACKED) & set(inner):
         raise FormatError(f"holds a splat that is packed by {', '.join(sorted(inner))}, which is not read; export it without")
     if extensions[EXTENSION].get("kernel", "ellipse") != "ellipse" or extensions[EXTENSION].get("colorSpace", COLORS) != COLORS:
         raise FormatError(f"holds a splat with another kernel than ellipse, or other colours than {COLORS}, which are not read")
@@ -167,6 +170,34 @@ def _matrix(node: dict) -> np.ndarray:
         raise FormatError("has a node with a transform that is none; export it again") from None
 
 
+def _view_of(primitive: dict) -> int | None:
+    """The number of the buffer view that holds the values of a splat; None if its attributes do."""
+    inner = primitive["extensions"][EXTENSION].get("extensions")
+    packed = [inner[name] for name in PACKED if name in inner] if isinstance(inner, dict) else []
+    if not packed:
+        return None
+    number = packed[0].get("bufferView") if isinstance(packed[0], dict) else None
+    if not isinstance(number, int):
+        raise FormatError("has a packed splat without its values; export it again")
+    return number
+
+
+def _unpacked(glb: Glb, numbers: set, max_count: int) -> dict[int, Scene]:
+    """The splats that these buffer views hold, in the axes of a Scene."""
+    packed = {number: glb.view(number) for number in sorted(numbers)}
+    if len(packed) > MOST_PACKED or sum(map(len, packed.values())) > len(glb.data):
+        raise FormatError(f"has more than {MOST_PACKED} packed splats, or some that lie in the same bytes; export it again")
+    return {number: joined(list(spz.parts_of(data, max_count))) for number, data in packed.items()}
+
+
+def _count_and_degree(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> tuple[int, int]:
+    """How many Gaussians a splat has, and the degree of their SH."""
+    number = _view_of(primitive)
+    if number is not None:
+        return unpacked[number].count, unpacked[number].sh_degree
+    return glb.count(_attributes(primitive).get("POSITION")), _degree(primitive)
+
+
 def _attributes(primitive: dict) -> dict:
     found = primitive.get("attributes")
     if not isinstance(found, dict):
@@ -180,14 +211,19 @@ def _degree(primitive: dict) -> int:
     return max((d for d in range(4) if all(f"{EXTENSION}:{name}" in names for name, _ in _coefficients(d))), default=0)
 
 
-def _scene(glb: Glb, primitive: dict, degree: int) -> Scene:
-    """The Gaussians of a primitive in its own coordinates, with SH up to `degree`."""
-    attributes = _attributes(primitive)
+def _scene(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> Scene:
+    """The Gaussians of a primitive in its own coordinates."""
+    number = _view_of(primitive)
+    if number is not None:  # first drafts, with no kernel, took the axes of an SPZ as they were; later ones turn them to those of glTF
+        stored = turned_over(unpacked[number])
+        return turned_around(stored) if "kernel" in primitive["extensions"][EXTENSION] else stored
+    degree, attributes = _degree(primitive), _attributes(primitive)
+    degree, attributes = _degree(primitive), _attributes(primitive)
     means = glb.values(attributes.get("POSITION"), 3)
     count = len(means)
     read: Callable[[str, int], np.ndarray] = lambda name, width: glb.values(attributes.get(f"{EXTENSION}:{name}"), width, count)  # noqa: E731
     sh = np.zeros((count, SH_COEFFICIENTS[degree], 3), np.float32)
-    for name, k in _coefficients(_degree(primitive)):
+    for name, k in _coefficients(degree):
         sh[:, k] = read(name, 3)
     opacities = np.clip(read("OPACITY", 1)[:, 0].astype(np.float64), BEYOND, 1 - BEYOND)
     return Scene.of(means, logs_of(read("SCALE", 3)), np.roll(read("ROTATION", 4), 1, axis=1), np.log(opacities / (1 - opacities)), sh)

@@ -62,6 +62,15 @@ class Glb:
             raise FormatError(f"names an object that it does not have{BROKEN}")
         return found[number]
 
+    def view(self, number: Any) -> bytes:
+        """The bytes of a buffer view."""
+        view = self.of(self.items("bufferViews"), number)
+        start, length = view.get("byteOffset", 0), view.get("byteLength")
+        whole = all(isinstance(one, int) and 0 <= one <= len(self.data) for one in (start, length))
+        if not whole or start + length > len(self.data) or view.get("buffer", 0) != 0:
+            raise FormatError(f"is incomplete: a packed splat lies beyond its end{BROKEN}")
+        return self.data[start : start + length]
+
     def count(self, number: Any) -> int:
         """Number of elements of an accessor."""
         count = self.of(self.items("accessors"), number).get("count")
@@ -87,11 +96,14 @@ class Glb:
         return np.maximum(rows.astype(np.float32) / np.iinfo(kind).max, -1)
 
 
-def glb_of(contents: dict[str, Any], lengths: list[int]) -> bytes:
-    """The file up to its bytes. contents: JSON without buffers; lengths: of the arrays that follow, a buffer view for each, multiples of 4."""
+def glb_of(contents: dict[str, Any], lengths: list[int], arrays: bool = True) -> bytes:
+    """The file up to its bytes, to which zeros are added until their length is a multiple of 4. contents: JSON without buffers; lengths: of what follows,
+    a buffer view for each; of arrays, multiples of 4; or arrays=False."""
     starts = np.cumsum([0, *lengths])
-    views = [{"buffer": 0, "byteOffset": int(start), "byteLength": length, "target": ARRAY_BUFFER} for start, length in zip(starts, lengths, strict=False)]
+    kind = {"target": ARRAY_BUFFER} if arrays else {}
+    views = [{"buffer": 0, "byteOffset": int(start), "byteLength": length} | kind for start, length in zip(starts, lengths, strict=False)]
     text = json.dumps(contents | {"buffers": [{"byteLength": int(starts[-1])}], "bufferViews": views}, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    total = HEAD.size + 2 * CHUNK.size + len(text) + int(starts[-1])
-    return b"".join([HEAD.pack(b"glTF", 2, total), CHUNK.pack(len(text), b"JSON"), text, CHUNK.pack(int(starts[-1]), b"BIN\0")])
+    padded = int(starts[-1]) + int(-starts[-1]) % 4
+    total = HEAD.size + 2 * CHUNK.size + len(text) + padded
+    return b"".join([HEAD.pack(b"glTF", 2, total), CHUNK.pack(len(text), b"JSON"), text, CHUNK.pack(padded, b"BIN\0")])

@@ -19,12 +19,12 @@ from ..errors import FormatError, SceneError
 from ..native_library import thresholds
 from ..scene import Scene
 from ..system.file_names import extended, real
-from . import compressed_ply, dot_splat, glb, ksplat, ply, sog, spz, streamed_sog, usd
+from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, streamed_sog, usd
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
 FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format is named
-    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, glb.FORMAT, usd.FORMAT, sog.FORMAT, streamed_sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
+    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, glb.FORMAT, glb_spz.FORMAT, usd.FORMAT, sog.FORMAT, streamed_sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
 )  # fmt: skip
 INDEXES = tuple(one.index for one in FORMATS if one.index)
 SAMPLE, CHUNKED = 16_384, 256  # Gaussians of which sizes of files are foreseen

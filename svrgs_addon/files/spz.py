@@ -16,7 +16,7 @@ Axes are right, up, back: y and z have the opposite sign of those of 3DGS. The s
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -47,12 +47,26 @@ SQRT_HALF = np.float32(0.5**0.5)
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
     with opened(path) as file:
-        header, stored = streams(file, max_count)
+        yield from parts_of(file.read(), max_count)
+
+
+def parts_of(data: bytes, max_count: int = MAX_COUNT) -> Iterator[Scene]:
+    """The Gaussians in the bytes of a file, in parts. Raises FormatError (without the name of the file), SceneError."""
+    header, stored = streams(data, max_count)
     yield from by_parts(lambda start: _scene(header, {name: rows[start : start + PART] for name, rows in stored.items()}), range(0, max(header.count, 1), PART))
 
 
 def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST, quantise: float = 1.0):
     """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format. quantise: factor on the steps of SH. Raises
+    SceneError."""
+    data = content(path, scene, version, quantise)
+    check_space(path, len(data))
+    with atomic_write(path) as file:
+        file.write(data)
+
+
+def content(path: str | os.PathLike, scene: Scene, version: int, quantise: float = 1.0, turned: Callable[[Scene], Scene] = turned_over) -> bytes:
+    """The bytes that write() would write. path: of errors, and beside it lies what does not fit into memory. turned: to the axes of the file. Raises
     SceneError."""
     order = morton_order(scene.means)
     header = Header(version, scene.count, scene.sh_degree, fraction_bits(*_extent(scene)), scene.antialiased)
@@ -61,15 +75,12 @@ def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST, quantise
 
     def convert(start: int):
         some = order[start : start + PART]
-        for name, rows in _rows(header, scene.select(some), steps[some]).items():
+        for name, rows in _rows(header, turned(scene.select(some)), steps[some]).items():
             stored[name][start : start + PART] = rows
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         list(threads.map(convert, range(0, scene.count, PART)))
-    data = packed(header, stored, path)
-    check_space(path, len(data))
-    with atomic_write(path) as file:
-        file.write(data)
+    return packed(header, stored, path)
 
 
 def fraction_bits(largest: float, small: float) -> int:
@@ -143,8 +154,7 @@ def _quats(header: Header, stored: np.ndarray) -> np.ndarray:
 
 
 def _rows(header: Header, scene: Scene, steps: np.ndarray) -> dict[str, np.ndarray]:
-    """The rows of the streams, (N, bytes) uint8."""
-    scene = turned_over(scene)
+    """The rows of the streams, (N, bytes) uint8. scene: in the axes of the file."""
     positions = np.rint(scene.means.astype(np.float64) * 2.0**header.fraction_bits)
     whole = np.clip(positions, -LARGEST_POSITION, LARGEST_POSITION).astype("<i4")
     return {

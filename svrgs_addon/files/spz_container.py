@@ -11,14 +11,13 @@ import struct
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import BinaryIO
 
 import numpy as np
 
 from ..errors import FormatError, SceneError
 from ..scene import SH_COEFFICIENTS
 from . import zstd
-from .opened import refuse_unpacking, size_of
+from .opened import refuse_unpacking
 
 MAGIC, GZIP = b"NGSP", b"\x1f\x8b"
 NEWEST, SMALLEST_THREE = 4, 3  # versions: the newest one; the first one whose rotations have 32 bits
@@ -53,10 +52,9 @@ class Header:
         return {"positions": positions, "alphas": 1, "colors": 3, "scales": 3, "rotations": rotations, "sh": 3 * ((self.degree + 1) ** 2 - 1)}
 
 
-def streams(file: BinaryIO, max_count: int) -> tuple[Header, dict[str, np.ndarray]]:
-    """The header and the streams, (N, bytes) uint8 each. Raises FormatError (without the name of the file), SceneError."""
-    size = size_of(file)
-    data = file.read(size)
+def streams(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]:
+    """The header and the streams, (N, bytes) uint8 each, of the bytes of a file. Raises FormatError (without the name of the file), SceneError."""
+    size = len(data)
     if data[:2] == GZIP:
         return _gunzipped(data, max_count)
     if data[:4] != MAGIC or len(data) < HEADER.size:

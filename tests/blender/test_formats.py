@@ -32,7 +32,7 @@ def test_a_file_is_imported_upright_under_its_name_and_exported_again(suffix, sp
 @pytest.mark.parametrize("version", ["4", "3", "2"])
 def test_an_spz_of_each_version_is_exported(version, splat, formats, tmp_path):
     assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "a.spz"), version=version) == {"FINISHED"}
-    assert part("svrgs_addon.files.spz").streams(open(tmp_path / "a.spz", "rb"), 1_000)[0].version == int(version)
+    assert part("svrgs_addon.files.spz").streams((tmp_path / "a.spz").read_bytes(), 1_000)[0].version == int(version)
 
 
 def test_a_larger_error_in_sh_makes_a_smaller_spz_and_leaves_a_ply_as_it_is(splat, bridge, tmp_path):

@@ -2,6 +2,6 @@
 
 # Splat formats by their names in the registry, then other files. The registry cannot be asked: --atheris must import it itself.
 NAMES = (
-    "ply", "compressed-ply", "spz", "glb", "usd", "sog", "streamed-sog", "splat", "ksplat",
+    "ply", "compressed-ply", "spz", "glb", "glb-spz", "usd", "sog", "streamed-sog", "splat", "ksplat",
     "cameras-json", "transforms-json", "colmap-binary", "colmap-text", "checkpoint",
 )  # fmt: skip
