@@ -32,7 +32,7 @@ PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")  # n
 COLORS = "srgb_rec709_display"  # display-referred, as in training
 BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
 FLOAT, BYTE = 5126, 5121  # types of components
-MOST_NODES, MOST_PACKED = 100_000, 64  # nodes, and packed splats in a file
+MOST_NODES, MOST_PACKED = 20_000, 64  # nodes, and packed splats in a file
 PART = 2**16  # Gaussians that are converted together
 
 
@@ -123,15 +123,18 @@ def _placed(glb: Glb) -> Iterator[tuple[dict, np.ndarray]]:
     nodes, meshes = glb.items("nodes"), glb.items("meshes")
     scenes = glb.items("scenes")
     roots = _list_of(glb.of(scenes, glb.contents.get("scene", 0)), "nodes") if scenes else list(range(len(nodes)))
-    left, seen = [(number, np.eye(4)) for number in roots], 0
+    left, seen = [(number, np.eye(4)) for number in roots], set[int]()
     while left:
         number, above = left.pop()
-        seen += 1
-        if seen > MOST_NODES:
-            raise FormatError(f"has more than {MOST_NODES:,} nodes, or some below themselves")
         node = glb.of(nodes, number)
+        if number in seen or len(seen) == MOST_NODES:
+            raise FormatError(f"has more than {MOST_NODES:,} nodes, or some below themselves or below two others; export it again")
+        seen.add(number)
+        children = _list_of(node, "children")
+        if "mesh" not in node and not children:
+            continue
         matrix = above @ _matrix(node)
-        left += [(child, matrix) for child in _list_of(node, "children")]
+        left += [(child, matrix) for child in children]
         if "mesh" in node:
             yield from ((one, matrix) for one in _list_of(glb.of(meshes, node["mesh"]), "primitives") if _is_splat(one))
 
