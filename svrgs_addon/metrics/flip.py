@@ -84,7 +84,7 @@ def _opponents(image: np.ndarray) -> np.ndarray:
 
 def _mix(matrix: np.ndarray, planes: np.ndarray) -> np.ndarray:
     """Multiplies the colour of each pixel by a matrix (3, 3)."""
-    return np.einsum("ij,jhw->ihw", matrix.astype(np.float32), planes, optimize=True)
+    return np.einsum("ij,jhw->ihw", matrix.astype(np.float32), planes)  # optimised, it would call a BLAS whose threads get in the way of the tiles
 
 
 def _hunt_lab(white_xyz: np.ndarray) -> np.ndarray:
