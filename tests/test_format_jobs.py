@@ -19,6 +19,8 @@ from svrgs_addon.rig.around import cameras_around
 from test_formats import by_gaussforge
 from test_rendered_views import ball
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 
 def prune(path, out, **more) -> dict:
     options = {"scene": path, "out": path.with_name(out), "target": 0.5, "quiet": True} | more

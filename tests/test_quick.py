@@ -24,6 +24,8 @@ from svrgs_addon.native import Rasterizer
 from svrgs_addon.rig.around import cameras_around, middle_and_radius
 from svrgs_addon.scene import Scene
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 
 def ball(count: int = 2_000, radius: float = 3.0, middle=(0.0, 0.0, 0.0), seed: int = 0) -> Scene:
     """A sphere of overlapping Gaussians whose colours change slowly."""

@@ -21,6 +21,8 @@ from svrgs_addon.rig.around import cameras_around
 from svrgs_addon.scene import Scene
 from test_quick import ball
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 
 def sorted_rows(scene: Scene) -> np.ndarray:
     """The values of all Gaussians, one row each, in an order of their own."""
