@@ -13,7 +13,7 @@ from svrgs_addon.bench.cases import room_case
 from svrgs_addon.bench.floors import LANES, stage_floors
 from svrgs_addon.bench.interactive import measure_interactive
 from svrgs_addon.bench.measure import measure, peaks_of, work_counts
-from svrgs_addon.bench.plots import charts, front
+from svrgs_addon.bench.plots import charts
 from svrgs_addon.bench.scaling import measure_scaling
 from svrgs_addon.bench.scenes import room
 from svrgs_addon.bench.skips import measure_skips
@@ -169,7 +169,7 @@ def test_every_knob_has_one_default_and_a_title():
 
 
 def test_front_keeps_what_nothing_beats():
-    from svrgs_addon.bench.chart import Point
+    from svrgs_addon.report.point_chart import Point, front
 
     points = [Point(1, 5, "a"), Point(2, 6, "beaten"), Point(3, 2, "b"), Point(3, 3, "beaten too")]
     assert [point.label for point in front(points)] == ["a", "b"]

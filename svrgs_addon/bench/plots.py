@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .chart import Axis, Point, chart
+from ..report.point_chart import Axis, Point, chart, front
 
 # knob -> title of the chart
 KNOBS = {
@@ -41,13 +41,3 @@ def scaling_chart(axis: str, scaling: list[dict], key: str) -> str:
     """Forward time over pixels or Gaussians, on logarithmic axes. scaling: the entries of one axis; key: the values of the x axis."""
     points = [Point(s[key], s["forward_ms"], f"{s['forward_ms']:.3g} ms") for s in scaling]
     return chart(f"Forward time over {axis}", points, Axis(axis, log=True), Axis("forward, ms", log=True), points)
-
-
-def front(points: list[Point]) -> list[Point]:
-    """The Pareto front: the points that no other point beats in both time and error, by rising error."""
-    best = float("inf")
-    found: list[Point] = []
-    for point in sorted(points, key=lambda p: (p.x, p.y)):
-        if point.y < best:
-            best, found = point.y, [*found, point]
-    return found

@@ -14,9 +14,9 @@ from ..finetune.engine import NativeEngine, Step
 from ..finetune.model import Model
 from ..finetune.settings import Rates
 from ..native import RenderOptions, best_level, sample_masks
+from ..report.point_chart import Axis, Point, chart
 from .accuracy import error
 from .cases import room_case
-from .chart import Axis, Point, chart
 from .stress_rows import Row, rows
 
 DRIFT_STEPS = (1, 3, 10, 30, 100, 300, 1000)

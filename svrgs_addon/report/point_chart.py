@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from math import ceil, floor, log10
 
-from ..report.svg_axes import Frame, nice_ticks, short_number
+from .svg_axes import Frame, nice_ticks, short_number
 
 FRAME = Frame(width=640, height=400, left=66, right=28, top=48, bottom=54)  # the margins hold tick texts and titles
 LINE = 15  # pixels between labels that would overlap
@@ -60,6 +60,16 @@ class Axis:
         steps = (1,) if high - low > 2.5 else (1, 2, 5)
         values = [(power, step) for power in range(floor(low), ceil(high) + 1) for step in steps]
         return [(power + log10(step), short_number(step * 10.0**power)) for power, step in values if low <= power + log10(step) <= high]
+
+
+def front(points: list[Point]) -> list[Point]:
+    """The Pareto front: the points that no other point beats in both values, of which less is better, by rising x."""
+    best = float("inf")
+    found: list[Point] = []
+    for point in sorted(points, key=lambda p: (p.x, p.y)):
+        if point.y < best:
+            best, found = point.y, [*found, point]
+    return found
 
 
 def chart(title: str, points: list[Point], x: Axis, y: Axis, line: Sequence[Point] = (), rings: Sequence[Point] = ()) -> str:
