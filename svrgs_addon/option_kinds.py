@@ -130,8 +130,9 @@ def default_of(cls: type, name: str) -> Any:
     return next(found.default for found in fields(cls) if found.name == name)
 
 
-def check_mapping(cls: type, values: object) -> dict[str, Any]:
-    """Checks the options of a job folder by name, type and range and returns them. Texts of path options become Path, empty ones None.
+def check_mapping(cls: type, values: object, in_job: bool = True) -> dict[str, Any]:
+    """Checks options that were read from JSON by name, type and range and returns them. Texts of path options become Path, empty ones None, lists
+    tuples. in_job: only options that are allowed in a job folder.
 
     Raises SceneError with one sentence.
     """
@@ -140,11 +141,12 @@ def check_mapping(cls: type, values: object) -> dict[str, Any]:
     known, checked = options_of(cls), {}
     for name, value in values.items():
         found = known.get(name)
-        if found is None or not found.in_job:
+        value = tuple(value) if isinstance(value, list) else value
+        if found is None or (in_job and not found.in_job):
             raise SceneError(f"'{str(name)[:40]}' is no option of a job")
         if not found.kind.fits(value):
             raise SceneError(f"the option '{name}' is not {found.kind.wanted or 'of the right type'}")
         if isinstance(value, str) and ("\0" in value or "\n" in value):
             raise SceneError(f"the option '{name}' holds characters that no path has")
-        checked[name] = value if found.kind.type is not Path else extended(value) if value else None
+        checked[name] = value if found.kind.type is not Path else extended(str(value)) if value else None
     return checked

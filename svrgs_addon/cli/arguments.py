@@ -18,7 +18,7 @@ from .. import __version__
 from ..errors import SceneError
 from ..exit_status import printable
 from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions, refuse_time_and_steps
-from ..option_kinds import COLOUR, POSITIVE, Kind, Option, default_of, options_of
+from ..option_kinds import COLOUR, POSITIVE, SHARES, Kind, Option, default_of, options_of
 from ..outputs import PICTURES
 from ..selection.options import SelectOptions
 from ..system.file_names import extended
@@ -80,7 +80,7 @@ def parser() -> argparse.ArgumentParser:
     root = Parser(prog="svrgs", description="Makes 3D Gaussian splat scenes several times smaller, and measures the loss of quality.")
     root.add_argument("--version", action="version", version=__version__)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_info, _render, _train, _prune, _select, _convert, _rig, _eval, _compare, _bench):
+    for add in (_info, _render, _train, _prune, _select, _convert, _rig, _eval, _compare, _farm, _bench):
         add(commands)
     return root
 
@@ -221,6 +221,26 @@ def _compare(commands):
     command.add_argument("b", type=extended, metavar="B", help="second splat file")
     _options(command, DatasetOptions)
     command.add_argument("--out", type=extended, required=True, metavar="DIR", help="folder to write the pictures and the HTML page to")
+
+
+def _farm(commands):
+    help_ = "Prunes many captures on a farm: makes a job, does tasks of it on any machine, reports on all."
+    actions = commands.add_parser("farm", help=help_, description=help_).add_subparsers(dest="action", required=True, metavar="ACTION")
+    export = _command(actions, "export", "Makes a job: a folder with all settings, for Open Job Description, Deadline Cloud and Flamenco.")
+    export.add_argument("scenes", type=extended, nargs="+", metavar="CAPTURE", help="as of svrgs prune: splats, folders of captures")
+    export.add_argument("--out", type=extended, required=True, metavar="DIR", help="folder of the job, in which the results will be")
+    export.add_argument("--methods", default="", metavar="NAMES", help="methods to compare, with commas between (default: that of svrgs prune)")
+    export.add_argument("--targets", type=_reader(SHARES), default=(), metavar="SHARES", help="shares of the Gaussians to keep (default: the method decides)")
+    export.add_argument("--to", default=".ply", metavar="SUFFIX", help="suffix of the results, which says their format (default: .ply)")
+    export.add_argument("--no-photographs", action="store_true", help="prune on the splats' own pictures, also where there are photographs")
+    _options(export, PruneOptions, leave_out=("method", "target", "resume", "quiet", "time", "levels"), colmap=False)
+    run = _command(actions, "run", "Does tasks of a job. What is done stays, and what was interrupted goes on.")
+    run.add_argument("folder", type=extended, metavar="JOB", help="folder of the job")
+    run.add_argument("--tasks", default="", metavar="N-M", help="numbers of tasks, as in 0-3,8 (default: all)")
+    run.add_argument("--root", type=extended, metavar="DIR", help="where the captures lie on this machine (default: where they lay when the job was made)")
+    run.add_argument("--messages", choices=("text", "openjd"), default="text", help="how progress is told on stdout (default: text)")
+    report = _command(actions, "report", "Writes a table and a chart over all tasks of a job.")
+    report.add_argument("folder", type=extended, metavar="JOB", help="folder of the job")
 
 
 def _bench(commands):

@@ -130,6 +130,14 @@ def compare(words: Words) -> int:
     return _print(result, words, "\n".join(f"{name}: {_figures(result[name])}" for name in ("a", "b")) + f"\n{result['report']}")
 
 
+def farm(words: Words) -> int:
+    from .farm_commands import as_text
+    from .farm_commands import farm as run
+
+    result = run(words)
+    return _print(result, words, as_text(words, result))
+
+
 def bench(words: Words) -> int:
     from ..bench.run import bench as run
     from ..bench.text import as_text
@@ -140,7 +148,7 @@ def bench(words: Words) -> int:
 
 COMMANDS: dict[str, Callable[[Words], int]] = {
     "info": info, "render": render, "train": train, "prune": prune, "select": select, "convert": convert, "rig": rig,
-    "eval": evaluate, "compare": compare, "bench": bench,
+    "eval": evaluate, "compare": compare, "farm": farm, "bench": bench,
 }  # fmt: skip
 
 

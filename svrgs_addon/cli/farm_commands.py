@@ -1,0 +1,78 @@
+"""`svrgs farm export`, `run` and `report`: many captures, methods and targets, for the machines of a farm."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ..errors import SceneError, SplatError
+from ..farm.engine_messages import Messages
+from ..farm.farm_job import JOB, FarmJob, tasks_of
+from ..farm.flamenco import write_submission
+from ..farm.needs import memory_of
+from ..farm.openjd import write_bundle
+from ..farm.run_tasks import numbers_of, run_tasks
+from ..farm.summary import summarise
+from ..files.registry import format_to_write
+from ..jobs.options import PruneOptions
+from ..jobs.run_job import method_of
+from ..memory import size_text
+from .arguments import options_from
+from .batch_list import expand
+
+
+def farm(words: argparse.Namespace) -> dict[str, Any]:
+    """Does one action. Raises SplatError, Cancelled."""
+    return {"export": _export, "run": _run, "report": _report}[words.action](words)
+
+
+def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
+    """The result in a sentence; of a run, its messages have said everything."""
+    if words.action == "export":
+        return f"{result['tasks']} tasks, each with up to {size_text(result['memory'])} of memory; saved {result['folder']}"
+    return result["report"] if words.action == "report" else "\n".join(f"{one['sha256']}  {one['out']}" for one in result["tasks"])
+
+
+def _export(words: argparse.Namespace) -> dict[str, Any]:
+    folder: Path = words.out
+    if folder.exists() and not (folder.is_dir() and (not any(folder.iterdir()) or (folder / JOB).is_file())):
+        raise SceneError(f"{folder}: is not empty, and no farm job; choose another folder")
+    suffix = words.to if words.to.startswith(".") else f".{words.to}"
+    format_to_write(f"x{suffix}")
+    options = options_from(PruneOptions, words)
+    if words.targets and (options.target_count or options.max_drop):
+        raise SceneError("--targets and --target-count or --max-drop each say how many Gaussians stay: leave one out")
+    items = expand(words.scenes, words.colmap, folder / "results")
+    root = Path(os.path.commonpath([item.scene.absolute().parent for item in items] + [item.colmap.absolute() for item in items if item.colmap]))
+    scenes = [(item.name, item.scene, None if words.no_photographs else item.colmap) for item in items]
+    job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, list(_ways(words)), options), suffix)
+    needed = max(memory_of(one) for one in {one.scene: one for one in map(job.options, job.tasks)}.values())
+    job.write()
+    write_bundle(job, folder.name, needed)
+    write_submission(job, folder.name)
+    return {"folder": str(folder), "tasks": len(job.tasks), "memory": needed, "names": [task.name for task in job.tasks]}
+
+
+def _ways(words: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """The methods times the targets. Raises SceneError for a method that there is not."""
+    for method in words.methods.split(",") if words.methods else [""]:
+        method_of(PruneOptions(method=method))
+        for target in words.targets or [None]:
+            yield ({"method": method} if method else {}) | ({"target": target} if target else {})
+
+
+def _run(words: argparse.Namespace) -> dict[str, Any]:
+    job, messages = FarmJob.read(words.folder, words.root), Messages(words.messages)
+    numbers = numbers_of(words.tasks, len(job.tasks)) if words.tasks else list(range(len(job.tasks)))
+    try:
+        return {"tasks": run_tasks(job, numbers, messages)}
+    except SplatError as error:
+        messages.fail(str(error))
+        raise
+
+
+def _report(words: argparse.Namespace) -> dict[str, Any]:
+    return summarise(FarmJob.read(words.folder))
