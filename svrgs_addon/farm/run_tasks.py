@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import SceneError
+from ..errors import SceneError, SplatError
 from ..finetune.loop import Progress
 from ..jobs.context import JobContext
 from ..jobs.run_job import prune_scene
@@ -49,7 +49,7 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
 
     try:
         result = prune_scene(job.options(task), observed)
-    except SceneError as error:
+    except SplatError as error:
         raise type(error)(f"task {task.name}: {error}") from None
     digest = sha256(out)
     write_json(job.result_path(task), {"task": {"scene": task.scene, "options": task.options}, "sha256": digest, "result": result})

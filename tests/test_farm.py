@@ -1,0 +1,253 @@
+"""`svrgs farm`: a job whose tasks any machine does in any order, in Open Job Description and for Flamenco; killed tasks end with the same bytes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from svrgs_addon.cli.main import main
+from svrgs_addon.farm import openjd, run_tasks
+from svrgs_addon.farm.farm_job import FarmJob
+from svrgs_addon.files.registry import describe
+
+ROOT = Path(__file__).resolve().parents[1]
+FLAMENCO = ROOT / "svrgs_addon/farm/flamenco/svrgs_prune.js"
+STEPS = ["--iterations", "40", "--recovery", "20"]
+
+
+@pytest.fixture
+def captures(tiny, tmp_path):
+    """A folder of two captures."""
+    for name in ("one", "two"):
+        shutil.copytree(tiny.folder, tmp_path / "captures" / name)
+    return tmp_path / "captures"
+
+
+@pytest.fixture
+def job(captures, tmp_path, capsys):
+    """A farm job of four tasks."""
+    words = ["--out", str(tmp_path / "job"), "--methods", "removal,opacity", "--targets", "0.5", *STEPS]
+    assert main(["farm", "export", str(captures), *words]) == 0
+    capsys.readouterr()
+    return tmp_path / "job"
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {path.name: run_tasks.sha256(path) for path in sorted((folder / "results").glob("*.ply"))}
+
+
+@pytest.fixture
+def alone(job):
+    """The results of one machine that does all tasks."""
+    assert main(["farm", "run", str(job)]) == 0
+    found = digests(job)
+    assert len(found) == 4
+    shutil.rmtree(job / "results")
+    return found
+
+
+def test_a_job_holds_every_setting_with_paths_within_the_captures(job, captures):
+    contents = json.loads((job / "job.json").read_text())
+    assert contents["root"] == str(captures) and [task["name"] for task in contents["tasks"]] == [
+        "one-removal-50", "one-opacity-50", "two-removal-50", "two-opacity-50",
+    ]  # fmt: skip
+    expected = {"iterations": 40, "recovery": 20, "colmap": "one", "method": "opacity", "target": 0.5}
+    assert contents["tasks"][1] == {"name": "one-opacity-50", "scene": "one/scene.ply", "options": expected}
+
+
+def test_tasks_in_any_order_and_elsewhere_give_the_same_bytes(job, alone, captures, tmp_path):
+    shutil.move(captures, tmp_path / "elsewhere")
+    for numbers in ("3", "0-1,2"):
+        assert main(["farm", "run", str(job), "--root", str(tmp_path / "elsewhere"), "--tasks", numbers]) == 0
+    assert digests(job) == alone
+
+
+def test_what_is_done_stays_and_what_was_changed_is_done_again(job, capsys):
+    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)["tasks"][0]
+    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["tasks"][0] == first | {"done_before": True} and not first["done_before"]
+    Path(first["out"]).write_bytes(b"half a file")
+    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["tasks"][0] == first
+
+
+def test_the_report_has_all_tasks_and_means_over_the_scenes(job, capsys):
+    assert main(["farm", "report", str(job)]) == 2 and "none of its 4 tasks is done" in capsys.readouterr().err
+    assert main(["farm", "run", str(job), "--tasks", "0-2"]) == 0
+    capsys.readouterr()
+    assert main(["farm", "report", str(job), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["missing"] == ["two-opacity-50"] and len(facts["tasks"]) == 3
+    assert [row["method"] for row in facts["over_all_scenes"]] == ["removal"], "opacity was not done on all scenes"
+    page = (job / "report/index.html").read_text()
+    assert "two-opacity-50" in page and "<svg" in page and page.count("<tr>") == 4
+    rows = {row["name"]: row for row in facts["tasks"]}
+    assert rows["one-removal-50"]["kept"] == 0.5 and rows["one-opacity-50"]["loss"] > rows["one-removal-50"]["loss"]
+
+
+def test_results_have_the_format_that_is_asked_for(captures, tmp_path):
+    words = ["--out", str(tmp_path / "job"), "--to", "spz", "--quick", "--targets", "0.4", "--no-photographs"]
+    assert main(["farm", "export", str(captures / "one/scene.ply"), *words]) == 0
+    assert main(["farm", "run", str(tmp_path / "job")]) == 0
+    assert describe(tmp_path / "job/results/scene-40.spz")["count"] == 100
+
+
+# --- Open Job Description
+
+
+def openjd_run(job: Path, *words: str) -> subprocess.Popen:
+    pytest.importorskip("openjd")
+    svrgs = job / "svrgs"
+    svrgs.write_text(f'#!/bin/sh\nexec {sys.executable} -m svrgs_addon "$@"\n')
+    svrgs.chmod(0o755)
+    values = {one["name"]: one["value"] for one in json.loads((job / "parameter_values.json").read_text())["parameterValues"]}
+    parameters = [f"{name}={value}" for name, value in (values | {"Svrgs": svrgs}).items()]
+    command = [sys.executable, "-m", "openjd", "run", str(job / "template.json"), *(word for one in parameters for word in ("-p", one)), *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
+def test_an_engine_runs_the_whole_job(job, alone):
+    run = openjd_run(job, "-p", "TasksPerChunk=3", "--step", "Report", "--run-dependencies")
+    said = run.communicate(timeout=300)[0]
+    assert run.returncode == 0, said
+    assert "openjd_progress: 100.00" in said and "openjd_status: one-removal-50: " in said and "Chunks run: 3" in said
+    assert digests(job) == alone and (job / "report/index.html").is_file()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
+def test_a_task_that_is_killed_and_tried_again_ends_with_the_same_bytes(captures, tmp_path):
+    words = ["--out", str(tmp_path / "job"), "--targets", "0.5", "--iterations", "4000", "--recovery", "200"]
+    assert main(["farm", "export", str(captures / "one"), *words]) == 0
+    job = tmp_path / "job"
+    assert main(["farm", "run", str(job)]) == 0
+    expected = digests(job)
+    shutil.rmtree(job / "results")
+    for seconds in (1.0, 1.7):
+        engine = openjd_run(job, "--step", "Prune")
+        found = wait_for_task(job)
+        time.sleep(seconds)
+        subprocess.run(["kill", "-9", *found], check=False)
+        assert engine.wait(timeout=60) != 0
+        engine.stdout.close()
+        assert not list((job / "results").glob("*.json"))
+    engine = openjd_run(job, "--step", "Prune")
+    assert "openjd_fail" not in engine.communicate(timeout=120)[0] and engine.returncode == 0
+    assert digests(job) == expected
+
+
+def wait_for_task(job: Path) -> list[str]:
+    """Process numbers of what does a task of the job."""
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        found = subprocess.run(["pgrep", "-f", f"svrgs_addon farm run {job}"], capture_output=True, text=True, check=False).stdout.split()
+        if found:
+            return found
+        time.sleep(0.02)
+    raise AssertionError("no task began")
+
+
+def test_the_template_asks_for_the_memory_of_the_largest_task():
+    amounts = {one["name"]: one["min"] for one in openjd.template(3 << 30)["steps"][0]["hostRequirements"]["amounts"]}
+    assert amounts == {"amount.worker.vcpu": 2, "amount.worker.memory": 3072}
+
+
+def test_a_failed_task_is_told_to_the_engine(job, captures, capsys):
+    (captures / "two/scene.ply").write_bytes(b"ply\n")
+    assert main(["farm", "run", str(job), "--tasks", "2", "--messages", "openjd"]) == 2
+    told = capsys.readouterr()
+    assert "openjd_fail: task two-removal-50: " in told.out and "two/scene.ply" in told.err and not list((job / "results").glob("*.ply"))
+
+
+# --- Flamenco
+
+AUTHOR = """
+const tasks = [];
+function made(kind, name, type) {
+  return { name, type, commands: [], after: [], addCommand(one) { this.commands.push(one); }, addDependency(one) { this.after.push(one.name); } };
+}
+const author = { Task: (name, type) => made("task", name, type), Command: (name, parameters) => ({ name, parameters }) };
+function graph(settings) {
+  tasks.length = 0;
+  compileJob({ settings, addTask: (one) => tasks.push(one) });
+  return JSON.stringify(tasks);
+}
+"""
+
+
+@pytest.fixture
+def flamenco():
+    """Runs compileJob() of the job type, with an author that only notes. Returns a function from settings to tasks."""
+    context = pytest.importorskip("quickjs").Context()
+    context.eval(AUTHOR + FLAMENCO.read_text())
+    return lambda settings: json.loads(context.eval(f"graph({json.dumps(settings)})"))
+
+
+def test_flamenco_does_the_tasks_in_chunks_and_then_the_report(job, flamenco, captures):
+    submission = json.loads((job / "flamenco.json").read_text())
+    assert submission["type"] == "svrgs-prune" and submission["name"] == "job"
+    tasks = flamenco(submission["settings"] | {"tasks_per_chunk": 3})
+    assert [(task["name"], task["after"]) for task in tasks] == [("prune 0-2", []), ("prune 3", []), ("report", ["prune 0-2", "prune 3"])]
+    words = ["farm", "run", str(job), "--root", str(captures), "--tasks", "0-2"]
+    assert tasks[0]["commands"] == [{"name": "exec", "parameters": {"exe": "svrgs", "args": words}}] and tasks[0]["type"] == "misc"
+    assert tasks[2]["commands"][0]["parameters"]["args"] == ["farm", "report", str(job)]
+
+
+def test_what_flamenco_asks_for_is_what_a_submission_has(job, flamenco):
+    settings = json.loads((job / "flamenco.json").read_text())["settings"]
+    context = pytest.importorskip("quickjs").Context()
+    keys = json.loads(context.eval(FLAMENCO.read_text() + "JSON.stringify(JOB_TYPE.settings.map((one) => one.key))"))
+    assert sorted(keys) == sorted(settings)
+
+
+# --- jobs of strangers, and words that do not fit
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"schema": 2}, "no farm job of this version"),
+        ({"to": ".exe"}, "no farm job of this version"),
+        ({"tasks": 3}, "no farm job of this version"),
+        ({"tasks": [{"name": "../a", "scene": "a", "options": {}}]}, "no plain name"),
+        ({"tasks": [{"name": "a", "options": {}}]}, "without a name or a scene"),
+        ({"tasks": [{"name": "a", "scene": "a", "options": {"shell": "rm"}}]}, "'shell' is no option"),
+        ({"tasks": [{"name": "a", "scene": "a", "options": {"target": "half"}}]}, "'target' is not"),
+        ({"tasks": [{"name": "a", "scene": "a", "options": {"background": [0, 1]}}]}, "'background' is not"),
+    ],
+)
+def test_a_job_that_is_none_is_one_sentence(job, change, said, capsys):
+    contents = json.loads((job / "job.json").read_text())
+    (job / "job.json").write_text(json.dumps(contents | change))
+    assert main(["farm", "run", str(job)]) == 2
+    assert said in (told := capsys.readouterr().err) and str(job / "job.json") in told and told.count("\n") == 1
+
+
+@pytest.mark.parametrize("numbers", ("4", "3-1", "a", "-1", "0,,1"))
+def test_numbers_of_tasks_that_there_are_not(job, numbers, capsys):
+    assert main(["farm", "run", str(job), f"--tasks={numbers}"]) == 2 and "0 to 3" in capsys.readouterr().err
+
+
+def test_a_folder_with_other_things_is_no_place_for_a_job(captures, tmp_path, capsys):
+    assert main(["farm", "export", str(captures), "--out", str(captures / "one")]) == 2 and "no farm job" in capsys.readouterr().err
+    assert main(["farm", "export", str(captures), "--out", str(tmp_path / "a"), "--methods", "removal,none"]) == 2
+    assert "'none'" in capsys.readouterr().err and not (tmp_path / "a").exists()
+    assert main(["farm", "export", str(captures), "--out", str(tmp_path / "a"), "--targets", "0.5", "--target-count", "9"]) == 2
+    assert "leave one out" in capsys.readouterr().err
+
+
+def test_every_option_survives_the_way_through_the_file(captures, tmp_path):
+    words = ["--background", "0.5,0.25,1", "--lambda-f", "1e-3", "--visible-mask", "--seed", "7", "--max-drop", "0.5", "--nested", "0.2"]
+    assert main(["farm", "export", str(captures / "one"), "--out", str(tmp_path / "job"), *words]) == 0
+    job = FarmJob.read(tmp_path / "job")
+    options = job.options(job.tasks[0])
+    assert (options.background, options.lambda_f, options.visible_mask, options.seed) == ((0.5, 0.25, 1.0), 1e-3, True, 7)
+    assert (options.max_drop, options.nested, options.colmap, options.resume) == (0.5, 0.2, captures / "one", True)
+    assert options.scene == captures / "one/scene.ply"
