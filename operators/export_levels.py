@@ -14,9 +14,8 @@ from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.files.registry import FORMATS, size_on_disk, write_scene
 from ..svrgs_addon.jobs.level_files import level_files
 from ..svrgs_addon.memory import size_text
-from . import bridge
 from .child_work import ChildWork
-from .export_space import KINDS, WHAT_FOR, ExportSpace
+from .export_space import KINDS, WHAT_FOR, ExportSpace, selected_splats
 from .job import JobOperator
 from .job_watch import redraw_panels
 from .native_check import native_problem
@@ -52,7 +51,7 @@ class SVRGS_OT_export_levels(JobOperator, ExportSpace):
 
     @classmethod
     def poll(cls, context):
-        problem = native_problem() or ("" if _selected(context) else tr("Select a Gaussian splat first"))
+        problem = native_problem() or ("" if selected_splats(context) else tr("Select a Gaussian splat first"))
         if problem or _running:
             cls.poll_message_set(problem or lines()[0])
         return not problem and not _running
@@ -69,7 +68,7 @@ class SVRGS_OT_export_levels(JobOperator, ExportSpace):
 
     def work(self, context) -> str:
         shares, folder = self.parsed(), Path(bpy.path.abspath(self.directory))
-        outs = {obj: self.path_of(folder, obj) for obj in _selected(context)}
+        outs = {obj: self.path_of(folder, obj) for obj in selected_splats(context)}
         there = [path for out in outs.values() for path in (out, *level_files(out, shares).values()) if path.exists()]
         if there and not self.overwrite:
             raise SceneError(tr("{file} exists already: choose another folder, or Overwrite").format(file=there[0]))
@@ -104,10 +103,6 @@ class SVRGS_OT_export_levels(JobOperator, ExportSpace):
             return folder / name / STREAMED.index
         (suffix,) = (one.suffixes[0] for one in FORMATS if one.name == self.kind)
         return folder / f"{name}{suffix}"
-
-
-def _selected(context) -> list[bpy.types.Object]:
-    return [obj for obj in context.selected_objects if bridge.is_splat(obj)]
 
 
 def _export(name: str, temporary: tempfile.TemporaryDirectory, out: Path, words: list[str]):

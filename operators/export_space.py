@@ -30,6 +30,10 @@ WHAT_FOR = {  # by the names of the formats
 KINDS = [(one.name, one.label, WHAT_FOR[one.name]) for one in FORMATS if one.write and one.suffixes]
 
 
+def selected_splats(context) -> list[bpy.types.Object]:
+    return [obj for obj in context.selected_objects if bridge.is_splat(obj)]
+
+
 class ExportSpace:
     """Base class of the operators that export splats: the choice of the Gaussians and of the coordinates."""
 

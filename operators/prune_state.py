@@ -22,6 +22,7 @@ from . import (
     depths,
     edit_guard,
     estimate,
+    export_farm,
     export_levels,
     former_methods,
     goals,
@@ -258,7 +259,7 @@ def _marked(_) -> int:
 
 
 def _exported(_) -> str:
-    return "\n".join(export_levels.lines())
+    return "\n".join(export_levels.lines() + export_farm.lines())
 
 
 class SVRGS_PG_prune_state(bpy.types.PropertyGroup):

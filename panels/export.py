@@ -23,6 +23,7 @@ class SVRGS_PT_export(bpy.types.Panel):
             wrapped_label(layout, tr("{count:,} hidden Gaussians stay out of the file. Apply deletes them").format(count=state.marked), "INFO")
         layout.operator("svrgs.export_ply", icon="EXPORT")
         layout.operator("svrgs.export_levels", icon="MOD_DECIM")
+        layout.operator("svrgs.export_farm_job", icon="NETWORK_DRIVE")
         for line in filter(None, state.exported.split("\n")):
             wrapped_label(layout, line)
 

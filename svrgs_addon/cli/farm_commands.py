@@ -1,4 +1,4 @@
-"""`svrgs farm export`, `run` and `report`: many captures, methods and targets, for the machines of a farm."""
+"""`svrgs farm export`, `files`, `run` and `report`: many captures, methods and targets, for the machines of a farm."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import SceneError, SplatError
 from ..farm.engine_messages import Messages
-from ..farm.farm_job import JOB, FarmJob, tasks_of
+from ..farm.farm_job import FarmJob, refuse_folder, tasks_of
 from ..farm.flamenco import write_submission
 from ..farm.needs import memory_of
 from ..farm.openjd import write_bundle
@@ -26,20 +26,19 @@ from .batch_list import expand
 
 def farm(words: argparse.Namespace) -> dict[str, Any]:
     """Does one action. Raises SplatError, Cancelled."""
-    return {"export": _export, "run": _run, "report": _report}[words.action](words)
+    return {"export": _export, "files": _files, "run": _run, "report": _report}[words.action](words)
 
 
 def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
     """The result in a sentence; of a run, its messages have said everything."""
-    if words.action == "export":
+    if words.action in ("export", "files"):
         return f"{result['tasks']} tasks, each with up to {size_text(result['memory'])} of memory; saved {result['folder']}"
     return result["report"] if words.action == "report" else "\n".join(f"{one['sha256']}  {one['out']}" for one in result["tasks"])
 
 
 def _export(words: argparse.Namespace) -> dict[str, Any]:
     folder: Path = words.out
-    if folder.exists() and not (folder.is_dir() and (not any(folder.iterdir()) or (folder / JOB).is_file())):
-        raise SceneError(f"{folder}: is not empty, and no farm job; choose another folder")
+    refuse_folder(folder)
     suffix = words.to if words.to.startswith(".") else f".{words.to}"
     format_to_write(f"x{suffix}")
     options = options_from(PruneOptions, words)
@@ -49,11 +48,20 @@ def _export(words: argparse.Namespace) -> dict[str, Any]:
     root = Path(os.path.commonpath([item.scene.absolute().parent for item in items] + [item.colmap.absolute() for item in items if item.colmap]))
     scenes = [(item.name, item.scene, None if words.no_photographs else item.colmap) for item in items]
     job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, list(_ways(words)), options), suffix)
+    return _write(job)
+
+
+def _files(words: argparse.Namespace) -> dict[str, Any]:
+    return _write(FarmJob.read(words.folder.absolute(), words.root and words.root.absolute()))
+
+
+def _write(job: FarmJob) -> dict[str, Any]:
+    """Writes job.json and the files of the engines."""
     needed = max(memory_of(one) for one in {one.scene: one for one in map(job.options, job.tasks)}.values())
     job.write()
-    write_bundle(job, folder.name, needed)
-    write_submission(job, folder.name)
-    return {"folder": str(folder), "tasks": len(job.tasks), "memory": needed, "names": [task.name for task in job.tasks]}
+    write_bundle(job, job.folder.name, needed)
+    write_submission(job, job.folder.name)
+    return {"folder": str(job.folder), "tasks": len(job.tasks), "memory": needed, "names": [task.name for task in job.tasks]}
 
 
 def _ways(words: argparse.Namespace) -> Iterator[dict[str, Any]]:

@@ -3,6 +3,7 @@
     job.json             schema, version, root, to, and the tasks: name, scene, and the options of `svrgs prune`
     results/NAME.ply     what a task wrote, in the format of `to`; results/NAME.json, its result, is written last
     report/              table and chart over all tasks (summary.py)
+    captures/            the splats of a job that Blender made
     template.json, parameter_values.json, asset_references.json      the job in Open Job Description (openjd.py)
     flamenco.json        the job for the manager of Flamenco (flamenco.py)
 
@@ -28,7 +29,7 @@ from ..jobs.options import PruneOptions
 from ..option_kinds import check_mapping, default_of, options_of
 from ..system.file_names import extended, real
 
-SCHEMA, JOB, RESULTS = 1, "job.json", "results"
+SCHEMA, JOB, RESULTS, CAPTURES = 1, "job.json", "results", "captures"  # captures: of a job that Blender made
 LARGEST = 1 << 24  # bytes of job.json, and of a result
 NAME = re.compile(r"\w[\w.+ -]{0,200}")
 INSIDE = ("colmap", "cameras")  # options with a path that may lie in the root
@@ -98,6 +99,12 @@ class FarmJob:
 
     def _place(self, path: str) -> Path:
         return extended(self.root / path)
+
+
+def refuse_folder(folder: Path):
+    """Raises SceneError for a folder that holds other things than a farm job."""
+    if folder.exists() and not (folder.is_dir() and (not any(folder.iterdir()) or (folder / JOB).is_file())):
+        raise SceneError(f"{folder}: is not empty, and no farm job; choose another folder")
 
 
 def tasks_of(root: Path, scenes: Sequence[tuple[str, Path, Path | None]], ways: Sequence[dict[str, Any]], options: PruneOptions) -> tuple[Task, ...]:

@@ -1,0 +1,65 @@
+"""Export Farm Job: the selected splats and the settings of the panel, as a job that a farm does with the same result as Blender."""
+
+from __future__ import annotations
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+from extension import DATA, part
+from job_helpers import ended, follow, set_up
+
+
+@pytest.fixture(autouse=True)
+def forgotten():
+    """The panel says nothing of these exports to other tests."""
+    yield
+    part("operators.export_farm")._lines.clear()
+
+
+def export(folder, **words):
+    return bpy.ops.svrgs.export_farm_job(directory=str(folder), **words)
+
+
+def lines() -> str:
+    return bpy.context.window_manager.svrgs_prune_state.exported
+
+
+def run(folder) -> int:
+    return part("svrgs_addon.blender.subprocess_python").run(["farm", "run", str(folder), "--json"])[0]
+
+
+def test_a_farm_prunes_as_the_panel_would(splat, bridge, watch, tmp_path):
+    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40, "seed": 3})
+    assert export(tmp_path / "job") == {"FINISHED"} and "1 tasks" in lines()
+    assert {path.name for path in (tmp_path / "job").iterdir()} >= {"job.json", "template.json", "flamenco.json", "captures"}
+    assert run(tmp_path / "job") == 0
+    bpy.ops.svrgs.job_start()
+    job = part("operators.job").job_of(splat)
+    follow(watch, lambda: ended(job))
+    read = part("svrgs_addon.files.registry").read_scene
+    (result,) = (tmp_path / "job/results").glob("*.ply")
+    one, other = read(result), read(job.folder / "pruned.ply")
+    assert one.count == other.count == 100 and np.array_equal(one.means, other.means) and np.array_equal(one.sh, other.sh)
+
+
+def test_every_selected_splat_is_a_task_with_its_photographs(splat, tmp_path):
+    set_up({"colmap": str(DATA / "tiny"), "depth": "PHOTOGRAPHS", "goal": "SHARE", "share": 30, "iterations": 40, "recovery": 20})
+    bpy.ops.object.duplicate()
+    splat.select_set(True)
+    assert export(tmp_path / "job") == {"FINISHED"}
+    tasks = json.loads((tmp_path / "job/job.json").read_text())["tasks"]
+    assert len(tasks) == 2 and all(task["options"]["colmap"] == str(DATA / "tiny") for task in tasks)
+    assert run(tmp_path / "job") == 0 and len(list((tmp_path / "job/results").glob("*.ply"))) == 2
+
+
+def test_a_time_limit_and_a_folder_with_other_things_are_refused(splat, tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40})
+    with pytest.raises(RuntimeError, match="no farm job"):
+        export(tmp_path)
+    set_up({"use_time": True})
+    with pytest.raises(RuntimeError, match="one machine"):
+        export(tmp_path / "job")
+    assert not (tmp_path / "job").exists()
