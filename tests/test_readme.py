@@ -41,6 +41,7 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     "svrgs convert pruned.ply pruned.spz": ("pruned.spz",),
     "svrgs prune scene.ply --quick --levels 0.5,0.25,0.12 --out scene/lod-meta.json": ("scene/lod-meta.json", "scene/3_0/meta.json"),
     "svrgs eval pruned.ply --colmap DATASET": (),
+    "svrgs farm export FOLDER --out JOB --methods removal,lightgaussian --targets 0.5,0.25": ("JOB/job.json", "JOB/template.json"),
     "svrgs render pruned.ply --colmap DATASET --views test --outputs rgb,mask --out pictures": ("pictures/00.rgb.png", "pictures/00.mask.png"),
     "svrgs compare trained.ply pruned.ply --colmap DATASET --out comparison": ("comparison/index.html",),
     "blender --command svrgs prune trained.ply --colmap DATASET --out pruned.ply": ("pruned.ply",),
@@ -50,7 +51,7 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
 SHORTER = {  # added, since 30,000 steps take minutes
     "svrgs train --colmap DATASET --out trained.ply": "--iterations 100",
     "svrgs prune trained.ply --colmap DATASET --target 0.25 --time 60 --out quarter.ply": "--time 10",
-    "svrgs prune scene.ply --target 0.25 --time 90 --out quarter.ply": "--time 20",
+    "svrgs prune scene.ply --target 0.25 --time 90 --out quarter.ply": "--time 12",
 }
 NOT_RUN = {
     "make demo": "renders and trains for minutes, and downloads packages",
