@@ -17,8 +17,9 @@ from typing import Any
 from .. import __version__
 from ..errors import SceneError
 from ..exit_status import printable
+from ..farm.engine_messages import KINDS as MESSAGES
 from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions, refuse_time_and_steps
-from ..option_kinds import COLOUR, POSITIVE, SHARES, Kind, Option, default_of, options_of
+from ..option_kinds import COLOUR, COUNT, POSITIVE, SHARE, SHARES, Kind, Option, default_of, options_of
 from ..outputs import PICTURES
 from ..selection.options import SelectOptions
 from ..system.file_names import extended
@@ -26,6 +27,12 @@ from .convert_options import ConvertOptions
 
 NAME_WIDTH = 24  # characters of the first column of the list of methods
 CHOICES = {"engine": ENGINES}
+LARGE = {
+    "prune": "Does all of it on this machine.",
+    "divide": "Divides a scene into blocks in a folder, and puts the cameras beside them.",
+    "score": "Scores the Gaussians in a part of the views. Any number of machines may do the parts, in any order.",
+    "finish": "Adds the scores of all parts, keeps the Gaussians with the highest ones, and measures the result.",
+}
 
 
 class Parser(argparse.ArgumentParser):
@@ -80,7 +87,7 @@ def parser() -> argparse.ArgumentParser:
     root = Parser(prog="svrgs", description="Makes 3D Gaussian splat scenes several times smaller, and measures the loss of quality.")
     root.add_argument("--version", action="version", version=__version__)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_info, _render, _train, _prune, _select, _convert, _rig, _eval, _compare, _farm, _bench):
+    for add in (_info, _render, _train, _prune, _select, _convert, _rig, _eval, _compare, _farm, _large, _bench):
         add(commands)
     return root
 
@@ -241,9 +248,38 @@ def _farm(commands):
     run.add_argument("folder", type=extended, metavar="JOB", help="folder of the job")
     run.add_argument("--tasks", default="", metavar="N-M", help="numbers of tasks, as in 0-3,8 (default: all)")
     run.add_argument("--root", type=extended, metavar="DIR", help="where the captures lie on this machine (default: where they lay when the job was made)")
-    run.add_argument("--messages", choices=("text", "openjd"), default="text", help="how progress is told on stdout (default: text)")
+    run.add_argument("--messages", choices=MESSAGES, default=MESSAGES[0], help=f"how progress is told (default: {MESSAGES[0]}, on stderr)")
     report = _command(actions, "report", "Writes a table and a chart over all tasks of a job.")
     report.add_argument("folder", type=extended, metavar="JOB", help="folder of the job")
+
+
+def _large(commands):
+    help_ = "Prunes a scene larger than memory, by blocks on the disk; without fine-tuning."
+    actions = commands.add_parser("large", help=help_, description=help_).add_subparsers(dest="action", required=True, metavar="ACTION")
+    for name, text in LARGE.items():
+        command = _command(actions, name, text)
+        _threads(command)
+        command.add_argument("--messages", choices=MESSAGES, default=MESSAGES[0], help=f"how progress is told (default: {MESSAGES[0]}, on stderr)")
+        if name in ("prune", "divide"):
+            command.add_argument("scene", type=extended, help="splat file")
+            cameras = command.add_mutually_exclusive_group(required=True)
+            cameras.add_argument("--colmap", type=extended, metavar="DIR", help="dataset, COLMAP model or transforms.json, for its cameras")
+            cameras.add_argument("--cameras", type=extended, metavar="JSON", help="cameras.json of 3DGS, or transforms.json")
+            command.add_argument("--block", type=_reader(POSITIVE), default=2_000_000, metavar="N", help="Gaussians of a block, at most (default: 2000000)")
+        if name == "prune":
+            command.add_argument("--work", type=extended, metavar="DIR", help="folder for the blocks, which are deleted at the end (default: OUT.blocks)")
+        elif name == "divide":
+            command.add_argument("--work", type=extended, required=True, metavar="DIR", help="folder for the blocks")
+        else:
+            command.add_argument("work", type=extended, metavar="WORK", help="folder of the blocks")
+        if name == "score":
+            command.add_argument("--part", type=_reader(COUNT), default=0, metavar="K", help="number of the part of the views, from 0 (default: 0)")
+            command.add_argument("--parts", type=_reader(POSITIVE), default=1, metavar="N", help="number of all parts (default: 1)")
+        if name in ("prune", "finish"):
+            size = command.add_mutually_exclusive_group(required=True)
+            size.add_argument("--target", type=_reader(SHARE), metavar="SHARE", help="share of the Gaussians to keep, up to 1")
+            size.add_argument("--target-count", type=_reader(POSITIVE), metavar="N", help="number of Gaussians to keep")
+            command.add_argument("--out", type=extended, required=True, metavar="FILE", help="splat file to write")
 
 
 def _bench(commands):

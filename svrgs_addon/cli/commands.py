@@ -138,6 +138,14 @@ def farm(words: Words) -> int:
     return _print(result, words, as_text(words, result))
 
 
+def large(words: Words) -> int:
+    from .large_scenes import as_text
+    from .large_scenes import large as run
+
+    result = run(words)
+    return _print(result, words, as_text(words, result))
+
+
 def bench(words: Words) -> int:
     from ..bench.run import bench as run
     from ..bench.text import as_text
@@ -148,7 +156,7 @@ def bench(words: Words) -> int:
 
 COMMANDS: dict[str, Callable[[Words], int]] = {
     "info": info, "render": render, "train": train, "prune": prune, "select": select, "convert": convert, "rig": rig,
-    "eval": evaluate, "compare": compare, "farm": farm, "bench": bench,
+    "eval": evaluate, "compare": compare, "farm": farm, "large": large, "bench": bench,
 }  # fmt: skip
 
 

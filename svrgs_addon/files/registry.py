@@ -20,6 +20,7 @@ from ..native_library import thresholds
 from ..scene import Scene
 from ..system.file_names import extended, real
 from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, streamed_sog, usd
+from .opened import MAX_COUNT
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
@@ -157,11 +158,11 @@ def load_scene(path: str | Path) -> Loaded:
     return loaded
 
 
-def load_parts(path: str | Path) -> Iterator[Scene]:
+def load_parts(path: str | Path, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """As load_scene(), in parts in the order of the file; each may overwrite the arrays of the previous one. What was repaired is logged at the end."""
     count = dropped = clamped = 0
     filtered = False
-    for part in format_to_read(path).read_parts(extended(path)):
+    for part in format_to_read(path).read_parts(extended(path), max_count):
         loaded, baked = _repaired(part)
         count, dropped, clamped, filtered = count + loaded.scene.count, dropped + loaded.dropped, clamped + loaded.clamped, filtered or baked
         yield loaded.scene

@@ -26,7 +26,7 @@ class SplatFormat:
     label: str  # shown in menus
     suffixes: tuple[str, ...]  # lower case, with the dot; the first one is written
     sniff: Callable[[bytes], bool]  # whether a file that begins with these bytes may be of this format
-    read_parts: Callable[[Path], Iterator[Scene]]  # the scene with values as stored, not repaired, in parts of some thousand Gaussians, at least one
+    read_parts: Callable[..., Iterator[Scene]]  # of path and the most Gaussians; values as stored, not repaired, in parts of some thousand, at least one
     read: Callable[[Path], Scene] | None = None  # the same as one scene, if each part overwrites the arrays of the previous one
     write: Callable[..., None] | None = None  # of path, scene and, by name, what there is of version and quantise; atomic. None: read only
     versions: tuple[int, ...] = ()  # that are written, if there are several; the first one if nothing is said

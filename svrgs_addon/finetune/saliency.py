@@ -16,6 +16,7 @@ size, because each needs the same memory and time. The paper charges by pixel.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,18 +37,18 @@ def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rast
     kept: (N,) bool, the Gaussians that the scene is rendered with; the others have 0. None: all.
     """
     total, masks = np.zeros(scene.count), None if kept is None else kept.astype(np.uint8)
-    for view in _reduced(cameras):
+    for view in reduced(cameras):
         rasterizer.forward(scene, view, options, masks, outputs=())
-        total += _removal_error(rasterizer, view, scene.count)
+        total += view_error(rasterizer, view, scene.count)
     return total
 
 
 def views_that_see(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
     """The number of views in which the removal of each Gaussian would change a pixel, (N,) int64. Views are rendered at half their size."""
     views = np.zeros(scene.count, np.int64)
-    for view in _reduced(cameras):
+    for view in reduced(cameras):
         rasterizer.forward(scene, view, options, outputs=())
-        views += _removal_error(rasterizer, view, scene.count) > 0
+        views += view_error(rasterizer, view, scene.count) > 0
     return views
 
 
@@ -55,9 +56,9 @@ def saliency(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer
     """Saliency of each Gaussian, (N,) float64, in units of lambda_F. 0 for Gaussians that no view sees."""
     n, options = scene.count, replace(options, mask_kind="svr")
     removal_error, mask_penalty = np.zeros(n), np.zeros(n)
-    for view in _reduced(cameras):
+    for view in reduced(cameras):
         F = rasterizer.forward(scene, view, options, outputs=("mask",))["mask"]
-        removal_error += _removal_error(rasterizer, view, n)
+        removal_error += view_error(rasterizer, view, n)
         pixels = np.zeros(n, np.int64)
         rasterizer.add_scores(np.zeros(n), np.zeros(n, np.float32), pixels)
         ids = rasterizer.visible()
@@ -65,11 +66,12 @@ def saliency(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer
     return np.divide(removal_error, mask_penalty, out=np.zeros(n), where=mask_penalty > 0)
 
 
-def _reduced(cameras: list[Camera]) -> list[Camera]:
+def reduced(cameras: Sequence[Camera]) -> list[Camera]:
+    """The cameras as views are scored: at half their size."""
     return [camera.reduced(fitting_reduction(REDUCTION, camera.width, camera.height)) for camera in cameras]
 
 
-def _removal_error(rasterizer: Rasterizer, view: Camera, count: int) -> np.ndarray:
+def view_error(rasterizer: Rasterizer, view: Camera, count: int) -> np.ndarray:
     """Removal errors in the view that was rendered last, (N,) float64."""
     sums = np.zeros(count)
     rasterizer.add_removal(sums, np.zeros((view.height, view.width, 3), rasterizer.dtype))
