@@ -103,13 +103,18 @@ def test_results_have_the_format_that_is_asked_for(captures, tmp_path):
 
 
 def openjd_run(job: Path, *words: str) -> subprocess.Popen:
+    values = {one["name"]: one["value"] for one in json.loads((job / "parameter_values.json").read_text())["parameterValues"]}
+    return engine_run(job / "template.json", values, job, *words)
+
+
+def engine_run(template: Path, values: dict, folder: Path, *words: str) -> subprocess.Popen:
+    """Runs a template with these parameters. folder: for a script that is svrgs."""
     pytest.importorskip("openjd")
-    svrgs = job / "svrgs"
+    svrgs = folder / "svrgs"
     svrgs.write_text(f'#!/bin/sh\nexec {sys.executable} -m svrgs_addon "$@"\n')
     svrgs.chmod(0o755)
-    values = {one["name"]: one["value"] for one in json.loads((job / "parameter_values.json").read_text())["parameterValues"]}
     parameters = [f"{name}={value}" for name, value in (values | {"Svrgs": svrgs}).items()]
-    command = [sys.executable, "-m", "openjd", "run", str(job / "template.json"), *(word for one in parameters for word in ("-p", one)), *words]
+    command = [sys.executable, "-m", "openjd", "run", str(template), *(word for one in parameters for word in ("-p", one)), *words]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)
 
 
@@ -141,6 +146,26 @@ def test_a_task_that_is_killed_and_tried_again_ends_with_the_same_bytes(captures
     engine = openjd_run(job, "--step", "Prune")
     assert "openjd_fail" not in engine.communicate(timeout=120)[0] and engine.returncode == 0
     assert digests(job) == expected
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
+def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, capsys):
+    from svrgs_addon.photographs.cameras_json import write_cameras_json
+
+    write_cameras_json(tmp_path / "cameras.json", tiny.cameras)
+    words = ["--cameras", str(tmp_path / "cameras.json"), "--target", "0.4", "--out", str(tmp_path / "one.ply")]
+    assert main(["large", "prune", str(tiny.splat), *words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["after"]["count"] == describe(tmp_path / "one.ply")["count"] == 100 and told["views"] == 2 and told["psnr"] > 15
+    assert {path.name for path in tmp_path.iterdir()} == {"cameras.json", "one.ply"}, "the blocks are deleted"
+    values = {"Scene": tiny.splat, "Cameras": tmp_path / "cameras.json", "Work": tmp_path / "work", "Out": tmp_path / "many.ply", "Target": 0.4}
+    values |= {"Block": 60, "Parts": 3, "LastPart": 2}
+    (tmp_path / "work").mkdir()
+    run = engine_run(openjd.TEMPLATE.with_name("large_scene.json"), values, tmp_path, "--step", "Finish", "--run-dependencies")
+    said = run.communicate(timeout=120)[0]
+    assert run.returncode == 0 and "openjd_status: score: " in said, said
+    assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
+    assert len(json.loads((tmp_path / "work/blocks.json").read_text())["blocks"]) == 8
 
 
 def wait_for_task(job: Path) -> list[str]:

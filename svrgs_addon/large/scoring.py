@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write
 from ..finetune.saliency import reduced, view_error
 from ..metrics.evaluate import render_options
-from ..native import Rasterizer, thresholds
+from ..native import Rasterizer, threads, thresholds
 from ..render.quads import colors, recolored
 from ..scene import Scene
 from .blocks import Block, Divided, Tell
@@ -54,12 +55,13 @@ def score(divided: Divided, cameras: Sequence[Camera], part: int, parts: int, te
 def seen(divided: Divided, camera: Camera, kept: np.ndarray | None = None) -> tuple[Scene, np.ndarray]:
     """The Gaussians that a view may show, in the order of the file, in colours as it sees them (SH degree 0), and their rows in the file (n,). kept: (N,)
     bool, the others are left out. Raises SplatError."""
-    found = [(block, _rows_in(block, camera, kept)) for block in divided.blocks if _may_show(block, camera)]
-    found = [(block, some) for block, some in found if len(some)]
-    count = sum(len(some) for _, some in found)
-    needed = memory.rendering(count, camera.width, camera.height) + ROW * count
-    memory.refuse_excess(f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}", needed)
-    parts = [_colored(block, some, divided, camera) for block, some in found]
+    near = [block for block in divided.blocks if _may_show(block, camera)]
+    with ThreadPoolExecutor(threads()) as pool:
+        found = list(zip(near, pool.map(lambda block: _rows_in(block, camera, kept), near), strict=True))
+        count = sum(len(some) for _, some in found)
+        needed = memory.rendering(count, camera.width, camera.height) + ROW * count
+        memory.refuse_excess(f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}", needed)
+        parts = list(pool.map(lambda one: _colored(one[0], one[1], divided, camera), found))
     rows = np.concatenate([block.rows[some] for block, some in found]) if found else np.zeros(0, np.uint32)
     order = np.argsort(rows, kind="stable")
     empty = {name: np.zeros((0, *width), np.float32) for name, width in SHAPES.items()}
@@ -110,7 +112,7 @@ def _rows_in(block: Block, camera: Camera, kept: np.ndarray | None) -> np.ndarra
     found = []
     for start in range(0, block.count, PART):
         geometry = block.geometry[start : start + PART]
-        radius = SIGMAS * np.exp(geometry[:, 3:6].max(axis=1).astype(np.float64))
+        radius = SIGMAS * np.exp(np.maximum(np.maximum(geometry[:, 3], geometry[:, 4]), geometry[:, 5]).astype(np.float64))
         marks = _near_view(geometry[:, :3].astype(np.float64), radius, camera)
         if kept is not None:
             marks &= kept[block.rows[start : start + PART]]
