@@ -153,7 +153,7 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
     from svrgs_addon.photographs.cameras_json import write_cameras_json
 
     write_cameras_json(tmp_path / "cameras.json", tiny.cameras)
-    words = ["--cameras", str(tmp_path / "cameras.json"), "--target", "0.4", "--out", str(tmp_path / "one.ply")]
+    words = ["--cameras", str(tmp_path / "cameras.json"), "--block", "60", "--target", "0.4", "--out", str(tmp_path / "one.ply")]
     assert main(["large", "prune", str(tiny.splat), *words, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["after"]["count"] == describe(tmp_path / "one.ply")["count"] == 100 and told["views"] == 2 and told["psnr"] > 15

@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from svrgs_addon.bench.scenes import orbit_camera, room
+from svrgs_addon.decimate.order import looks, order_of
 from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.registry import read_scene, write_scene
-from svrgs_addon.finetune.saliency import reduced, removal_errors
+from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.large.blocks import Divided, divide
-from svrgs_addon.large.pruning import best, measured, write_kept
-from svrgs_addon.large.scoring import UNIT, score, seen, total
+from svrgs_addon.large.merging import LEAST, counts, merge, merged, reduce
+from svrgs_addon.large.pruning import likeness, write_merged
+from svrgs_addon.large.scoring import UNITS, score, seen, total, visibility
 from svrgs_addon.metrics.evaluate import render_options
-from svrgs_addon.native import Rasterizer
+from svrgs_addon.native import VISIBILITY, Rasterizer
 
 COUNT = 6_000
 
@@ -53,11 +55,14 @@ def test_scores_do_not_depend_on_blocks_and_parts_by_a_bit(source, cameras, whol
     assert (scores == whole[1]).all()
 
 
-def test_scores_are_the_removal_errors_of_the_scene_in_memory(source, cameras, whole):
-    expected = removal_errors(read_scene(source), cameras, Rasterizer(), render_options(read_scene(source)))
-    scores = whole[1] * UNIT
-    assert (scores > 0).sum() > COUNT // 4
-    assert np.abs(scores - expected).max() < 1e-7 * expected.max() and (best(scores, COUNT // 4) == best(expected, COUNT // 4)).all()
+def test_scores_are_what_the_views_see_of_the_scene_in_memory(source, cameras, whole):
+    expected, _ = looks(read_scene(source), reduced(cameras), Rasterizer(), render_options(read_scene(source)), pictures=False)
+    scores = visibility(whole[1])
+    for column, name in enumerate(VISIBILITY):
+        assert np.abs(scores[:, column] - expected[:, column]).max() <= 1e-6 * np.abs(expected[:, column]).max() + 5 * UNITS[column], name
+    squares = VISIBILITY.index("squares")
+    tiny = (expected[:, squares] > 0) & (expected[:, squares] < 1e-8)
+    assert tiny.sum() > 50 and np.allclose(scores[tiny, squares], expected[tiny, squares], rtol=0.02, atol=1e-14)
 
 
 def test_every_gaussian_that_a_view_draws_is_read(source, cameras, tmp_path):
@@ -81,20 +86,56 @@ def test_every_gaussian_is_in_one_block_and_in_its_box(source, tmp_path):
     assert again.count == COUNT and again.digest == divided.digest and [one.count for one in again.blocks] == [one.count for one in divided.blocks]
 
 
-def test_what_stays_is_written_in_the_order_of_the_file(source, whole, tmp_path, cameras):
-    divided, scores = whole
-    kept = best(scores, COUNT // 4)
-    write_kept(source, kept, tmp_path / "small.ply")
-    small, scene = read_scene(tmp_path / "small.ply"), read_scene(source)
-    assert kept.sum() == COUNT // 4 and (small.means == scene.means[kept]).all() and (small.sh == scene.sh[kept]).all()
-    better = measured(divided, kept, cameras)
-    worse = measured(divided, best(np.random.default_rng(0).permutation(scores), COUNT // 4), cameras)
-    assert better > worse + 3
+@pytest.fixture(scope="module", params=[COUNT, COUNT // 4])
+def ordered(request, source, cameras, tmp_path_factory) -> Divided:
+    divided, _ = scored(source, tmp_path_factory.mktemp("ordered"), request.param, 2, cameras)
+    reduce(divided, cameras)
+    for block in divided.blocks:
+        merge(divided, block.number)
+    return divided
 
 
-def test_the_highest_scores_stay_and_of_equal_ones_the_first():
-    scores = np.array([5, 1, 5, 7, 5, 0])
-    assert np.flatnonzero(best(scores, 3)).tolist() == [0, 2, 3] and best(scores, 6).all() and best(scores, 0).sum() == 0
+def test_so_many_are_left_as_are_wanted_at_one_cost_for_all_blocks(ordered):
+    for wanted in (COUNT, COUNT - 1, 4_321, COUNT // 10):
+        kept = counts(ordered, wanted)
+        assert sum(kept) == wanted and all(0 < count <= block.count for count, block in zip(kept, ordered.blocks, strict=True))
+        parts = list(merged(ordered, kept))
+        assert [part.count for part in parts] == kept and all(np.isfinite(part.means).all() for part in parts)
+    shares = [count / block.count for count, block in zip(counts(ordered, COUNT // 4), ordered.blocks, strict=True)]
+    assert len(shares) == 1 or max(shares) > 1.3 * min(shares), "what is seen more keeps more"
+    assert sum(counts(ordered, 1)) == sum(max(1, round(LEAST * block.count)) for block in ordered.blocks)
+
+
+def test_blocks_and_formats_change_the_result_little(ordered, source, cameras, tmp_path):
+    def psnr_of(divided: Divided, name: str) -> float:
+        write_merged(divided, counts(divided, COUNT // 4), tmp_path / name)
+        assert read_scene(tmp_path / name).count == COUNT // 4
+        return likeness(divide(tmp_path / name, tmp_path / f"{name}.blocks"), divided, cameras)
+
+    scene = read_scene(source)
+    sums, _ = looks(scene, reduced(cameras), Rasterizer(), render_options(scene), pictures=False)
+    write_scene(tmp_path / "memory.ply", order_of(scene, sums, COUNT // 4).at(COUNT // 4))
+    undivided = likeness(divide(tmp_path / "memory.ply", tmp_path / "memory"), ordered, cameras)
+    exact, packed = psnr_of(ordered, "a.ply"), psnr_of(ordered, "a.spz")
+    assert undivided > 50 and abs(exact - undivided) < (0.2 if len(ordered.blocks) == 1 else 1) and 40 < packed < exact
+    assert likeness(ordered, ordered, cameras) == 100
+
+
+def test_steps_that_are_missing_are_named(source, cameras, tmp_path):
+    divided, _ = scored(source, tmp_path, COUNT // 2, 1, cameras)
+    with pytest.raises(SceneError, match="merge the block 0 first"):
+        counts(divided, 100)
+    with pytest.raises(SceneError, match="reduce the scores first"):
+        merge(divided, 0)
+    reduce(divided, cameras)
+    with pytest.raises(SceneError, match="only 0 to 1"):
+        merge(divided, 2)
+    for number in (0, 1):
+        merge(divided, number)
+    path = tmp_path / "1.order.npz"
+    path.write_bytes(path.read_bytes()[:300])
+    with pytest.raises(FormatError, match="merge the block again"):
+        counts(divided, 100)
 
 
 def test_points_in_one_place_are_divided_too(tmp_path):
@@ -115,7 +156,7 @@ def test_missing_and_foreign_parts_are_not_added(source, cameras, tmp_path):
     with pytest.raises(SceneError, match="1 of 2"):
         total(divided, cameras)
     path = score(divided, cameras, 1, 2)
-    assert total(divided, cameras).shape == (COUNT,)
+    assert total(divided, cameras).shape == (COUNT, 10)
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(FormatError, match="again"):
         total(divided, cameras)

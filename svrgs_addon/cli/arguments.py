@@ -30,8 +30,10 @@ CHOICES = {"engine": ENGINES}
 LARGE = {
     "prune": "Does all of it on this machine.",
     "divide": "Divides a scene into blocks in a folder, and puts the cameras beside them.",
-    "score": "Scores the Gaussians in a part of the views. Any number of machines may do the parts, in any order.",
-    "finish": "Adds the scores of all parts, keeps the Gaussians with the highest ones, and measures the result.",
+    "score": "Sums up what a part of the views sees of each Gaussian. Any number of machines may do the parts, in any order.",
+    "reduce": "Adds the sums of all parts.",
+    "merge": "Orders removals and merges in a part of the blocks. Any number of machines may do the parts, in any order.",
+    "finish": "Removes and merges up to one cost for the whole scene, and measures the result.",
 }
 
 
@@ -272,8 +274,8 @@ def _large(commands):
             command.add_argument("--work", type=extended, required=True, metavar="DIR", help="folder for the blocks")
         else:
             command.add_argument("work", type=extended, metavar="WORK", help="folder of the blocks")
-        if name == "score":
-            command.add_argument("--part", type=_reader(COUNT), default=0, metavar="K", help="number of the part of the views, from 0 (default: 0)")
+        if name in ("score", "merge"):
+            command.add_argument("--part", type=_reader(COUNT), default=0, metavar="K", help="number of the part of the work, from 0 (default: 0)")
             command.add_argument("--parts", type=_reader(POSITIVE), default=1, metavar="N", help="number of all parts (default: 1)")
         if name in ("prune", "finish"):
             size = command.add_mutually_exclusive_group(required=True)

@@ -1,4 +1,4 @@
-"""`svrgs large`: scenes larger than memory. `prune` does all of it; `divide`, `score` and `finish` are its steps, for a farm."""
+"""`svrgs large`: scenes larger than memory. `prune` does all of it; `divide`, `score`, `reduce`, `merge` and `finish` are its steps, for a farm."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from ..farm.engine_messages import Messages
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_read, format_to_write, refuse_input
 from ..large.blocks import Divided, divide
-from ..large.pruning import best, measured, result_of, write_kept
-from ..large.scoring import score, total
+from ..large.merging import counts, merge, reduce
+from ..large.pruning import likeness, result_of, write_merged
+from ..large.scoring import score
 from ..photographs.camera_files import load_cameras
 from ..photographs.cameras_json import write_cameras_json
 from ..photographs.dataset import HOLDOUT, load_dataset
@@ -28,7 +29,7 @@ MEASURED = 8  # views on which the result is measured, at most
 def large(words: argparse.Namespace) -> dict[str, Any]:
     """Does one step, or all. Raises SplatError."""
     native.set_threads(words.threads)
-    return {"prune": _prune, "divide": _divide, "score": _score, "finish": _finish}[words.action](words)
+    return {"prune": _prune, "divide": _divide, "score": _score, "reduce": _reduce, "merge": _merge, "finish": _finish}[words.action](words)
 
 
 def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
@@ -36,6 +37,8 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
         return f"{result['count']:,} Gaussians in {result['blocks']} blocks, {result['views']} views; saved {result['work']}"
     if words.action == "score":
         return result["scores"]
+    if words.action in ("reduce", "merge"):
+        return f"{result['blocks']} blocks done in {result['work']}"
     before, after = result["before"], result["after"]
     against = f"; PSNR {result['psnr']:.2f} dB against the original" if result["views"] else ""
     return f"kept {after['count']:,} of {before['count']:,} Gaussians ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"
@@ -50,7 +53,8 @@ def _prune(words: argparse.Namespace) -> dict[str, Any]:
         try:
             _divide(words)
             words.part, words.parts = 0, 1
-            _score(words)
+            for step in (_score, _reduce, _merge):
+                step(words)
             return _finish(words)
         finally:
             shutil.rmtree(words.work, ignore_errors=True)
@@ -71,14 +75,29 @@ def _score(words: argparse.Namespace) -> dict[str, Any]:
     return {"scores": str(score(divided, load_cameras(words.work / TRAIN), words.part, words.parts, _told(words, "score")))}
 
 
+def _reduce(words: argparse.Namespace) -> dict[str, Any]:
+    divided = Divided.read(words.work)
+    reduce(divided, load_cameras(words.work / TRAIN))
+    return {"work": str(words.work), "blocks": len(divided.blocks)}
+
+
+def _merge(words: argparse.Namespace) -> dict[str, Any]:
+    divided, tell = Divided.read(words.work), _told(words, "merge")
+    numbers = range(len(divided.blocks))[words.part :: words.parts]
+    for place, number in enumerate(numbers):
+        tell(f"block {number}", place / len(numbers))
+        merge(divided, number)
+    return {"work": str(words.work), "blocks": len(numbers)}
+
+
 def _finish(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
     _check_out(words.out, divided.source)
-    scores = total(divided, load_cameras(words.work / TRAIN))
-    kept = best(scores, words.target_count or max(1, round(words.target * divided.count)))
-    write_kept(divided.source, kept, words.out, _told(words, "write"))
+    kept = counts(divided, words.target_count or max(1, round(words.target * divided.count)))
+    write_merged(divided, kept, words.out, _told(words, "write"))
+    result = divide(words.out, words.work / "result", tell=_told(words, "read"))
     test = evenly(load_cameras(words.work / TEST), MEASURED)
-    return result_of(divided, kept, measured(divided, kept, test, _told(words, "measure")), len(test), words.out)
+    return result_of(divided, result, likeness(result, divided, test, _told(words, "measure")), len(test), words.out)
 
 
 def _check_out(out: Path, source: Path):

@@ -39,7 +39,7 @@ def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rast
     total, masks = np.zeros(scene.count), None if kept is None else kept.astype(np.uint8)
     for view in reduced(cameras):
         rasterizer.forward(scene, view, options, masks, outputs=())
-        total += view_error(rasterizer, view, scene.count)
+        total += _removal_error(rasterizer, view, scene.count)
     return total
 
 
@@ -48,7 +48,7 @@ def views_that_see(scene: Scene | Model, cameras: list[Camera], rasterizer: Rast
     views = np.zeros(scene.count, np.int64)
     for view in reduced(cameras):
         rasterizer.forward(scene, view, options, outputs=())
-        views += view_error(rasterizer, view, scene.count) > 0
+        views += _removal_error(rasterizer, view, scene.count) > 0
     return views
 
 
@@ -58,7 +58,7 @@ def saliency(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer
     removal_error, mask_penalty = np.zeros(n), np.zeros(n)
     for view in reduced(cameras):
         F = rasterizer.forward(scene, view, options, outputs=("mask",))["mask"]
-        removal_error += view_error(rasterizer, view, n)
+        removal_error += _removal_error(rasterizer, view, n)
         pixels = np.zeros(n, np.int64)
         rasterizer.add_scores(np.zeros(n), np.zeros(n, np.float32), pixels)
         ids = rasterizer.visible()
@@ -71,7 +71,7 @@ def reduced(cameras: Sequence[Camera]) -> list[Camera]:
     return [camera.reduced(fitting_reduction(REDUCTION, camera.width, camera.height)) for camera in cameras]
 
 
-def view_error(rasterizer: Rasterizer, view: Camera, count: int) -> np.ndarray:
+def _removal_error(rasterizer: Rasterizer, view: Camera, count: int) -> np.ndarray:
     """Removal errors in the view that was rendered last, (N,) float64."""
     sums = np.zeros(count)
     rasterizer.add_removal(sums, np.zeros((view.height, view.width, 3), rasterizer.dtype))

@@ -1,8 +1,8 @@
-"""Removal errors of a divided scene: sums over views, which any number of tasks make.
+"""What all views see of each Gaussian of a divided scene (VISIBILITY, decimate/order.py): sums over views, which any number of tasks make.
 
-The error of a Gaussian in a view is a whole number of units of 2^-50. Sums of whole numbers do not depend on their order, so neither the number of tasks nor
-that of the blocks changes a bit. A view is rendered with all Gaussians that it may show, in the order of the file, from wherever they are stored; their colours
-are those of the whole scene. So the sums equal those of the scene in memory (finetune/saliency.py) but for the rounding of colours and of units.
+What a view sees is a whole number of units. Sums of whole numbers do not depend on their order, so neither the number of tasks nor that of the blocks changes
+a bit. A view is rendered with all Gaussians that it may show, in the order of the file, from wherever they are stored, in colours as it sees them. So the sums
+equal those of the scene in memory but for the rounding of colours and of units.
 """
 
 from __future__ import annotations
@@ -20,14 +20,16 @@ from .. import memory
 from ..camera import Camera
 from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write
-from ..finetune.saliency import reduced, view_error
+from ..finetune.saliency import reduced
 from ..metrics.evaluate import render_options
-from ..native import Rasterizer, threads, thresholds
+from ..native import VISIBILITY, Rasterizer, threads, thresholds
 from ..render.quads import colors, recolored
 from ..scene import Scene
 from .blocks import Block, Divided, Tell
 
-UNIT = 2.0**-50  # of a removal error: squared error of colours in 0..1, of which a view has at most 1
+UNITS = np.array([{"density": 2.0**-16, "squares": 2.0**-20}.get(name, 2.0**-28) for name in VISIBILITY])  # 8,192 views of 2^20 pixels fit into 63 bits
+SQUARES, REST = VISIBILITY.index("squares"), 2.0**-60  # what is left of squares has a column of its own: tiny ones count in costs
+COLUMNS = len(VISIBILITY) + 1
 SCORES = re.compile(r"scores_(\d+)_of_(\d+)_([0-9a-f]{16})\.npy")
 SHAPES = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (1, 3)}  # of a Gaussian in one colour
 SIGMAS, PIXELS, SLACK = 3.34, 2.0, 1e-3  # how far a Gaussian is seen, in its largest scale and in pixels; share of its distance that rounding may change
@@ -36,28 +38,46 @@ ROW = 3 * 4 * 14  # bytes of a Gaussian in one colour: its values, and copies wh
 
 
 def score(divided: Divided, cameras: Sequence[Camera], part: int, parts: int, tell: Tell = lambda *_: None) -> Path:
-    """Scores the views part, part + parts, part + 2 parts … of the cameras. Writes the sums (N,) int64, in the order of the file, into the folder, and
-    returns the path. Raises SplatError."""
+    """Looks at the views part, part + parts, part + 2 parts … of the cameras. Writes the sums (N, 10) int64, in the order of the file, into the
+    folder, and returns the path. Raises SplatError."""
     path = divided.folder / f"scores_{part}_of_{parts}_{_key(divided, cameras)}.npy"
     if not 0 <= part < parts:
         raise SceneError(f"part {part + 1} of {parts}: there is no such part of the views")
-    sums, views, rasterizer = np.zeros(divided.count, np.int64), reduced(cameras[part::parts]), Rasterizer()
+    sums, views, rasterizer = np.zeros((divided.count, COLUMNS), np.int64), reduced(cameras[part::parts]), Rasterizer()
     for number, camera in enumerate(views):
         tell(f"view {camera.name or number}", number / len(views))
         scene, rows = seen(divided, camera)
         rasterizer.forward(scene, camera, render_options(scene), outputs=())
-        sums[rows] += np.rint(view_error(rasterizer, camera, scene.count) / UNIT).astype(np.int64)
+        of_view = np.zeros((scene.count, len(VISIBILITY)))
+        rasterizer.add_visibility(of_view)
+        sums[rows] += whole(of_view)
     with atomic_write(path) as file:
         np.save(file, sums)
     return path
 
 
-def seen(divided: Divided, camera: Camera, kept: np.ndarray | None = None) -> tuple[Scene, np.ndarray]:
-    """The Gaussians that a view may show, in the order of the file, in colours as it sees them (SH degree 0), and their rows in the file (n,). kept: (N,)
-    bool, the others are left out. Raises SplatError."""
+def whole(sums: np.ndarray) -> np.ndarray:
+    """What is seen, (n, 9) float64 in the order of VISIBILITY, as whole numbers of units, (n, 10) int64."""
+    scaled = sums / UNITS
+    numbers = np.concatenate([np.rint(scaled), np.zeros((len(sums), 1))], axis=1)
+    numbers[:, SQUARES] = np.floor(scaled[:, SQUARES])
+    numbers[:, -1] = np.rint((sums[:, SQUARES] - numbers[:, SQUARES] * UNITS[SQUARES]) / REST)
+    return numbers.astype(np.int64)
+
+
+def visibility(numbers: np.ndarray) -> np.ndarray:
+    """Sums of whole numbers (n, 10) as (n, 9) float64."""
+    sums = numbers[:, :-1] * UNITS
+    sums[:, SQUARES] += numbers[:, -1] * REST
+    return sums
+
+
+def seen(divided: Divided, camera: Camera) -> tuple[Scene, np.ndarray]:
+    """The Gaussians that a view may show, in the order of the file, in colours as it sees them (SH degree 0), and their rows in the file (n,). Raises
+    SplatError."""
     near = [block for block in divided.blocks if _may_show(block, camera)]
     with ThreadPoolExecutor(threads()) as pool:
-        found = list(zip(near, pool.map(lambda block: _rows_in(block, camera, kept), near), strict=True))
+        found = list(zip(near, pool.map(lambda block: _rows_in(block, camera), near), strict=True))
         count = sum(len(some) for _, some in found)
         needed = memory.rendering(count, camera.width, camera.height) + ROW * count
         memory.refuse_excess(f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}", needed)
@@ -70,7 +90,8 @@ def seen(divided: Divided, camera: Camera, kept: np.ndarray | None = None) -> tu
 
 
 def total(divided: Divided, cameras: Sequence[Camera]) -> np.ndarray:
-    """The sums over all views, (N,) int64, of the parts that are in the folder. Raises SceneError if one is missing, FormatError for a damaged one."""
+    """The sums over all views, (N, 10) int64, of the parts that are in the folder. Raises SceneError if one is missing, FormatError for a damaged
+    one."""
     key, found = _key(divided, cameras), dict[int, dict[int, Path]]()
     for path in divided.folder.glob("scores_*.npy"):
         name = SCORES.fullmatch(path.name)
@@ -80,7 +101,7 @@ def total(divided: Divided, cameras: Sequence[Camera]) -> np.ndarray:
     if not complete:
         lacking = [f"{parts - len(paths)} of {parts}" for parts, paths in sorted(found.items())]
         raise SceneError(f"{divided.folder}: parts of the scores are missing ({', '.join(lacking) or 'all'}); score them first")
-    sums = np.zeros(divided.count, np.int64)
+    sums = np.zeros((divided.count, COLUMNS), np.int64)
     for path in complete[0].values():
         sums += _scores(path, divided.count)
     return sums
@@ -88,10 +109,10 @@ def total(divided: Divided, cameras: Sequence[Camera]) -> np.ndarray:
 
 def _scores(path: Path, count: int) -> np.ndarray:
     try:
-        found = np.load(path, allow_pickle=False)
+        found = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise FormatError(f"{path}: cannot be read ({error}); score this part again") from None
-    if found.shape != (count,) or found.dtype != np.int64:
+    if found.shape != (count, COLUMNS) or found.dtype != np.int64:
         raise FormatError(f"{path}: is not of this scene; score this part again")
     return found
 
@@ -107,16 +128,13 @@ def _may_show(block: Block, camera: Camera) -> bool:
     return bool(_near_view(middle[None].astype(np.float64), np.array([half + SIGMAS * np.exp(float(block.largest))]), camera)[0])
 
 
-def _rows_in(block: Block, camera: Camera, kept: np.ndarray | None) -> np.ndarray:
+def _rows_in(block: Block, camera: Camera) -> np.ndarray:
     """The places in the block of the Gaussians that a view may show, ascending."""
     found = []
     for start in range(0, block.count, PART):
         geometry = block.geometry[start : start + PART]
         radius = SIGMAS * np.exp(np.maximum(np.maximum(geometry[:, 3], geometry[:, 4]), geometry[:, 5]).astype(np.float64))
-        marks = _near_view(geometry[:, :3].astype(np.float64), radius, camera)
-        if kept is not None:
-            marks &= kept[block.rows[start : start + PART]]
-        found.append(start + np.flatnonzero(marks))
+        found.append(start + np.flatnonzero(_near_view(geometry[:, :3].astype(np.float64), radius, camera)))
     return np.concatenate(found) if found else np.zeros(0, np.int64)
 
 

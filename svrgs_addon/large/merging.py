@@ -1,0 +1,130 @@
+"""Merges and removes in a divided scene: each block has an order of operations (decimate/order.py), and one cost for the whole scene says how far each goes.
+
+Beside the blocks lie
+
+    NUMBER.visibility   float64, 9 for each Gaussian: the sums over all views
+    NUMBER.order.npz    the operations and their costs, down to LEAST of the block
+    reduced.json        a point and a length of about a pixel, of the whole scene
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..camera import Camera
+from ..decimate.order import Order
+from ..errors import FormatError, SceneError
+from ..files.atomic import atomic_write, check_space
+from ..files.npz import write_arrays
+from ..files.opened import json_object
+from ..native import VISIBILITY
+from ..native_decimation import REMOVED, Merges, decimate
+from ..native_library import PARAMETERS
+from ..scene import Scene
+from .blocks import Block, Divided, Tell
+from .scoring import UNITS, total, visibility
+
+REDUCED, LEAST = "reduced.json", 0.01
+NEEDED = "reduce the scores first"
+
+
+def reduce(divided: Divided, cameras: Sequence[Camera]):
+    """Adds the parts of the scores and writes those of each block. Raises SplatError."""
+    sums = total(divided, cameras)
+    columns = dict(zip(VISIBILITY, sums.T, strict=False))
+    seen = columns["views"] > 0
+    if not seen.any():
+        raise SceneError(f"{divided.source}: no view sees any of its Gaussians: the cameras belong to another scene")
+    check_space(divided.folder / REDUCED, 8 * sums.size)
+    units = dict(zip(VISIBILITY, UNITS, strict=True))
+    pixel = float(np.median(np.sqrt(columns["views"][seen] * units["views"] / (columns["density"][seen] * units["density"]))))
+    for block in divided.blocks:
+        with atomic_write(divided.folder / f"{block.number}.visibility") as file:
+            file.write(visibility(sums[block.rows]).data)
+    means = np.concatenate([block.geometry[seen[block.rows], :3] for block in divided.blocks])
+    middle = [float(np.median(means[:, axis])) for axis in range(3)]
+    with atomic_write(divided.folder / REDUCED) as file:
+        file.write(json.dumps({"pixel": pixel, "middle": middle}).encode())
+
+
+def merge(divided: Divided, number: int):
+    """Orders the operations on the block with this number, and writes them. Raises SplatError."""
+    if not 0 <= number < len(divided.blocks):
+        raise SceneError(f"{divided.folder}: has no block {number}, only 0 to {len(divided.blocks) - 1}")
+    block, (pixel, middle) = divided.blocks[number], _reduced(divided)
+    found = decimate(scene_of(divided, block), _visibility(block), middle, pixel, max(1, round(LEAST * block.count)))
+    write_arrays(_order_path(block), {"a": found.a, "b": found.b, "costs": found.costs, **found.results})
+
+
+def scene_of(divided: Divided, block: Block) -> Scene:
+    """The Gaussians of a block, in memory."""
+    geometry = np.ascontiguousarray(block.geometry)
+    parts = {"means": geometry[:, :3], "log_scales": geometry[:, 3:6], "quats": geometry[:, 6:10], "opacity_logits": geometry[:, 10]}
+    arrays = {name: np.ascontiguousarray(array) for name, array in parts.items()} | {"sh": np.array(block.sh(divided.coefficients))}
+    return Scene(**arrays, antialiased=divided.antialiased)  # type: ignore[arg-type]
+
+
+def counts(divided: Divided, wanted: int) -> list[int]:
+    """How many Gaussians each block keeps, so that together they are `wanted`, or as few as the orders allow: operations are done whose cost, or that of one
+    before them, is below one bound. Raises SplatError."""
+    costs = [np.maximum.accumulate(_order(block, ("costs",))["costs"]) for block in divided.blocks]
+    most = sum(map(len, costs))
+    steps = min(max(divided.count - wanted, 0), most)
+    if not steps:
+        return [block.count for block in divided.blocks]
+    bound = np.partition(np.concatenate(costs), steps - 1)[steps - 1]
+    done = [int(np.searchsorted(one, bound, "left")) for one in costs]
+    for number, one in enumerate(costs):  # of operations at the bound, as many as are still needed
+        done[number] += min(steps - sum(done), int(np.searchsorted(one, bound, "right")) - done[number])
+    return [block.count - some for block, some in zip(divided.blocks, done, strict=True)]
+
+
+def merged(divided: Divided, kept: Sequence[int], tell: Tell = lambda *_: None) -> Iterator[Scene]:
+    """What is left of each block. kept: from counts(). Raises SplatError."""
+    for block, count in zip(divided.blocks, kept, strict=True):
+        tell("writes what stays", block.number / len(divided.blocks))
+        arrays = _order(block, ("a", "b", "costs", *PARAMETERS))
+        merges = Merges(arrays["a"], arrays["b"], arrays["costs"], {name: arrays[name] for name in PARAMETERS})
+        if len(merges.a) >= block.count or len(merges.results["means"]) != int((merges.b != REMOVED).sum()):
+            raise FormatError(f"{_order_path(block)}: is not of this block; merge it again")
+        yield Order(scene_of(divided, block), merges).at(count)
+
+
+def _reduced(divided: Divided) -> tuple[float, np.ndarray]:
+    path = divided.folder / REDUCED
+    try:
+        found = json_object(path, 1 << 16)
+        assert found is not None
+        return float(found["pixel"]), np.array(found["middle"], np.float64).reshape(3)
+    except OSError:
+        raise SceneError(f"{path}: is not there; {NEEDED}") from None
+    except (AssertionError, KeyError, TypeError, ValueError):
+        raise FormatError(f"{path}: is damaged; {NEEDED}") from None
+
+
+def _visibility(block: Block) -> np.ndarray:
+    path = block.folder / f"{block.number}.visibility"
+    try:
+        return np.fromfile(path, np.float64).reshape(block.count, len(VISIBILITY))
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path}: cannot be read ({error}); {NEEDED}") from None
+
+
+def _order(block: Block, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Arrays of the operations on a block. Raises SplatError."""
+    try:
+        with np.load(_order_path(block), allow_pickle=False) as stored:
+            return {name: stored[name] for name in names}
+    except FileNotFoundError:
+        raise SceneError(f"{_order_path(block)}: is not there; merge the block {block.number} first") from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise FormatError(f"{_order_path(block)}: cannot be read ({error}); merge the block again") from None
+
+
+def _order_path(block: Block) -> Path:
+    return block.folder / f"{block.number}.order.npz"
