@@ -25,7 +25,7 @@ from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
 FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format is named
-    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, glb.FORMAT, glb_spz.FORMAT, usd.FORMAT, sog.FORMAT, streamed_sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
+    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, glb_spz.FORMAT, glb.FORMAT, usd.FORMAT, sog.FORMAT, streamed_sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
 )  # fmt: skip
 INDEXES = tuple(one.index for one in FORMATS if one.index)
 SAMPLE, CHUNKED = 16_384, 256  # Gaussians of which sizes of files are foreseen
