@@ -89,7 +89,7 @@ def _finished():
     while _answers:
         folder, status, result = _answers.pop()
         failed = result.get("error") or tr("the export ended with status {status}").format(status=status)
-        done = tr("{count:,} tasks, each with up to {memory} of memory, in {folder}")
+        done = tr("Tasks: {count:,}. Memory of each: up to {memory}. Folder: {folder}")
         _lines[:] = [failed if status else done.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)]
     redraw_panels()
 

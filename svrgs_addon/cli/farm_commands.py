@@ -32,7 +32,7 @@ def farm(words: argparse.Namespace) -> dict[str, Any]:
 def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
     """The result in a sentence; of a run, its messages have said everything."""
     if words.action in ("export", "files"):
-        return f"{result['tasks']} tasks, each with up to {size_text(result['memory'])} of memory; saved {result['folder']}"
+        return f"tasks: {result['tasks']}; memory of each: up to {size_text(result['memory'])}; saved {result['folder']}"
     return result["report"] if words.action == "report" else "\n".join(f"{one['sha256']}  {one['out']}" for one in result["tasks"])
 
 
