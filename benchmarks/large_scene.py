@@ -1,0 +1,136 @@
+"""A generated town through `svrgs large`: seconds of each step, memory, and what the number of blocks changes.
+
+python benchmarks/large_scene.py [--count 5000000] [--blocks 1 4 16] [--views 64] [--target 0.25] [--to .ply] [--folder DIR]
+
+The town is a square of rooms (bench/scenes.py) with ROOM Gaussians each, SH degree 3. Two thirds of the views are within rooms, the others look down on the town
+from above its roofs. Memory: the most anonymous memory of a step, without what the system can drop again (files that are mapped). Space in DIR: about
+three times the size of the PLY, which has 248 bytes for each Gaussian.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from large_files import POLL, anonymous
+
+from svrgs_addon.bench.scenes import look_at, orbit_camera, room
+from svrgs_addon.camera import Camera
+from svrgs_addon.files.registry import write_scene
+from svrgs_addon.files.spooled import spooled
+from svrgs_addon.photographs.cameras_json import write_cameras_json
+from svrgs_addon.scene import Scene
+
+ROOM, APART, KINDS = 250_000, 9.0, 8  # Gaussians of a room, distance between rooms, rooms that differ
+WIDTH, HEIGHT = 1280, 720
+STEPS = ("divide", "score", "reduce", "merge", "finish")
+
+
+def town(count: int) -> Iterator[Scene]:
+    """The rooms, one after the other."""
+    rooms = math.ceil(count / ROOM)
+    kinds = [room(ROOM, 3, seed) for seed in range(min(rooms, KINDS))]
+    for number in range(rooms):
+        one = kinds[number % len(kinds)]
+        one = one.select(np.arange(min(ROOM, count - number * ROOM)))
+        yield replace(one, means=one.means + place_of(number, rooms))
+
+
+def place_of(number: int, rooms: int) -> np.ndarray:
+    side = math.ceil(math.sqrt(rooms))
+    return np.array([APART * (number % side), 0, APART * (number // side)], np.float32)
+
+
+def views(rooms: int, count: int) -> list[Camera]:
+    """Within rooms and above roofs, in turn."""
+    found = []
+    for number in range(count):
+        place = place_of(number * rooms // count, rooms).astype(np.float64)
+        if number % 3 == 1:
+            camera = look_at(place + [0, -6, -6], place + [0, 0, 4], WIDTH, HEIGHT)
+        else:
+            camera = orbit_camera(WIDTH, HEIGHT, number / count)
+            viewmat = camera.viewmat.copy()
+            viewmat[:3, 3] -= viewmat[:3, :3] @ place
+            camera = replace(camera, viewmat=viewmat)
+        found.append(replace(camera, name=f"{number:04}"))
+    return found
+
+
+def run(words: list[str]) -> tuple[float, int, dict]:
+    """Runs `svrgs large`. Seconds, the largest anonymous memory in bytes, and its result."""
+    started, most = time.perf_counter(), 0
+    command = [sys.executable, "-m", "svrgs_addon", "large", *words, "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=Path(__file__).resolve().parents[1]) as child:
+        while child.poll() is None:
+            most = max(most, anonymous(child.pid))
+            time.sleep(POLL)
+        assert child.stdout is not None
+        out = child.stdout.read()
+    if child.returncode:
+        raise SystemExit(f"{' '.join(command)}: exit status {child.returncode}")
+    return time.perf_counter() - started, most, json.loads(out)
+
+
+def measure(source: Path, folder: Path, block: int, target: float, suffix: str) -> list[str]:
+    """A line of the table."""
+    work, out = folder / "work", folder / f"out{suffix}"
+    words = {
+        "divide": ["divide", source, "--cameras", folder / "cameras.json", "--work", work, "--block", block],
+        "finish": ["finish", work, "--target", target, "--out", out],
+    }
+    cells, most, result = [], 0, {}
+    for step in STEPS:
+        seconds, memory, result = run([str(word) for word in words.get(step, [step, work])])
+        cells, most = [*cells, f"{seconds:.0f}"], max(most, memory)
+        if step == "score":
+            (scores,) = work.glob("scores_*.npy")
+            with open(scores, "rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()[:8]
+        if step == "reduce":
+            for path in work.glob("scores_*.npy"):
+                path.unlink()
+    line = [str(result["blocks"]), *cells, f"{most / 1e9:.2f}", digest, f"{result['after']['bytes'] / 1e6:,.1f}", f"{result['psnr']:.2f}"]
+    shutil.rmtree(work)
+    return line
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=5_000_000)
+    parser.add_argument("--blocks", type=int, nargs="+", default=[1, 4, 16])
+    parser.add_argument("--views", type=int, default=64)
+    parser.add_argument("--target", type=float, default=0.25)
+    parser.add_argument("--to", default=".ply")
+    parser.add_argument("--folder", type=Path)
+    words = parser.parse_args()
+    with tempfile.TemporaryDirectory(dir=words.folder) as name:
+        folder = Path(name)
+        source = folder / "town.ply"
+        with spooled(town(words.count), source) as scene:
+            write_scene(source, scene)
+        write_cameras_json(folder / "cameras.json", views(math.ceil(words.count / ROOM), words.views))
+        print(f"{words.count:,} Gaussians, SH degree 3, a PLY of {source.stat().st_size / 1e6:,.0f} MB, {words.views} views of {WIDTH} x {HEIGHT} pixels\n")
+        print(f"| blocks | {', s | '.join(STEPS)}, s | memory, GB | sums (SHA-256) | MB | PSNR, dB |")
+        print(f"|{'---:|' * (len(STEPS) + 5)}", flush=True)
+        for blocks in words.blocks:
+            print(f"| {' | '.join(measure(source, folder, math.ceil(words.count / blocks), words.target, words.to))} |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
