@@ -1,6 +1,6 @@
 """How long large files take to convert, and how much memory: copies of a splat side by side, no two Gaussians alike.
 
-python benchmarks/large_files.py SPLAT [--count 1000000] [--to .compressed.ply .spz .sog]
+python benchmarks/large_files.py SPLAT [--count 1000000] [--to .compressed.ply .spz .sog lod-meta.json]
 
 Written: seconds of `svrgs convert` from a PLY, reading included, and its largest anonymous memory (what is not a file's). Read: seconds from the file to
 arrays in memory, in a process that has read a file before. Medians of REPEATS. The copies are N(0, 0.01) apart in SH, so no palette holds them.
@@ -22,7 +22,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from svrgs_addon.files.registry import load_parts, load_scene, write_scene
+from svrgs_addon.files.registry import load_parts, load_scene, size_on_disk, write_scene
 from svrgs_addon.files.spooled import spooled
 from svrgs_addon.scene import Scene
 
@@ -88,11 +88,11 @@ def main() -> int:
             write_scene(source, scene)
         print(f"{words.count:,} Gaussians, SH degree {degree}, a PLY of {source.stat().st_size / 1e6:,.0f} MB\n\n{HEAD}", flush=True)
         for suffix in words.to:
-            out, repeats = Path(folder) / f"out{suffix}", 1 if large else REPEATS
+            out, repeats = Path(folder) / (f"out{suffix}" if suffix.startswith(".") else f"out/{suffix}"), 1 if large else REPEATS
             runs = [converted(source, out) for _ in range(repeats)]
             reading = median([seconds_to_read(out, large) for _ in range(repeats + 1)][1:])
             seconds, memory = median(run[0] for run in runs), max(run[1] for run in runs)
-            print(f"| {suffix} | {out.stat().st_size / 1e6:,.1f} | {seconds:.2f} | {memory / 1e6:,.0f} | {reading:.2f} |", flush=True)
+            print(f"| {suffix} | {size_on_disk(out) / 1e6:,.1f} | {seconds:.2f} | {memory / 1e6:,.0f} | {reading:.2f} |", flush=True)
     return 0
 
 

@@ -2,8 +2,8 @@
 
 python benchmarks/large_scene.py [--count 5000000] [--blocks 1 4 16] [--views 64] [--target 0.25] [--to .ply] [--folder DIR]
 
-The town is a square of rooms (bench/scenes.py) with ROOM Gaussians each, SH degree 3. Two thirds of the views are within rooms, the others look down on the town
-from above its roofs. Memory: the most anonymous memory of a step, without what the system can drop again (files that are mapped). Space in DIR: about
+The town is a square of rooms (bench/scenes.py) with ROOM Gaussians each, SH degree 3. Two thirds of the views are within rooms, the others look down on the
+town from above its roofs. Memory: the most anonymous memory of a step, without what the system can drop again (files that are mapped). Space in DIR: about
 three times the size of the PLY, which has 248 bytes for each Gaussian.
 """
 
