@@ -103,6 +103,7 @@ def test_normalised_whole_numbers_are_shares(path):
     [
         (lambda contents: primitive(contents).pop("extensions"), "holds no splat"),
         (lambda contents: primitive(contents)["extensions"][SPLAT].update(extensions={"KHR_packed": {}}), "packed by KHR_packed"),
+        (lambda contents: primitive(contents)["extensions"][SPLAT].update(extensions={"a\nb": {}}), r"packed by a\?b, which"),
         (lambda contents: primitive(contents)["extensions"][SPLAT].update(colorSpace="lin_rec709_display"), "other colours"),
         (lambda contents: primitive(contents)["attributes"].pop(f"{SPLAT}:SCALE"), "does not have"),
         (lambda contents: contents["accessors"][0].update(count=49), "another kind or length"),

@@ -8,6 +8,7 @@ packed as an SPZ (a draft, glb_spz.py) is read too.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -151,7 +152,8 @@ def _is_splat(primitive: Any) -> bool:
         return False
     inner = extensions[EXTENSION].get("extensions")
     if isinstance(inner, dict) and inner and not set(PACKED) & set(inner):
-        raise FormatError(f"holds a splat that is packed by {', '.join(sorted(inner))}, which is not read; export it without")
+        names = ", ".join(sorted(re.sub(r"\W", "?", name)[:60] for name in inner))
+        raise FormatError(f"holds a splat that is packed by {names}, which is not read; export it without")
     if extensions[EXTENSION].get("kernel", "ellipse") != "ellipse" or extensions[EXTENSION].get("colorSpace", COLORS) != COLORS:
         raise FormatError(f"holds a splat with another kernel than ellipse, or other colours than {COLORS}, which are not read")
     return True
