@@ -33,6 +33,7 @@ MOST = 2_000_000  # Gaussians of a block
 MAX_COUNT = 2**32 - 1  # Gaussians of a scene
 GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
+OWN = (INDEX, "[0-9]*.*", "scores_*.npy", "reduced.json")  # what this package writes into the folder
 Tell = Callable[[str, float], None]  # what is done now, and the share of the work that is done
 
 
@@ -114,7 +115,7 @@ class Divided:
 def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_: None) -> Divided:
     """Divides the scene of a file. What was in the folder is replaced. Raises SplatError."""
     folder.mkdir(parents=True, exist_ok=True)
-    for old in (folder / INDEX, *folder.glob("[0-9]*.*")):
+    for old in (path for name in OWN for path in folder.glob(name)):
         old.unlink(missing_ok=True)
     tell("reads the means", 0.0)
     means, coefficients, antialiased = _means(source)

@@ -27,7 +27,8 @@ from ..render.quads import colors, recolored
 from ..scene import Scene
 from .blocks import Block, Divided, Tell
 
-UNITS = np.array([{"density": 2.0**-16, "squares": 2.0**-20}.get(name, 2.0**-28) for name in VISIBILITY])  # 8,192 views of 2^20 pixels fit into 63 bits
+UNITS = np.array([{"density": 2.0**-16, "squares": 2.0**-20}.get(name, 2.0**-28) for name in VISIBILITY])
+MOST_PIXELS = 1 << 33  # of all views: sums over so many fit into 63 bits, with colours up to 4
 SQUARES, REST = VISIBILITY.index("squares"), 2.0**-60  # what is left of squares has a column of its own: tiny ones count in costs
 COLUMNS = len(VISIBILITY) + 1
 SCORES = re.compile(r"scores_(\d+)_of_(\d+)_([0-9a-f]{16})\.npy")
@@ -43,6 +44,8 @@ def score(divided: Divided, cameras: Sequence[Camera], part: int, parts: int, te
     path = divided.folder / f"scores_{part}_of_{parts}_{_key(divided, cameras)}.npy"
     if not 0 <= part < parts:
         raise SceneError(f"part {part + 1} of {parts}: there is no such part of the views")
+    if sum(camera.width * camera.height for camera in reduced(cameras)) > MOST_PIXELS:
+        raise SceneError(f"{len(cameras):,} views of this size have too many pixels together: give fewer, or smaller ones")
     sums, views, rasterizer = np.zeros((divided.count, COLUMNS), np.int64), reduced(cameras[part::parts]), Rasterizer()
     for number, camera in enumerate(views):
         tell(f"view {camera.name or number}", number / len(views))
