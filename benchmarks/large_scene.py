@@ -2,9 +2,9 @@
 
 python benchmarks/large_scene.py [--count 5000000] [--blocks 1 4 16] [--views 72] [--target 0.25] [--to .ply] [--folder DIR]
 
-The town is a square of nine rooms (bench/scenes.py), SH degree 3. Three quarters of the views are within rooms, the others look down on them from above their
-roofs; every eighth is held out and measured. Memory: the most anonymous memory of a step, without what the system can drop again (files that are mapped). Space in DIR: about
-three times the size of the PLY, which has 248 bytes for each Gaussian.
+The town is a square of nine rooms (bench/scenes.py), SH degree 3. Three quarters of the views are within rooms, the others look down on them from above
+their roofs; every eighth is held out and measured. Memory: the most anonymous memory of a step, without what the system can drop again (files that are
+mapped). Space in DIR: about three times the size of the PLY, which has 248 bytes for each Gaussian.
 """
 
 from __future__ import annotations
