@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from svrgs_addon.large.pruning import likeness, write_merged
 from svrgs_addon.large.scoring import UNITS, score, seen, total, visibility
 from svrgs_addon.metrics.evaluate import render_options
 from svrgs_addon.native import VISIBILITY, Rasterizer
+from svrgs_addon.photographs.cameras_json import write_cameras_json
 
 COUNT = 6_000
 
@@ -160,6 +162,17 @@ def test_missing_and_foreign_parts_are_not_added(source, cameras, tmp_path):
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(FormatError, match="again"):
         total(divided, cameras)
+
+
+def test_the_folder_of_blocks_is_not_one_with_other_files(source, cameras, tmp_path, svrgs):
+    write_cameras_json(tmp_path / "views.json", [replace(camera, name=str(k)) for k, camera in enumerate(cameras)])
+    words = ["large", "prune", source, "--cameras", tmp_path / "views.json", "--target", 0.5, "--out", tmp_path / "out.ply", "--json"]
+    (tmp_path / "out.ply.blocks").mkdir()
+    (tmp_path / "out.ply.blocks/mine.txt").write_text("mine")
+    refused = svrgs(*words)
+    assert refused.status == 2 and "holds no blocks" in refused.err and not (tmp_path / "out.ply").exists()
+    (tmp_path / "out.ply.blocks/cameras.json").write_text("[]")  # as if a run had been killed
+    assert svrgs(*words).json["after"]["count"] == COUNT // 2 and not (tmp_path / "out.ply.blocks").exists()
 
 
 def test_a_divided_scene_that_is_damaged_is_one_sentence(source, cameras, tmp_path):

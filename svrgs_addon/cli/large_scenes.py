@@ -47,8 +47,8 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
 def _prune(words: argparse.Namespace) -> dict[str, Any]:
     words.work = words.work or words.out.with_name(words.out.name + ".blocks")
     _check_out(words.out, words.scene)
-    if words.work.exists() and any(words.work.iterdir()):
-        raise SceneError(f"{words.work}: is not empty; name an empty folder with --work")
+    if words.work.exists() and any(words.work.iterdir()) and not (words.work / TRAIN).is_file():  # blocks of a run that was killed are replaced
+        raise SceneError(f"{words.work}: is not empty, and holds no blocks; name another folder with --work")
     with reserved(words.out):
         try:
             _divide(words)
