@@ -171,8 +171,10 @@ def test_the_folder_of_blocks_is_not_one_with_other_files(source, cameras, tmp_p
     (tmp_path / "out.ply.blocks/mine.txt").write_text("mine")
     refused = svrgs(*words)
     assert refused.status == 2 and "holds no blocks" in refused.err and not (tmp_path / "out.ply").exists()
-    (tmp_path / "out.ply.blocks/cameras.json").write_text("[]")  # as if a run had been killed
-    assert svrgs(*words).json["after"]["count"] == COUNT // 2 and not (tmp_path / "out.ply.blocks").exists()
+    (tmp_path / "out.ply.blocks/scored_views.json").write_text("[]")  # as if a run had been killed
+    (tmp_path / "out.ply.blocks/0001.png").write_text("mine")
+    assert svrgs(*words).json["after"]["count"] == COUNT // 2
+    assert {path.name for path in (tmp_path / "out.ply.blocks").iterdir()} == {"mine.txt", "0001.png"}
 
 
 def test_a_divided_scene_that_is_damaged_is_one_sentence(source, cameras, tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import shutil
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from ..errors import SceneError
 from ..farm.engine_messages import Messages
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_read, format_to_write, refuse_input
-from ..large.blocks import Divided, divide
+from ..large.blocks import Divided, clear, divide
 from ..large.merging import counts, merge, reduce
 from ..large.pruning import likeness, result_of, write_merged
 from ..large.scoring import score
@@ -22,7 +22,7 @@ from ..photographs.camera_files import load_cameras
 from ..photographs.cameras_json import write_cameras_json
 from ..photographs.dataset import HOLDOUT, load_dataset
 
-TRAIN, TEST = "cameras.json", "test_cameras.json"  # in the folder of the blocks
+TRAIN, TEST, RESULT = "scored_views.json", "measured_views.json", "result"  # in the folder of the blocks
 MEASURED = 8  # views on which the result is measured, at most
 
 
@@ -47,21 +47,36 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
 def _prune(words: argparse.Namespace) -> dict[str, Any]:
     words.work = words.work or words.out.with_name(words.out.name + ".blocks")
     _check_out(words.out, words.scene)
-    if words.work.exists() and any(words.work.iterdir()) and not (words.work / TRAIN).is_file():  # blocks of a run that was killed are replaced
-        raise SceneError(f"{words.work}: is not empty, and holds no blocks; name another folder with --work")
     with reserved(words.out):
+        _refuse_work(words.work)
+        words.part, words.parts = 0, 1
         try:
-            _divide(words)
-            words.part, words.parts = 0, 1
-            for step in (_score, _reduce, _merge):
+            for step in (_divide, _score, _reduce, _merge):
                 step(words)
             return _finish(words)
         finally:
-            shutil.rmtree(words.work, ignore_errors=True)
+            _remove(words.work)
+
+
+def _remove(work: Path):
+    """Removes what was written into the folder of the blocks, and the folder, if nothing else is in it."""
+    for folder in (work / RESULT, work):
+        clear(folder)
+        for name in (TRAIN, TEST):
+            (folder / name).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+def _refuse_work(work: Path):
+    """Raises SceneError for a folder with other things than blocks; those of a run that was killed are replaced."""
+    if work.exists() and not (work.is_dir() and (not any(work.iterdir()) or (work / TRAIN).is_file())):
+        raise SceneError(f"{work}: is not empty, and holds no blocks; name another folder with --work")
 
 
 def _divide(words: argparse.Namespace) -> dict[str, Any]:
     format_to_read(words.scene)
+    _refuse_work(words.work)
     train, test = _cameras(words)
     words.work.mkdir(parents=True, exist_ok=True)
     write_cameras_json(words.work / TRAIN, train)
@@ -95,7 +110,7 @@ def _finish(words: argparse.Namespace) -> dict[str, Any]:
     _check_out(words.out, divided.source)
     kept = counts(divided, words.target_count or max(1, round(words.target * divided.count)))
     write_merged(divided, kept, words.out, _told(words, "write"))
-    result = divide(words.out, words.work / "result", tell=_told(words, "read"))
+    result = divide(words.out, words.work / RESULT, tell=_told(words, "read"))
     test = evenly(load_cameras(words.work / TEST), MEASURED)
     return result_of(divided, result, likeness(result, divided, test, _told(words, "measure")), len(test), words.out)
 

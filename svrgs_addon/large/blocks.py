@@ -33,7 +33,7 @@ MOST = 2_000_000  # Gaussians of a block
 MAX_COUNT = 2**32 - 1  # Gaussians of a scene
 GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
-OWN = (INDEX, "[0-9]*.*", "scores_*.npy", "reduced.json")  # what this package writes into the folder
+OWN = (INDEX, *(f"[0-9]*.{name}" for name in ("geometry", "sh", "rows", "visibility", "order.npz")), "scores_*_of_*.npy", "reduced.json")  # files of large/
 Tell = Callable[[str, float], None]  # what is done now, and the share of the work that is done
 
 
@@ -113,10 +113,9 @@ class Divided:
 
 
 def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_: None) -> Divided:
-    """Divides the scene of a file. What was in the folder is replaced. Raises SplatError."""
+    """Divides the scene of a file. A divided scene that is in the folder is replaced. Raises SplatError."""
     folder.mkdir(parents=True, exist_ok=True)
-    for old in (path for name in OWN for path in folder.glob(name)):
-        old.unlink(missing_ok=True)
+    clear(folder)
     tell("reads the means", 0.0)
     means, coefficients, antialiased = _means(source)
     check_space(folder / INDEX, len(means) * 4 * (WIDTH + 3 * coefficients + 1))
@@ -137,6 +136,12 @@ def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_:
     with atomic_write(folder / INDEX) as file:
         file.write(json.dumps(divided.facts()).encode())
     return divided
+
+
+def clear(folder: Path):
+    """Removes the files of a divided scene from a folder, and no others."""
+    for path in (path for name in OWN for path in folder.glob(name)):
+        path.unlink(missing_ok=True)
 
 
 def _means(source: Path) -> tuple[np.ndarray, int, bool]:
