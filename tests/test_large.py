@@ -70,10 +70,13 @@ def test_scores_are_what_the_views_see_of_the_scene_in_memory(source, cameras, w
 def test_every_gaussian_that_a_view_draws_is_read(source, cameras, tmp_path):
     divided, scene, rasterizer = divide(source, tmp_path, COUNT // 8), read_scene(source), Rasterizer()
     for camera in reduced(cameras):
-        part, rows = seen(divided, camera)
+        part, rows = seen(divided, camera, Rasterizer())
         rasterizer.forward(scene, camera, render_options(scene), outputs=())
         assert set(rasterizer.visible()) <= set(rows.tolist()) and (np.diff(rows.astype(np.int64)) > 0).all()
         assert (part.means == scene.means[rows]).all() and len(rows) < COUNT
+        picture = rasterizer.forward(scene, camera, render_options(scene))["rgb"].copy()
+        assert np.abs(rasterizer.forward(part, camera, render_options(part))["rgb"] - picture).max() < 1e-5
+        assert (part.sh != 0).any(axis=(1, 2)).mean() < 0.9, "what is not blended has no colours"
 
 
 def test_every_gaussian_is_in_one_block_and_in_its_box(source, tmp_path):
@@ -181,7 +184,7 @@ def test_a_divided_scene_that_is_damaged_is_one_sentence(source, cameras, tmp_pa
     divided = divide(source, tmp_path, COUNT // 2)
     (tmp_path / "1.geometry").write_bytes(b"short")
     with pytest.raises(FormatError, match=r"1\.geometry: cannot be read"):
-        seen(Divided.read(tmp_path), cameras[0])
+        seen(Divided.read(tmp_path), cameras[0], Rasterizer())
     contents = json.loads((tmp_path / "blocks.json").read_text())
     for change in ({"schema": 9}, {"blocks": 3}, {"count": "many"}):
         (tmp_path / "blocks.json").write_text(json.dumps(contents | change))

@@ -112,6 +112,12 @@ class Divided:
         return hashlib.sha256(f"{self.source_bytes} {self.count} {self.coefficients} {self.antialiased}".encode()).hexdigest()[:16]
 
 
+def arrays_of(geometry: np.ndarray) -> dict[str, Any]:
+    """The arrays of a scene, without SH, of rows of the geometry (n, 11)."""
+    parts = {"means": geometry[:, :3], "log_scales": geometry[:, 3:6], "quats": geometry[:, 6:10], "opacity_logits": geometry[:, 10]}
+    return {name: np.ascontiguousarray(array) for name, array in parts.items()}
+
+
 def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_: None) -> Divided:
     """Divides the scene of a file. A divided scene that is in the folder is replaced. Raises SplatError."""
     folder.mkdir(parents=True, exist_ok=True)

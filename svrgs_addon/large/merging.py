@@ -26,7 +26,7 @@ from ..native import VISIBILITY
 from ..native_decimation import REMOVED, Merges, decimate
 from ..native_library import PARAMETERS
 from ..scene import Scene
-from .blocks import Block, Divided, Tell
+from .blocks import Block, Divided, Tell, arrays_of
 from .scoring import UNITS, total, visibility
 
 REDUCED, LEAST = "reduced.json", 0.01
@@ -63,10 +63,7 @@ def merge(divided: Divided, number: int):
 
 def scene_of(divided: Divided, block: Block) -> Scene:
     """The Gaussians of a block, in memory."""
-    geometry = np.ascontiguousarray(block.geometry)
-    parts = {"means": geometry[:, :3], "log_scales": geometry[:, 3:6], "quats": geometry[:, 6:10], "opacity_logits": geometry[:, 10]}
-    arrays = {name: np.ascontiguousarray(array) for name, array in parts.items()} | {"sh": np.array(block.sh(divided.coefficients))}
-    return Scene(**arrays, antialiased=divided.antialiased)  # type: ignore[arg-type]
+    return Scene(**arrays_of(block.geometry), sh=np.array(block.sh(divided.coefficients)), antialiased=divided.antialiased)
 
 
 def counts(divided: Divided, wanted: int) -> list[int]:

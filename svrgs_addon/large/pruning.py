@@ -32,7 +32,7 @@ def likeness(one: Divided, other: Divided, cameras: Sequence[Camera], tell: Tell
     rasterizer, values = Rasterizer(), []
     for number, camera in enumerate(cameras):
         tell(f"measures the view {camera.name or number}", number / len(cameras))
-        scenes = (seen(divided, camera)[0] for divided in (one, other))
+        scenes = (seen(divided, camera, rasterizer)[0] for divided in (one, other))
         pictures = [rounded_to_8_bits(rasterizer.forward(scene, camera, render_options(scene))["rgb"]) for scene in scenes]
         values.append(min(psnr(*pictures), EQUAL))
     return fmean(values) if values else math.nan

@@ -11,8 +11,8 @@ import hashlib
 import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,14 +25,13 @@ from ..metrics.evaluate import render_options
 from ..native import VISIBILITY, Rasterizer, threads, thresholds
 from ..render.quads import colors, recolored
 from ..scene import Scene
-from .blocks import Block, Divided, Tell
+from .blocks import WIDTH, Block, Divided, Tell, arrays_of
 
 UNITS = np.array([{"density": 2.0**-16, "squares": 2.0**-20}.get(name, 2.0**-28) for name in VISIBILITY])
 MOST_PIXELS = 1 << 33  # of all views: sums over so many fit into 63 bits, with colours up to 4
 SQUARES, REST = VISIBILITY.index("squares"), 2.0**-60  # what is left of squares has a column of its own: tiny ones count in costs
-COLUMNS = len(VISIBILITY) + 1
+PIXELS_SEEN, COLUMNS = VISIBILITY.index("pixels"), len(VISIBILITY) + 1
 SCORES = re.compile(r"scores_(\d+)_of_(\d+)_([0-9a-f]{16})\.npy")
-SHAPES = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (1, 3)}  # of a Gaussian in one colour
 SIGMAS, PIXELS, SLACK = 3.34, 2.0, 1e-3  # how far a Gaussian is seen, in its largest scale and in pixels; share of its distance that rounding may change
 PART = 1 << 18  # Gaussians that are tested together
 ROW = 3 * 4 * 14  # bytes of a Gaussian in one colour: its values, and copies while they are put in order
@@ -49,11 +48,12 @@ def score(divided: Divided, cameras: Sequence[Camera], part: int, parts: int, te
     sums, views, rasterizer = np.zeros((divided.count, COLUMNS), np.int64), reduced(cameras[part::parts]), Rasterizer()
     for number, camera in enumerate(views):
         tell(f"view {camera.name or number}", number / len(views))
-        scene, rows = seen(divided, camera)
+        scene, rows = seen(divided, camera, rasterizer)
         rasterizer.forward(scene, camera, render_options(scene), outputs=())
         of_view = np.zeros((scene.count, len(VISIBILITY)))
         rasterizer.add_visibility(of_view)
-        sums[rows] += whole(of_view)
+        blended = of_view[:, PIXELS_SEEN] > 0
+        sums[rows[blended]] += whole(of_view[blended])
     with atomic_write(path) as file:
         np.save(file, sums)
     return path
@@ -75,21 +75,38 @@ def visibility(numbers: np.ndarray) -> np.ndarray:
     return sums
 
 
-def seen(divided: Divided, camera: Camera) -> tuple[Scene, np.ndarray]:
-    """The Gaussians that a view may show, in the order of the file, in colours as it sees them (SH degree 0), and their rows in the file (n,). Raises
-    SplatError."""
+def seen(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> tuple[Scene, np.ndarray]:
+    """The Gaussians that a view may show, in the order of the file, in colours as it sees them (SH degree 0), and their rows in the file (n,). Those that
+    the view does not blend, which are behind others or too small, have no colours: theirs are not read. Raises SplatError."""
     near = [block for block in divided.blocks if _may_show(block, camera)]
     with ThreadPoolExecutor(threads()) as pool:
-        found = list(zip(near, pool.map(lambda block: _rows_in(block, camera), near), strict=True))
-        count = sum(len(some) for _, some in found)
+        places = list(pool.map(lambda block: _rows_in(block, camera), near))
+        count = sum(map(len, places))
         needed = memory.rendering(count, camera.width, camera.height) + ROW * count
         memory.refuse_excess(f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}", needed)
-        parts = list(pool.map(lambda one: _colored(one[0], one[1], divided, camera), found))
-    rows = np.concatenate([block.rows[some] for block, some in found]) if found else np.zeros(0, np.uint32)
-    order = np.argsort(rows, kind="stable")
-    empty = {name: np.zeros((0, *width), np.float32) for name, width in SHAPES.items()}
-    arrays: dict[str, Any] = {name: np.concatenate([one[name] for one in parts or [empty]])[order] for name in empty}
-    return Scene(**arrays, antialiased=divided.antialiased), rows[order]
+        geometry = _joined(list(pool.map(lambda block, some: block.geometry[some], near, places)), (WIDTH,))
+        rows = _joined([block.rows[some] for block, some in zip(near, places, strict=True)], ()).astype(np.uint32)
+        order = np.argsort(rows, kind="stable")
+        scene = Scene(**arrays_of(geometry[order]), sh=np.zeros((count, 1, 3), np.float32), antialiased=divided.antialiased)
+        blended = np.empty(count, bool)
+        blended[order] = _blended(scene, camera, rasterizer)
+        ends = np.cumsum([0, *map(len, places)])
+        parts = [some[blended[start:end]] for some, start, end in zip(places, ends, ends[1:], strict=False)]
+        sh = np.zeros((count, 1, 3), np.float32)
+        sh[blended] = _joined(list(pool.map(lambda block, some: _colors(block, some, divided, camera), near, parts)), (1, 3))
+    return replace(scene, sh=sh[order]), rows[order]
+
+
+def _joined(parts: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
+    return np.concatenate(parts) if parts else np.zeros((0, *shape), np.float32)
+
+
+def _blended(scene: Scene, camera: Camera, rasterizer: Rasterizer) -> np.ndarray:
+    """Which Gaussians the view blends into a pixel, (n,) bool. It does not depend on colours."""
+    pixels = np.zeros(scene.count, np.int64)
+    rasterizer.forward(scene, camera, render_options(scene), outputs=())
+    rasterizer.add_scores(np.zeros(scene.count), np.zeros(scene.count, np.float32), pixels)
+    return pixels > 0
 
 
 def total(divided: Divided, cameras: Sequence[Camera]) -> np.ndarray:
@@ -156,14 +173,11 @@ def _near_view(points: np.ndarray, radius: np.ndarray, camera: Camera) -> np.nda
     return front & (u + reach > 0) & (u - reach < camera.width) & (v + reach > 0) & (v - reach < camera.height)
 
 
-def _colored(block: Block, some: np.ndarray, divided: Divided, camera: Camera) -> dict[str, np.ndarray]:
-    """These Gaussians of a block in the colours that the camera sees: the arrays of a scene."""
-    geometry = block.geometry[some]
-    parts = {"means": geometry[:, :3], "log_scales": geometry[:, 3:6], "quats": geometry[:, 6:10], "opacity_logits": geometry[:, 10]}
-    arrays: dict[str, Any] = {name: np.ascontiguousarray(array) for name, array in parts.items()}
+def _colors(block: Block, some: np.ndarray, divided: Divided, camera: Camera) -> np.ndarray:
+    """The colours of these Gaussians of a block as the camera sees them, as SH of degree 0, (n, 1, 3) float32."""
     sh = np.empty((len(some), 1, 3), np.float32)
     for start in range(0, len(some), PART):
         rows = some[start : start + PART]
-        one = Scene(**{name: array[start : start + PART] for name, array in arrays.items()}, sh=block.sh(divided.coefficients)[rows])
+        one = Scene(**arrays_of(block.geometry[rows]), sh=block.sh(divided.coefficients)[rows])
         sh[start : start + PART] = recolored(one, colors(one, np.arange(one.count), camera)).sh
-    return arrays | {"sh": sh}
+    return sh
