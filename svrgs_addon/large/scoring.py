@@ -88,6 +88,7 @@ def seen(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> tuple[Scen
         rows = _joined([block.rows[some] for block, some in zip(near, places, strict=True)], ()).astype(np.uint32)
         order = np.argsort(rows, kind="stable")
         scene = Scene(**arrays_of(geometry[order]), sh=np.zeros((count, 1, 3), np.float32), antialiased=divided.antialiased)
+        del geometry  # of a view of a town, gigabytes
         blended = np.empty(count, bool)
         blended[order] = _blended(scene, camera, rasterizer)
         ends = np.cumsum([0, *map(len, places)])
