@@ -10,7 +10,7 @@ from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SceneError
-from ..svrgs_addon.farm.farm_job import CAPTURES, FarmJob, Task, refuse_folder
+from ..svrgs_addon.farm.farm_job import CAPTURES, FarmJob, Task, refuse_folder, refuse_same_names
 from ..svrgs_addon.files.registry import FORMATS, write_scene
 from ..svrgs_addon.jobs.job_folder import CAMERAS
 from ..svrgs_addon.memory import size_text
@@ -60,6 +60,7 @@ class SVRGS_OT_export_farm_job(JobOperator):
         refuse_folder(folder)
         if context.scene.svrgs_prune.use_time:
             raise SceneError(tr("A time limit is for one machine: switch it off under Advanced, and set the steps"))
+        refuse_same_names([bpy.path.clean_name(obj.name) for obj in selected_splats(context)])  # before one is written over another
         tasks = tuple(_task(context, obj, folder / CAPTURES) for obj in selected_splats(context))
         FarmJob(folder, folder / CAPTURES, tasks).write()
         _lines[:] = [tr("Exporting a farm job to {folder} …").format(folder=folder)]

@@ -9,12 +9,13 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from svrgs_addon.cli.main import main
 from svrgs_addon.farm import openjd, run_tasks
 from svrgs_addon.farm.farm_job import FarmJob
-from svrgs_addon.files.registry import describe
+from svrgs_addon.files.registry import describe, read_scene, write_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 FLAMENCO = ROOT / "svrgs_addon/farm/flamenco/svrgs_prune.js"
@@ -68,11 +69,17 @@ def test_tasks_in_any_order_and_elsewhere_give_the_same_bytes(job, alone, captur
     assert digests(job) == alone
 
 
-def test_what_is_done_stays_and_what_was_changed_is_done_again(job, capsys):
+def test_what_is_done_stays_and_what_was_changed_is_done_again(job, captures, tmp_path, capsys):
     assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
     first = json.loads(capsys.readouterr().out)["tasks"][0]
     assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tasks"][0] == first | {"done_before": True} and not first["done_before"]
+    scene, _ = captures / "one/scene.ply", shutil.copy(captures / "one/scene.ply", tmp_path / "kept.ply")
+    write_scene(scene, read_scene(scene).select(np.arange(200)))
+    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
+    other = json.loads(capsys.readouterr().out)["tasks"][0]
+    assert not other["done_before"] and describe(first["out"])["count"] == 100, "another scene under the same name"
+    shutil.copy(tmp_path / "kept.ply", scene)
     Path(first["out"]).write_bytes(b"half a file")
     assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tasks"][0] == first

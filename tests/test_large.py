@@ -143,6 +143,12 @@ def test_steps_that_are_missing_are_named(source, cameras, tmp_path):
         counts(divided, 100)
 
 
+def test_columns_that_are_lost_are_named(tmp_path, caplog):
+    write_scene(tmp_path / "a.ply", replace(room(20, 0), attributes={"label": np.zeros(20, np.uint8), "nx": np.zeros(20, np.float32)}))
+    divide(tmp_path / "a.ply", tmp_path / "b")
+    assert "left out: label" in caplog.text
+
+
 def test_points_in_one_place_are_divided_too(tmp_path):
     scene = room(100, 0)
     scene.means[:] = 1.0

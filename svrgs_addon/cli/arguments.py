@@ -29,7 +29,7 @@ NAME_WIDTH = 24  # characters of the first column of the list of methods
 CHOICES = {"engine": ENGINES}
 LARGE = {
     "prune": "Does all of it on this machine.",
-    "divide": "Divides a scene into blocks in a folder, and puts the cameras beside them.",
+    "divide": "Divides a scene into blocks. They and the cameras are written into a folder.",
     "score": "Sums up what a part of the views sees of each Gaussian. Any number of machines may do the parts, in any order.",
     "reduce": "Adds the sums of all parts.",
     "merge": "Orders removals and merges in a part of the blocks. Any number of machines may do the parts, in any order.",

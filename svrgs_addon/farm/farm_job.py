@@ -117,10 +117,15 @@ def tasks_of(root: Path, scenes: Sequence[tuple[str, Path, Path | None]], ways: 
             placed = {"colmap": relative(root, dataset)} if dataset else {}
             title = "-".join([name, *(f"{100 * value:g}" if isinstance(value, float) else str(value) for value in way.values())])
             tasks.append(_checked({"name": title, "scene": relative(root, scene), "options": common | placed | way}))
-    names = [task.name for task in tasks]
-    if len(set(names)) < len(names):
-        raise SceneError(f"two tasks would have the name '{next(one for one in names if names.count(one) > 1)}': make two jobs")
+    refuse_same_names([task.name for task in tasks])
     return tuple(tasks)
+
+
+def refuse_same_names(names: Sequence[str]):
+    """Raises SceneError for two tasks whose files would be one. Some systems do not tell upper and lower case apart."""
+    lower = [name.lower() for name in names]
+    if same := next((name for name in names if lower.count(name.lower()) > 1), ""):
+        raise SceneError(f"two tasks would have the name '{same}': make two jobs")
 
 
 def relative(root: Path, path: Path) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SceneError, SplatError
+from ..files.registry import INDEXES
 from ..finetune.loop import Progress
 from ..jobs.context import JobContext
 from ..jobs.run_job import prune_scene
@@ -34,8 +35,10 @@ def numbers_of(words: str, count: int) -> list[int]:
 
 
 def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
-    out, done = job.out(task), job.result(task)
-    if done and done.get("sha256") == sha256(out):
+    out, done, options = job.out(task), job.result(task), job.options(task)
+    assert options.scene is not None
+    scene = scene_sha256(options.scene)
+    if done and (done.get("sha256"), done.get("scene_sha256")) == (sha256(out), scene):
         messages.tell(f"{task.name}: is done already", 1.0)
         return {"name": task.name, "out": str(out), "sha256": done["sha256"], "done_before": True}
     job.result_path(task).unlink(missing_ok=True)
@@ -48,13 +51,21 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
         return replace(context, observe=observe)
 
     try:
-        result = prune_scene(job.options(task), observed)
+        result = prune_scene(options, observed)
     except SplatError as error:
         raise type(error)(f"task {task.name}: {error}") from None
     digest = sha256(out)
-    write_json(job.result_path(task), {"task": {"scene": task.scene, "options": task.options}, "sha256": digest, "result": result})
+    facts = {"task": {"scene": task.scene, "options": task.options}, "scene_sha256": scene, "sha256": digest, "result": result}
+    write_json(job.result_path(task), facts)
     messages.tell(f"{task.name}: keeps {result['after']['count']:,} of {result['before']['count']:,} Gaussians", 1.0)
     return {"name": task.name, "out": str(out), "sha256": digest, "done_before": False}
+
+
+def scene_sha256(path: Path) -> str:
+    """Of a splat, in hexadecimal digits: of its file, or of all files in its folder. Empty if there is none; reading it then says so."""
+    folder = path if path.is_dir() else path.parent if path.name in INDEXES else None
+    files = [path] if folder is None else sorted(one for one in folder.rglob("*") if one.is_file())
+    return hashlib.sha256("".join(sha256(one) for one in files if one.is_file()).encode()).hexdigest() if files and files[0].is_file() else ""
 
 
 def sha256(path: Path) -> str:

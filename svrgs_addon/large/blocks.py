@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from ..decimate.order import NORMALS
 from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write, check_space
 from ..files.opened import json_object
@@ -156,6 +158,8 @@ def _means(source: Path) -> tuple[np.ndarray, int, bool]:
     for part in load_parts(source, MAX_COUNT):
         parts.append(part.means.copy())
     assert part is not None
+    if columns := sorted(part.attributes.keys() - set(NORMALS)):
+        logging.warning("%s: these columns of the file are left out: %s", source, ", ".join(columns))
     return np.concatenate(parts), part.sh.shape[1], part.antialiased
 
 

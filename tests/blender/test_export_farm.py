@@ -54,6 +54,16 @@ def test_every_selected_splat_is_a_task_with_its_photographs(splat, tmp_path):
     assert run(tmp_path / "job") == 0 and len(list((tmp_path / "job/results").glob("*.ply"))) == 2
 
 
+def test_splats_whose_files_would_be_one_are_refused(splat, tmp_path):
+    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40})
+    bpy.ops.object.duplicate()
+    splat.select_set(True)
+    splat.name, bpy.context.object.name = "a/b", "a_b"
+    with pytest.raises(RuntimeError, match="two tasks would have the name 'a_b'"):
+        export(tmp_path / "job")
+    assert not (tmp_path / "job").exists()
+
+
 def test_a_time_limit_and_a_folder_with_other_things_are_refused(splat, tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     set_up({"depth": "QUICK", "goal": "SHARE", "share": 40})
