@@ -25,9 +25,9 @@ def turned_around(scene: Scene) -> Scene:
 
 def _turned(scene: Scene, signs: np.ndarray) -> Scene:
     """The scene after half a turn, which gives coordinates these signs."""
-    sh, sign_of = scene.sh.copy(), dict(zip("xyz1", [*signs, 1], strict=True))
-    sh_signs = np.array([np.prod([sign_of[name] for name in factors]) for factors in " ".join(FACTORS).split()], np.float32)
+    sign_of = dict(zip("xyz1", [*signs, 1], strict=True))
+    sh_signs = np.array([1] + [np.prod([sign_of[name] for name in factors]) for factors in " ".join(FACTORS).split()], np.float32)
     with np.errstate(invalid="ignore"):  # a file may hold values that are not numbers
-        sh[:, 1:] *= sh_signs[: sh.shape[1] - 1, None]
-        means, xyz = scene.means * signs, scene.quats[:, 1:] * signs
-    return replace(scene, means=means, quats=np.concatenate([scene.quats[:, :1], xyz], axis=1), sh=sh)
+        sh = scene.sh.reshape(scene.count, 3 * scene.sh.shape[1]) * np.repeat(sh_signs[: scene.sh.shape[1]], 3)  # one long row is quicker than many of three
+        means, quats = scene.means * signs, scene.quats * np.array([1, *signs], np.float32)
+    return replace(scene, means=means, quats=quats, sh=sh.reshape(scene.sh.shape))

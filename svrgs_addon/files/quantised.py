@@ -53,12 +53,16 @@ def quats_of_three(three: np.ndarray, largest: np.ndarray) -> np.ndarray:
 
 def three_of_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(three, largest) as quats_of_three() takes them, of quaternions (N, 4) of any length, with the sign that makes the largest one positive."""
-    norms = np.linalg.norm(quats, axis=1, keepdims=True)
-    unit = np.where(norms > 0, quats / np.where(norms > 0, norms, 1), np.array([1, 0, 0, 0], np.float32)).astype(np.float32)
-    rows, largest = np.arange(len(quats)), np.abs(unit).argmax(axis=1)
-    unit *= np.where(unit[rows, largest] < 0, -1, 1)[:, None].astype(np.float32)
-    places = np.arange(3)[None] + (np.arange(3)[None] >= largest[:, None])
-    return unit[rows[:, None], places], largest
+    norms = np.sqrt(np.einsum("nk,nk->n", quats, quats))
+    usable = norms > 0
+    unit = (quats / np.where(usable, norms, 1)[:, None]).astype(np.float32, copy=False)
+    unit[~usable] = 1, 0, 0, 0
+    largest = np.abs(unit).argmax(axis=1)
+    signs = np.copysign(np.float32(1), unit[np.arange(len(unit)), largest])
+    three = np.empty((len(unit), 3), np.float32)
+    for k in range(3):
+        three[:, k] = signs * np.where(k < largest, unit[:, k], unit[:, k + 1])
+    return three, largest
 
 
 def picture_weights(scene: Scene) -> np.ndarray:
@@ -79,7 +83,8 @@ def _alpha_areas(scene: Scene) -> np.ndarray:
 
 def widest_logs(scene: Scene) -> np.ndarray:
     """The largest log-scale of each Gaussian, (N,) float32; NaN if one of them is."""
-    return np.maximum.reduce(scene.log_scales.T)
+    first, second, third = scene.log_scales.T
+    return np.maximum(np.maximum(first, second), third)
 
 
 def small_scale(scene: Scene) -> float:

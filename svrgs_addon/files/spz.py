@@ -68,17 +68,17 @@ def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST, quantise
 def content(path: str | os.PathLike, scene: Scene, version: int, quantise: float = 1.0, turned: Callable[[Scene], Scene] = turned_over) -> bytes:
     """The bytes that write() would write. path: of errors, and beside it lies what does not fit into memory. turned: to the axes of the file. Raises
     SceneError."""
-    order = morton_order(scene.means)
     header = Header(version, scene.count, scene.sh_degree, fraction_bits(*_extent(scene)), scene.antialiased)
-    steps = sh_steps(picture_weights(scene), quantise)
     stored = {name: array_for((scene.count, width), np.uint8, path) for name, width in header.widths().items()}
-
-    def convert(start: int):
-        some = order[start : start + PART]
-        for name, rows in _rows(header, turned(scene.select(some)), steps[some]).items():
-            stored[name][start : start + PART] = rows
-
     with ThreadPoolExecutor(os.cpu_count()) as threads:
+        ordered = threads.submit(morton_order, scene.means)
+        steps, order = sh_steps(picture_weights(scene), quantise), ordered.result()
+
+        def convert(start: int):
+            some = order[start : start + PART]
+            for name, rows in _rows(header, turned(scene.select(some)), steps[some]).items():
+                stored[name][start : start + PART] = rows
+
         list(threads.map(convert, range(0, scene.count, PART)))
     return packed(header, stored, path)
 

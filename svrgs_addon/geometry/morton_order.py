@@ -11,6 +11,7 @@ import numpy as np
 BITS = 21  # per axis; three axes fill the 63 bits of a non-negative int64
 CENTRAL_PERCENTILES = (25, 75)  # means between them define centre and extent, so that outliers have no influence
 BOX_HALF_SIDE = 32  # in extents; means outside the box are clamped to its sides
+BLOCK = 1 << 16  # means whose codes are found together; the arrays of one block stay in the cache
 
 # (shift, mask) of each step: it halves the length of the groups of adjacent bits, until two zeros separate any two bits.
 _SPREAD = ((32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3), (2, 0x1249249249249249))
@@ -27,6 +28,14 @@ def morton_codes(means: np.ndarray) -> np.ndarray:
     The box has its centre and size from central_box(). NaN is clamped to the low side of the box.
     """
     centre, extent = central_box(means)
+    codes = np.empty(len(means), np.int64)
+    for start in range(0, len(means), BLOCK):
+        codes[start : start + BLOCK] = _codes(means[start : start + BLOCK], centre, extent)
+    return codes
+
+
+def _codes(means: np.ndarray, centre: np.ndarray, extent: float) -> np.ndarray:
+    """Codes of some means in the box of all."""
     half = 1 << (BITS - 1)
     codes = np.zeros(len(means), np.int64)
     for axis in range(3):
@@ -41,7 +50,8 @@ def central_box(means: np.ndarray) -> tuple[np.ndarray, float]:
 
     The side is never 0. Without finite means the result is (0, 0, 0) and 1.
     """
-    finite = means[np.isfinite(means).all(axis=1)].astype(np.float64)
+    known = np.isfinite(means)
+    finite = (means if known.all() else means[known.all(axis=1)]).astype(np.float64)
     if not len(finite):
         return np.zeros(3), 1.0
     low, high = np.percentile(finite, CENTRAL_PERCENTILES, axis=0)
