@@ -28,6 +28,7 @@ ADOBE_AXES = 0xADBE0003  # type of an extension after which axes may be others
 MOST_DEGREE = 4  # of SH; that beyond 3 is not read
 RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte; bytes that are unpacked from any file
 LEVEL, GZIP_LEVEL = 9, 6  # of compression
+FOR_SH = {"strategy": 4, "search_log": 4, "min_match": 6}  # of Zstandard: short matches in SH cost time, and bytes too
 BROKEN = "; copy or export it again"
 
 
@@ -73,7 +74,8 @@ def streams(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]
 
 def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike) -> bytes:
     """The bytes of a file. rows: the streams, (N, bytes) uint8 each. Raises SceneError, which names the file."""
-    contents = [np.ascontiguousarray(rows[name]).data.cast("B") for name, width in header.widths().items() if width * header.count]
+    names = [name for name, width in header.widths().items() if width * header.count]
+    contents = [np.ascontiguousarray(rows[name]).data.cast("B") for name in names]
     flags = ANTIALIASED * header.antialiased
     if header.version < NEWEST:
         head = GZIP_HEADER.pack(MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags)
@@ -82,7 +84,7 @@ def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike)
     if not zstd.available():
         raise SceneError(f"{path}: cannot be written, {zstd.MISSING}")
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        frames = list(threads.map(lambda content: zstd.compress(content, LEVEL), contents))
+        frames = list(threads.map(lambda name, content: zstd.compress(content, LEVEL, **(FOR_SH if name == "sh" else {})), names, contents))
     head = HEADER.pack(MAGIC, NEWEST, header.count, header.degree, header.fraction_bits, flags, len(frames), HEADER.size)
     table = [ENTRY.pack(len(frame), len(content)) for frame, content in zip(frames, contents, strict=True)]
     return b"".join([head, *table, *frames])

@@ -19,15 +19,16 @@ def available() -> bool:
     return importlib.util.find_spec("zstandard") is not None or _in_python()
 
 
-def compress(data: bytes | memoryview, level: int) -> bytes:
-    """One frame that says how long its content is. A long one is compressed by all cores."""
+def compress(data: bytes | memoryview, level: int, **parameters: int) -> bytes:
+    """One frame that says how long its content is. A long one is compressed by all cores. parameters: of Zstandard, other than the level has them."""
     module, workers = importlib.import_module(_module()), (os.cpu_count() or 1) if len(data) > SHARED else 0
-    pieces = {"job_size": PIECE, "overlap_log": HALF_WINDOW} if workers else {}
+    if workers:
+        parameters |= {"job_size": PIECE, "overlap_log": HALF_WINDOW}
     if _in_python():
-        options = {"compression_level": level, "nb_workers": workers, **pieces}
+        options = {"compression_level": level, "nb_workers": workers, **parameters}
         return module.compress(data, options={getattr(module.CompressionParameter, name): value for name, value in options.items()})
-    parameters = module.ZstdCompressionParameters.from_level(level, source_size=len(data), threads=workers, **pieces)
-    return module.ZstdCompressor(compression_params=parameters).compress(data)
+    chosen = module.ZstdCompressionParameters.from_level(level, source_size=len(data), threads=workers, **parameters)
+    return module.ZstdCompressor(compression_params=chosen).compress(data)
 
 
 def decompress(frame: bytes, size: int) -> bytes:
