@@ -37,7 +37,7 @@ from svrgs_addon.scene import Scene
 
 ROOMS, SIDE, APART = 9, 3, 9.0  # of the town; rooms in a row, and the distance between them
 WIDTH, HEIGHT = 1280, 720
-STEPS = ("divide", "score", "reduce", "merge", "finish")
+STEPS = ("divide", "score", "reduce", "merge", "cut", "tune", "finish")
 
 
 def town(count: int) -> Iterator[Scene]:
@@ -87,7 +87,8 @@ def measure(source: Path, folder: Path, block: int, target: float, suffix: str) 
     work, out = folder / "work", folder / f"out{suffix}"
     words = {
         "divide": ["divide", source, "--cameras", folder / "cameras.json", "--work", work, "--block", block],
-        "finish": ["finish", work, "--target", target, "--out", out],
+        "cut": ["cut", work, "--target", target],
+        "finish": ["finish", work, "--out", out],
     }
     cells, most, result = [], 0, {}
     for step in STEPS:
@@ -100,7 +101,15 @@ def measure(source: Path, folder: Path, block: int, target: float, suffix: str) 
         if step == "reduce":
             for path in work.glob("scores_*.npy"):
                 path.unlink()
-    line = [str(result["blocks"]), *cells, f"{most / 1e9:.2f}", digest, f"{result['after']['bytes'] / 1e6:,.1f}", f"{result['psnr']:.2f}"]
+    line = [
+        str(result["blocks"]),
+        *cells,
+        f"{most / 1e9:.2f}",
+        digest,
+        f"{result['after']['bytes'] / 1e6:,.1f}",
+        f"{result['psnr_merged']:.2f}",
+        f"{result['psnr']:.2f}",
+    ]
     shutil.rmtree(work)
     return line
 
@@ -121,8 +130,8 @@ def main() -> int:
             write_scene(source, scene)
         write_cameras_json(folder / "cameras.json", views(words.views))
         print(f"{words.count:,} Gaussians, SH degree 3, a PLY of {source.stat().st_size / 1e6:,.0f} MB, {words.views} views of {WIDTH} x {HEIGHT} pixels\n")
-        print(f"| blocks | {', s | '.join(STEPS)}, s | memory, GB | sums (SHA-256) | MB | PSNR, dB |")
-        print(f"|{'---:|' * (len(STEPS) + 5)}", flush=True)
+        print(f"| blocks | {', s | '.join(STEPS)}, s | memory, GB | sums (SHA-256) | MB | merged, dB | tuned, dB |")
+        print(f"|{'---:|' * (len(STEPS) + 6)}", flush=True)
         for blocks in words.blocks:
             print(f"| {' | '.join(measure(source, folder, math.ceil(words.count / blocks), words.target, words.to))} |", flush=True)
     return 0

@@ -33,7 +33,9 @@ LARGE = {
     "score": "Sums up what a part of the views sees of each Gaussian. Any number of machines may do the parts, in any order.",
     "reduce": "Adds the sums of all parts.",
     "merge": "Orders removals and merges in a part of the blocks. Any number of machines may do the parts, in any order.",
-    "finish": "Removes and merges up to one cost for the whole scene, and measures the result.",
+    "cut": "Removes and merges up to one cost for the whole scene.",
+    "tune": "Fine-tunes a part of the blocks. Any number of machines may do the parts, in any order. It may be left out.",
+    "finish": "Joins the blocks into the result, and measures it.",
 }
 
 
@@ -256,7 +258,7 @@ def _farm(commands):
 
 
 def _large(commands):
-    help_ = "Prunes a scene larger than memory, by blocks on the disk; without fine-tuning."
+    help_ = "Prunes a scene larger than memory, by blocks on the disk."
     actions = commands.add_parser("large", help=help_, description=help_).add_subparsers(dest="action", required=True, metavar="ACTION")
     for name, text in LARGE.items():
         command = _command(actions, name, text)
@@ -274,13 +276,17 @@ def _large(commands):
             command.add_argument("--work", type=extended, required=True, metavar="DIR", help="folder for the blocks")
         else:
             command.add_argument("work", type=extended, metavar="WORK", help="folder of the blocks")
-        if name in ("score", "merge"):
+        if name in ("score", "merge", "tune"):
             command.add_argument("--part", type=_reader(COUNT), default=0, metavar="K", help="number of the part of the work, from 0 (default: 0)")
             command.add_argument("--parts", type=_reader(POSITIVE), default=1, metavar="N", help="number of all parts (default: 1)")
-        if name in ("prune", "finish"):
+        if name in ("prune", "tune"):
+            help_ = "steps of fine-tuning, on one view each; 0: none (default: two for each view)"
+            command.add_argument("--steps", type=_reader(COUNT), metavar="N", help=help_)
+        if name in ("prune", "cut"):
             size = command.add_mutually_exclusive_group(required=True)
             size.add_argument("--target", type=_reader(SHARE), metavar="SHARE", help="share of the Gaussians to keep, up to 1")
             size.add_argument("--target-count", type=_reader(POSITIVE), metavar="N", help="number of Gaussians to keep")
+        if name in ("prune", "finish"):
             command.add_argument("--out", type=extended, required=True, metavar="FILE", help="splat file to write")
 
 

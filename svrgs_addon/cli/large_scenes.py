@@ -1,9 +1,11 @@
-"""`svrgs large`: scenes larger than memory. `prune` does all of it; `divide`, `score`, `reduce`, `merge` and `finish` are its steps, for a farm."""
+"""`svrgs large`: scenes larger than memory. `prune` does all of it; `divide`, `score`, `reduce`, `merge`, `cut`, `tune` and `finish` are its steps, for a
+farm."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,9 +17,10 @@ from ..farm.engine_messages import Messages
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_read, format_to_write, refuse_input
 from ..large.blocks import Divided, clear, divide
-from ..large.merging import counts, merge, reduce
-from ..large.pruning import likeness, result_of, write_merged
+from ..large.merging import merge, reduce
+from ..large.pruning import likeness, pictures_of, result_of, write_joined
 from ..large.scoring import score
+from ..large.tuning import CUT, EPOCHS, TUNED, cut, tune, tuned_blocks
 from ..photographs.camera_files import load_cameras
 from ..photographs.cameras_json import write_cameras_json
 from ..photographs.dataset import HOLDOUT, load_dataset
@@ -29,7 +32,8 @@ MEASURED = 8  # views on which the result is measured, at most
 def large(words: argparse.Namespace) -> dict[str, Any]:
     """Does one step, or all. Raises SplatError."""
     native.set_threads(words.threads)
-    return {"prune": _prune, "divide": _divide, "score": _score, "reduce": _reduce, "merge": _merge, "finish": _finish}[words.action](words)
+    steps = {"divide": _divide, "score": _score, "reduce": _reduce, "merge": _merge, "cut": _cut, "tune": _tune, "finish": _finish}
+    return (steps | {"prune": _prune})[words.action](words)
 
 
 def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
@@ -37,10 +41,11 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
         return f"{result['count']:,} Gaussians in {result['blocks']} blocks, {result['views']} views; saved {result['work']}"
     if words.action == "score":
         return result["scores"]
-    if words.action in ("reduce", "merge"):
+    if words.action in ("reduce", "merge", "cut", "tune"):
         return f"{result['blocks']} blocks done in {result['work']}"
     before, after = result["before"], result["after"]
-    against = f"; PSNR {result['psnr']:.2f} dB against the original" if result["views"] else ""
+    merged = f" ({result['psnr_merged']:.2f} dB before fine-tuning)" if result["psnr_merged"] is not None else ""
+    against = f"; PSNR {result['psnr']:.2f} dB against the original{merged}" if result["views"] else ""
     return f"kept {after['count']:,} of {before['count']:,} Gaussians ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"
 
 
@@ -51,7 +56,7 @@ def _prune(words: argparse.Namespace) -> dict[str, Any]:
         _refuse_work(words.work)
         words.part, words.parts = 0, 1
         try:
-            for step in (_divide, _score, _reduce, _merge):
+            for step in (_divide, _score, _reduce, _merge, _cut, _tune):
                 step(words)
             return _finish(words)
         finally:
@@ -60,7 +65,7 @@ def _prune(words: argparse.Namespace) -> dict[str, Any]:
 
 def _remove(work: Path):
     """Removes what was written into the folder of the blocks, and the folder, if nothing else is in it."""
-    for folder in (work / RESULT, work):
+    for folder in (work / RESULT, work / CUT, work / TUNED, work):
         clear(folder)
         for name in (TRAIN, TEST):
             (folder / name).unlink(missing_ok=True)
@@ -105,14 +110,35 @@ def _merge(words: argparse.Namespace) -> dict[str, Any]:
     return {"work": str(words.work), "blocks": len(numbers)}
 
 
+def _cut(words: argparse.Namespace) -> dict[str, Any]:
+    divided = Divided.read(words.work)
+    left = cut(divided, words.target_count or max(1, round(words.target * divided.count)), _told(words, "cut"))
+    return {"work": str(words.work), "blocks": len(left.blocks), "count": left.count}
+
+
+def _tune(words: argparse.Namespace) -> dict[str, Any]:
+    divided, cameras = Divided.read(words.work), load_cameras(words.work / TRAIN)
+    steps = EPOCHS * len(cameras) if words.steps is None else words.steps
+    numbers = range(len(divided.blocks))[words.part :: words.parts] if steps else range(0)
+    for number in numbers:
+        tune(divided, number, cameras, steps, _told(words, "tune"))
+    return {"work": str(words.work), "blocks": len(numbers)}
+
+
 def _finish(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
     _check_out(words.out, divided.source)
-    kept = counts(divided, words.target_count or max(1, round(words.target * divided.count)))
-    write_merged(divided, kept, words.out, _told(words, "write"))
-    result = divide(words.out, words.work / RESULT, tell=_told(words, "read"))
-    test = evenly(load_cameras(words.work / TEST), MEASURED)
-    return result_of(divided, result, likeness(result, divided, test, _told(words, "measure")), len(test), words.out)
+    left, tuned, test = Divided.read(words.work / CUT), tuned_blocks(divided), evenly(load_cameras(words.work / TEST), MEASURED)
+    originals = list(pictures_of(divided, test, _told(words, "look")))
+    merged = likeness(left, test, originals) if tuned and test else None
+    if tuned and (merged is None or likeness(tuned, test, originals) > merged):
+        left = tuned
+    elif tuned:
+        logging.warning("%s: fine-tuning made it less like the original in views that were held out, so it was left out", divided.source)
+    write_joined(left, words.out)
+    written = divide(words.out, words.work / RESULT, tell=_told(words, "read"))
+    quality = {"psnr": likeness(written, test, originals, _told(words, "measure")), "psnr_merged": merged}
+    return result_of(divided, written, quality, len(test), words.out)
 
 
 def _check_out(out: Path, source: Path):

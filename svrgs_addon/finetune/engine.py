@@ -23,7 +23,7 @@ class Step:
     """The inputs of one optimisation step: a view, its photograph, learning rates, masks and the terms of the loss."""
 
     camera: Camera
-    target: np.ndarray  # (H, W, 3) in the model's dtype, display sRGB 0..1
+    target: np.ndarray  # (H, W, 3) in the model's dtype, display sRGB 0..1; of the window, if there is one
     number: int  # step of the run, from 1: Adam's t
     rates: dict[str, float]  # learning rates by parameter name, as Rates.at() gives them
     options: RenderOptions
@@ -37,6 +37,7 @@ class Step:
     penalty: Penalty | tuple[Penalty, ...] | None = None  # one term, or several
     update: bool = True  # False: gradients only (3DGS takes no optimiser step in a step that densifies)
     want_means2d: bool = False  # the gradient of the projected centres is returned, for densification
+    window: tuple[slice, slice] | None = None  # rows and columns of the view that the image loss sees; None: all
 
     @property
     def spatial(self) -> bool:
@@ -100,7 +101,7 @@ class NativeEngine:
         r = self.rasterizer
         outputs = ("rgb", "mask") if step.spatial else ("rgb",)
         images = r.forward(model, step.camera, step.options, step.masks, outputs)
-        l1, ssim, d_rgb = r.loss(images["rgb"], step.target, step.l1_weight, step.ssim_weight)
+        l1, ssim, d_rgb = self._image_loss(step, images["rgb"])
         image_grads, mask_loss = {"rgb": d_rgb}, 0.0
         if step.spatial:
             mask_loss, image_grads["mask"] = mask_loss_grad(images["mask"], step.lambda_f)
@@ -117,6 +118,15 @@ class NativeEngine:
         if step.slope is not None:
             result.nonfinite += self._step_rows(model, step, MASK, mask_logit_rows(step, grads, result.visible), result.visible)
         return result
+
+    def _image_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, np.ndarray]:
+        """Mean |difference|, SSIM and the gradient (H, W, 3) of the image loss, which is 0 outside of the window."""
+        if step.window is None:
+            return self.rasterizer.loss(rgb, step.target, step.l1_weight, step.ssim_weight)
+        l1, ssim, grad = self.rasterizer.loss(np.ascontiguousarray(rgb[step.window]), step.target, step.l1_weight, step.ssim_weight)
+        whole = np.zeros_like(rgb)
+        whole[step.window] = grad
+        return l1, ssim, whole
 
     def _update(self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...], ids: np.ndarray) -> tuple[dict, int]:
         """Backward and Adam in one call of the library. A parameter is updated separately if its gradient is needed here: because a

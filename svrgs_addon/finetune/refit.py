@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,25 +23,34 @@ USUAL = 0.25  # share of the Gaussians down to which the rates are smaller
 POSITION = 0.025  # rate of position, in median middle scales: Gaussians move by fractions of their size
 
 
+@dataclass(frozen=True)
+class Look:
+    """What is shown in a step: a view, its picture, and the window of the view that counts, if not all of it does."""
+
+    camera: Camera
+    picture: np.ndarray  # (H, W, 3) float32, of the window
+    window: tuple[slice, slice] | None = None  # rows, columns
+
+
 def refit(
-    scene: Scene, cameras: Sequence[Camera], pictures: Sequence[np.ndarray], steps: int, pace: float, options: RenderOptions, seed: int,
-    stop: Callable[[], bool],
-) -> Scene:  # fmt: skip
-    """The scene after so many Adam steps on the loss of 3DGS, on one picture each. pictures: (H, W, 3) float32 of each camera. pace: times all rates.
-    Raises Cancelled if stop() says so."""
+    scene: Scene, looks: Sequence[Look | None], steps: int, pace: float, middle: float, options: RenderOptions, seed: int, stop: Callable[[], bool]
+) -> Scene:
+    """The scene after so many Adam steps on the loss of 3DGS, on one picture each. looks: of all views; a step on a view without one is left out, the
+    others stay as they are. pace: times all rates. middle: middle_scale() of the scene, or of that of which it is a part. Raises Cancelled if stop() says
+    so."""
     model, engine, rng = Model.of(scene), NativeEngine(), np.random.default_rng([seed, 7])
     if scene.count > 1:
         model.reorder(morton_order(model.means))
-    middle = middle_scale(scene)
     views: list[int] = []
     for k in range(steps):
         if stop():
             raise Cancelled
-        views = views or rng.permutation(len(cameras)).tolist()
-        view, share = views.pop(), pace * LAST ** (k / max(1, steps - 1))
-        usual = Rates().at(1, 0.0)
+        views = views or rng.permutation(len(looks)).tolist()
+        if (look := looks[views.pop()]) is None:
+            continue
+        share, usual = pace * LAST ** (k / max(1, steps - 1)), Rates().at(1, 0.0)
         rates = {name: factor * share * usual[name] for name, factor in FASTER.items()} | {"means": POSITION * middle * share}
-        engine.step(model, Step(cameras[view], pictures[view], k + 1, rates, options))
+        engine.step(model, Step(look.camera, look.picture, k + 1, rates, options, window=look.window))
     return model.into_scene()
 
 
@@ -56,6 +65,6 @@ def pace_at(share: float) -> float:
     return min(1.0, USUAL / share)
 
 
-def middle_scale(scene: Scene | Model) -> float:
-    """The median of the middle ones of the three standard deviations of each Gaussian."""
-    return float(np.exp(np.median(np.sort(scene.log_scales, axis=1)[:, 1])))
+def middle_scale(log_scales: np.ndarray) -> float:
+    """The median of the middle ones of the three standard deviations of each Gaussian. log_scales: (N, 3)."""
+    return float(np.exp(np.median(np.sort(log_scales, axis=1)[:, 1])))

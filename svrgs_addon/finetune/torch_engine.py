@@ -128,7 +128,8 @@ class TorchEngine:
         """The loss without the penalty, and three of its terms: L1, SSIM and mean F^2 (SVR-GS Eq. 10). images: 'rgb' (H, W, 3) and, with
         a spatial mask, 'mask' (H, W). masks (N,) or None."""
         target = torch.tensor(step.target)  # a copy: photographs are read-only
-        l1, similarity = (images["rgb"] - target).abs().mean(), ssim(images["rgb"], target)
+        rgb = images["rgb"] if step.window is None else images["rgb"][step.window]
+        l1, similarity = (rgb - target).abs().mean(), ssim(rgb, target)
         total = step.l1_weight * l1 + step.ssim_weight * (1 - similarity)
         mask_loss = (images["mask"] ** 2).mean() if "mask" in images else torch.zeros(())
         if "mask" in images:

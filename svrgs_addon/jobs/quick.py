@@ -26,7 +26,7 @@ from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, refuse_input, size_on_disk
 from ..finetune.quality import LEAST
-from ..finetune.refit import USUAL, interpolated, pace_at, refit
+from ..finetune.refit import USUAL, Look, interpolated, middle_scale, pace_at, refit
 from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
@@ -117,7 +117,7 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     likeness = _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options)
     count, quantise = smallest_file(order, wanted, likeness.psnr, options.out, options.max_drop, 1 / factor) if options.max_drop else (wanted, 1.0)
     counts = [count, *(max(1, round(share * count)) for share in options.levels)]
-    scenes = [_tuned(order, some, likeness, cameras, pictures, options, job.stop) for some in counts]
+    scenes = [_tuned(order, some, likeness, list(map(Look, cameras, pictures)), options, job.stop) for some in counts]
     written = write_with_levels(options.out, options.levels, [scaled(scene, 1 / factor) for scene in scenes], quantise)
     notes += _kept(job.order, order, visible, source.count, 1 / factor) if job.order else []
     facts: dict[str, Any] = {
@@ -171,16 +171,15 @@ class _Likeness:
         return rounded_to_8_bits(self._rasterizer.forward(scene, camera, self._settings)["rgb"])
 
 
-def _tuned(
-    order: Order, count: int, likeness: _Likeness, cameras: list[Camera], pictures: list[np.ndarray], options: PruneOptions, stop: Callable[[], bool]
-) -> Scene:
+def _tuned(order: Order, count: int, likeness: _Likeness, shown: list[Look], options: PruneOptions, stop: Callable[[], bool]) -> Scene:
     """The scene with `count` Gaussians, fine-tuned on the pictures. Where that does harm in other views, it is interpolated with the scene before the
     steps. Raises Cancelled."""
     small, share = order.at(count), count / order.scene.count
     if share == 1:
         return small
     try:
-        tuned = refit(small, cameras, pictures, _steps(share), pace_at(share), render_options(small, options.background), options.seed, stop)
+        settings = render_options(small, options.background)
+        tuned = refit(small, shown, _steps(share), pace_at(share), middle_scale(small.log_scales), settings, options.seed, stop)
     except Cancelled:
         raise Cancelled(NOT_FINISHED) from None
     best, highest = tuned, likeness.psnr(tuned)

@@ -16,7 +16,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,12 @@ MOST = 2_000_000  # Gaussians of a block
 MAX_COUNT = 2**32 - 1  # Gaussians of a scene
 GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
-OWN = (INDEX, *(f"[0-9]*.{name}" for name in ("geometry", "sh", "rows", "visibility", "order.npz")), "scores_*_of_*.npy", "reduced.json")  # files of large/
+OWN = (
+    INDEX,
+    *(f"[0-9]*.{name}" for name in ("geometry", "sh", "rows", "visibility", "order.npz", "picture.npy")),
+    "scores_*_of_*.npy",
+    "reduced.json",
+)  # files of large/
 Tell = Callable[[str, float], None]  # what is done now, and the share of the work that is done
 
 
@@ -120,6 +125,11 @@ def arrays_of(geometry: np.ndarray) -> dict[str, Any]:
     return {name: np.ascontiguousarray(array) for name, array in parts.items()}
 
 
+def scene_of(divided: Divided, block: Block) -> Scene:
+    """The Gaussians of a block, in memory."""
+    return Scene(**arrays_of(block.geometry), sh=np.array(block.sh(divided.coefficients)), antialiased=divided.antialiased)
+
+
 def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_: None) -> Divided:
     """Divides the scene of a file. A divided scene that is in the folder is replaced. Raises SplatError."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -141,6 +151,32 @@ def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_:
         tell("writes the blocks", start / len(block_of))
     blocks = tuple(Block(folder, k, n, low, high, float(largest[k])) for k, (low, high, n) in enumerate(boxes))
     divided = Divided(folder, source, size_on_disk(source), len(block_of), coefficients, antialiased, blocks)
+    with atomic_write(folder / INDEX) as file:
+        file.write(json.dumps(divided.facts()).encode())
+    return divided
+
+
+def write_block(folder: Path, number: int, scene: Scene, start: int):
+    """Writes the Gaussians of a block; their rows begin with `start`. gathered() makes a divided scene of all blocks. Raises SceneError."""
+    arrays = {"geometry": _geometry(scene), "sh": scene.sh, "rows": np.arange(start, start + scene.count, dtype=np.uint32)}
+    for name, array in arrays.items():
+        check_space(folder / f"{number}.{name}", array.nbytes)
+        with atomic_write(folder / f"{number}.{name}") as file:
+            file.write(np.ascontiguousarray(array).data.cast("B"))
+
+
+def gathered(folder: Path, like: Divided) -> Divided:
+    """The divided scene of blocks in a folder that were written one by one, as many as `like` has. Raises SceneError if one is missing."""
+    blocks = []
+    for number in range(len(like.blocks)):
+        try:
+            count = (folder / f"{number}.rows").stat().st_size // 4
+        except OSError:
+            raise SceneError(f"{folder}: the block {number} is missing; tune it first") from None
+        one = Block(folder, number, count, np.zeros(3), np.zeros(3), 0.0)
+        means = one.geometry[:, :3]
+        blocks.append(replace(one, low=means.min(axis=0), high=means.max(axis=0), largest=float(one.geometry[:, 3:6].max())))
+    divided = replace(like, folder=folder, count=sum(one.count for one in blocks), blocks=tuple(blocks))
     with atomic_write(folder / INDEX) as file:
         file.write(json.dumps(divided.facts()).encode())
     return divided
@@ -178,9 +214,14 @@ def _leaves(means: np.ndarray, rows: np.ndarray, most: int) -> Iterator[np.ndarr
     yield from _leaves(means, rows[~low], most)
 
 
+def _geometry(scene: Scene) -> np.ndarray:
+    """(n, 11) float32."""
+    return np.concatenate([getattr(scene, name).reshape(scene.count, -1) for name in GEOMETRY], axis=1, dtype=np.float32)
+
+
 def _append(part: Scene, numbers: np.ndarray, start: int, folder: Path, largest: np.ndarray):
     """Appends the Gaussians of a part of the file to their blocks. largest: (blocks,) the largest log-scales so far, which are changed."""
-    geometry = np.concatenate([getattr(part, name).reshape(part.count, -1) for name in GEOMETRY], axis=1, dtype=np.float32)
+    geometry = _geometry(part)
     for number in np.unique(numbers):
         some = np.flatnonzero(numbers == number)
         largest[number] = max(largest[number], part.log_scales[some].max())

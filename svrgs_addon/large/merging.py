@@ -26,7 +26,7 @@ from ..native import VISIBILITY
 from ..native_decimation import REMOVED, Merges, decimate
 from ..native_library import PARAMETERS
 from ..scene import Scene
-from .blocks import Block, Divided, Tell, arrays_of
+from .blocks import Block, Divided, Tell, scene_of
 from .scoring import UNITS, total, visibility
 
 REDUCED, LEAST = "reduced.json", 0.01
@@ -59,11 +59,6 @@ def merge(divided: Divided, number: int):
     block, (pixel, middle) = divided.blocks[number], _reduced(divided)
     found = decimate(scene_of(divided, block), _visibility(block), middle, pixel, max(1, round(LEAST * block.count)))
     write_arrays(_order_path(block), {"a": found.a, "b": found.b, "costs": found.costs, **found.results})
-
-
-def scene_of(divided: Divided, block: Block) -> Scene:
-    """The Gaussians of a block, in memory."""
-    return Scene(**arrays_of(block.geometry), sh=np.array(block.sh(divided.coefficients)), antialiased=divided.antialiased)
 
 
 def counts(divided: Divided, wanted: int) -> list[int]:

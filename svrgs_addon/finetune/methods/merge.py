@@ -43,7 +43,7 @@ class Merge(Method):
         rates = super().rates(run, phase, number)
         if phase.active:
             return rates
-        self.middle = self.middle or middle_scale(run.model)
+        self.middle = self.middle or middle_scale(run.model.log_scales)
         pace = pace_at(self.kept)
         larger = {name: pace * factor * rates[name] for name, factor in FASTER.items()}
         return rates | larger | {"means": pace * POSITION * self.middle * phase.rates.decay ** (number // phase.rates.decay_every)}

@@ -1,0 +1,119 @@
+"""Fine-tunes what is left of a divided scene, block by block, on the pictures of the original.
+
+A block is tuned together with all that is blended into its pixels, in the views that show it, cropped to the window of the picture where they do. All of it
+is tuned, in the steps and at the rates that the whole scene would have; of the result, each block keeps its own Gaussians. Blocks begin with what was cut,
+whatever was tuned before, so they may be tuned in any order.
+
+Beside the blocks of the original lie
+
+    cut/     what is left of each block (Divided)
+    tuned/   the same, tuned
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .. import memory
+from ..camera import Camera
+from ..errors import FormatError
+from ..finetune.refit import Look, middle_scale, pace_at, refit
+from ..finetune.saliency import reduced
+from ..metrics.evaluate import render_options
+from ..native import Rasterizer
+from ..native_library import PARAMETERS
+from ..scene import Scene
+from .blocks import Divided, Tell, arrays_of, clear, gathered, scene_of, write_block
+from .discs import Discs, Window, rows_in
+from .merging import counts, merged
+from .scoring import picture_path
+from .views import shown
+
+CUT, TUNED = "cut", "tuned"  # folders
+MARGIN = 8  # pixels around what counts: SSIM compares windows of 11 x 11
+EPOCHS = 2  # times that each view is shown, if nothing else is asked for
+
+
+def cut(divided: Divided, wanted: int, tell: Tell = lambda *_: None) -> Divided:
+    """Removes and merges until `wanted` Gaussians are left. Writes what is left of each block. Raises SplatError."""
+    folder, kept, start = divided.folder / CUT, counts(divided, wanted), 0
+    for one in (folder, divided.folder / TUNED):
+        one.mkdir(exist_ok=True)
+        clear(one)
+    for number, scene in enumerate(merged(divided, kept, tell)):
+        write_block(folder, number, scene, start)
+        start += scene.count
+    return gathered(folder, divided)
+
+
+def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, tell: Tell = lambda *_: None):
+    """Tunes a block of what was cut, in so many steps of the whole scene, of which it takes those whose view shows it. Raises SplatError."""
+    left = Divided.read(divided.folder / CUT)
+    views, rasterizer, looks = reduced(cameras), Rasterizer(), list[Look | None]()
+    there = [np.zeros(block.count, bool) for block in left.blocks]
+    for view, camera in enumerate(views):
+        tell(f"block {number}, view {camera.name or view}", 0.5 * view / len(views))
+        window = _look_around(left, number, camera, rasterizer, there)
+        looks.append(window and Look(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices))
+    scene = _scene(left, there)
+    needed = memory.tuning(scene.count, left.coefficients, views, sum(look.picture.nbytes for look in looks if look))
+    memory.refuse_excess(f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}", needed)
+    middle = middle_scale(np.concatenate([block.geometry[:, 3:6] for block in left.blocks]))
+    tell(f"block {number}, {scene.count:,} Gaussians", 0.5)
+    tuned = refit(scene, looks, steps, pace_at(left.count / divided.count), middle, render_options(scene), 0, lambda: False)
+    first = sum(int(some.sum()) for some in there[:number])
+    _write_own(left, number, there[number], tuned.select(np.arange(first, first + int(there[number].sum()))))
+
+
+def tuned_blocks(divided: Divided) -> Divided | None:
+    """The tuned scene; None if no block was tuned. Raises SceneError if only some were."""
+    folder, left = divided.folder / TUNED, Divided.read(divided.folder / CUT)
+    return gathered(folder, left) if any(folder.glob("*.rows")) else None
+
+
+def _look_around(left: Divided, number: int, camera: Camera, rasterizer: Rasterizer, there: list[np.ndarray]) -> Window | None:
+    """The window of a view in which it shows the block; None if nowhere. there: of each block, (n,) bool, which are blended into such a window; those
+    of this one are added."""
+    block = left.blocks[number]
+    rows = rows_in(block, camera, Window.of(camera))
+    window = Discs.of_geometry(block.geometry[rows], camera).around(camera, MARGIN)
+    if window is None:
+        return None
+    found = shown(left, camera, window, rasterizer)
+    blended = {one.number: places[drawn] for one, places, drawn in zip(found.blocks, found.places, found.blended, strict=True)}
+    window = Discs.of_geometry(block.geometry[blended.get(number, rows[:0])], camera).around(camera, MARGIN)
+    if window is None:
+        return None
+    for other, places in blended.items():
+        there[other][places[Discs.of_geometry(left.blocks[other].geometry[places], camera).touch(window)]] = True
+    return window
+
+
+def _picture(divided: Divided, view: int, camera: Camera) -> np.ndarray:
+    """(H, W, 3) float16."""
+    path = picture_path(divided, view)
+    try:
+        picture = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise FormatError(f"{path}: cannot be read ({error}); score the views first") from None
+    if picture.shape != (camera.height, camera.width, 3):
+        raise FormatError(f"{path}: is not of this view; score the views again")
+    return picture
+
+
+def _scene(left: Divided, there: list[np.ndarray]) -> Scene:
+    """The marked Gaussians of all blocks, in their order."""
+    marked = [(block, np.flatnonzero(some)) for block, some in zip(left.blocks, there, strict=True)]
+    geometry = np.concatenate([block.geometry[rows] for block, rows in marked])
+    sh = np.concatenate([block.sh(left.coefficients)[rows] for block, rows in marked])
+    return Scene(**arrays_of(geometry), sh=sh, antialiased=left.antialiased)
+
+
+def _write_own(left: Divided, number: int, own: np.ndarray, tuned: Scene):
+    """Writes the block with the values of its tuned Gaussians, those marked in own (n,)."""
+    scene = scene_of(left, left.blocks[number])
+    for name in PARAMETERS:
+        getattr(scene, name)[own] = getattr(tuned, name)
+    write_block(left.folder.parent / TUNED, number, scene, int(left.blocks[number].rows[0]))
