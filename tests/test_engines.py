@@ -76,7 +76,8 @@ def make_step(model: Model, photographs: list, number: int, case: str = "svr", *
     view = number % len(VIEWS)
     drawn, slope = masks.draw(model, 0, number) if model.learns_masks else (None, None)
     options = changes.pop("options", RenderOptions(mask_kind=kind))
-    step = Step(VIEWS[view], photographs[view], number, Rates().at(number, EXTENT), options, masks=drawn, slope=slope)
+    target = np.ascontiguousarray(photographs[view][changes.get("window") or ...])
+    step = Step(VIEWS[view], target, number, Rates().at(number, EXTENT), options, masks=drawn, slope=slope)
     return replace(step, lambda_f=lambda_f, lambda_m=lambda_m, want_means2d=True, **changes)
 
 
@@ -157,6 +158,21 @@ OPTIONS = {
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 def test_render_options_reach_both_engines(options):
     run_both(F64, "svr", 3, resynchronise=False, options=options, l1_weight=1.0, ssim_weight=0.5)
+
+
+def test_a_window_of_the_view_is_the_same_in_both_engines():
+    run_both(F64, "svr", 3, resynchronise=False, window=(slice(3, 30), slice(9, 41)))
+
+
+def test_what_is_outside_of_the_window_has_no_part_in_the_image_loss():
+    model, photographs = world(F64, with_masks=False)
+    step = make_step(model, photographs, 1, "plain", window=(slice(0, 20), slice(0, 24)))
+    shown = NativeEngine("float64").rasterizer.forward(model, step.camera, step.options)["rgb"]
+    before = twin(model)
+    result = NativeEngine("float64").step(model, step)
+    assert result.l1 == pytest.approx(np.abs(shown[:20, :24] - step.target).mean(), rel=1e-12)
+    moved = (before.values["means"] != model.values["means"]).any(axis=1)
+    assert 0 < moved.sum() < len(result.visible), "those that are only seen outside of it stay"
 
 
 def test_each_kind_of_mask_gradient_gives_another_step():

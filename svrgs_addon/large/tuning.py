@@ -56,7 +56,7 @@ def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, t
     for view, camera in enumerate(views):
         tell(f"block {number}, view {camera.name or view}", 0.5 * view / len(views))
         window = _look_around(left, number, camera, rasterizer, there)
-        looks.append(window and Look(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices))
+        looks.append(Look(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices) if window else None)
     scene = _scene(left, there)
     needed = memory.tuning(scene.count, left.coefficients, views, sum(look.picture.nbytes for look in looks if look))
     memory.refuse_excess(f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}", needed)
