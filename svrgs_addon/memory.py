@@ -119,6 +119,9 @@ def _trained_row(coefficients: int) -> tuple[int, int]:
     return other + 4 * 3 * coefficients, other + SH_MOMENT * 3 * coefficients
 
 
+BY_BLOCKS = "svrgs large prunes it by blocks, with less"
+
+
 def shortage(what: str, needed: int) -> str:
     """A sentence if `needed` bytes exceed the available memory, else ''. what: subject of the sentence, such as 'pruning a.ply'."""
     free = available()
@@ -127,10 +130,10 @@ def shortage(what: str, needed: int) -> str:
     return f"{what} needs about {size_text(needed)} of memory, but only {size_text(free)} are available"
 
 
-def refuse_excess(what: str, needed: int) -> None:
-    """Raises SceneError with the sentence of shortage() if there is one."""
+def refuse_excess(what: str, needed: int, advice: str = "") -> None:
+    """Raises SceneError with the sentence of shortage() if there is one. advice: what else can be done."""
     if sentence := shortage(what, needed):
-        raise SceneError(sentence)
+        raise SceneError(f"{sentence}; {advice}" if advice else sentence)
 
 
 def refuse_few_addresses(least: int) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes as c
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
@@ -17,7 +18,7 @@ from .errors import Cancelled, NativeError
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 13
+INTERFACE_VERSION = 14
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 GRADS = (*PARAMETERS, "masks", "means2d")
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # images whose gradients backward() accepts
@@ -271,3 +272,18 @@ def set_threads(count: int):
 def threads() -> int:
     """Size of the thread pool."""
     return library().svrgs_threads()
+
+
+def traced(call: Callable[[], object]) -> list[np.ndarray]:
+    """The seconds of each task of the thread pool while call() runs: one array for each job. Nothing with more than one thread."""
+    lib, seconds, count = library(), c.POINTER(c.c_double)(), c.c_int64()
+    lib.svrgs_trace(c.c_int32(1))
+    try:
+        call()
+    finally:
+        lib.svrgs_trace(c.c_int32(0))
+    lib.svrgs_traced(c.byref(seconds), c.byref(count))
+    if not count.value:
+        return []
+    found = np.ctypeslib.as_array(seconds, (count.value,)).copy()
+    return [job[1:] for job in np.split(found, np.flatnonzero(found < 0))[1:]]

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 13
+#define SVRGS_INTERFACE_VERSION 14
 
 typedef void real; /* float or double, by the context's level */
 
@@ -145,6 +145,11 @@ SVRGS_API int32_t svrgs_best_level(void); /* the fastest float level this proces
 SVRGS_API int32_t svrgs_level_supported(int32_t level);
 SVRGS_API void svrgs_set_threads(int32_t threads); /* 0: one per core; more than 8 per core and 32 are not taken; results do not depend on it */
 SVRGS_API int32_t svrgs_threads(void);
+
+/* With 1, and one thread: records the seconds of each task of the thread pool, in order, and -1 before the first task of each job, until a call with 0.
+   svrgs_traced gives them; they are valid until the next call with 1. For measurements, from one thread. */
+SVRGS_API void svrgs_trace(int32_t on);
+SVRGS_API void svrgs_traced(const double** seconds, int64_t* count);
 
 SVRGS_API int32_t svrgs_context_create(int32_t level, svrgs_context** out);
 SVRGS_API void svrgs_context_destroy(svrgs_context* context);

@@ -163,6 +163,12 @@ void svrgs_get_thresholds(svrgs_thresholds* out) {
 int32_t svrgs_level_supported(int32_t level) { return kernels_of(level) != nullptr; }
 void svrgs_set_threads(int32_t threads) { svrgs::set_threads(std::max(threads, 0)); }
 int32_t svrgs_threads(void) { return svrgs::threads(); }
+void svrgs_trace(int32_t on) { svrgs::trace(on != 0); }
+
+void svrgs_traced(const double** seconds, int64_t* count) {
+  *seconds = svrgs::traced().data();
+  *count = static_cast<int64_t>(svrgs::traced().size());
+}
 
 int32_t svrgs_best_level(void) {
   for (const int32_t level : {SVRGS_AVX512, SVRGS_AVX2, SVRGS_NEON})

@@ -221,14 +221,13 @@ void Context::loss_tiles(const void* image, const void* target, int height, int 
   const int64_t down = chunk_count(height, kLossTileRows), across = chunk_count(row, kLossTileValues), tiles = down * across;
   const int64_t tile_row = chunk_count(row, across * 16) * 16;  // equal shares, in whole vectors
   double* tile_values = tile_values_.reserve<double>(2 * tiles);
-  const int64_t workers = std::min<int64_t>(threads(), tiles), own = kernels_.loss_scratch * kernels_.real_size;
-  char* scratch = loss_scratch_.reserve<char>(workers * own);
+  const int64_t own = kernels_.loss_scratch * kernels_.real_size;
+  char* scratch = nullptr;
   const LossArguments a = {
       image, target, height, row, tile_row, across, l1_weight / values_in, -ssim_weight / values_in, grad, tile_values, tile_values + tiles};
-  std::atomic<int64_t> next{0};
-  parallel_for(workers, [&](int64_t worker) {
-    for (int64_t tile; (tile = next.fetch_add(1, std::memory_order_relaxed)) < tiles;) kernels_.loss_tile(a, tile, scratch + worker * own);
-  });
+  parallel_for_workers(
+      tiles, [&](int workers) { scratch = loss_scratch_.reserve<char>(workers * own); },
+      [&](int64_t tile, int worker) { kernels_.loss_tile(a, tile, scratch + worker * own); });
   values[0] = values[1] = 0;
   for (int64_t t = 0; t < tiles; ++t) values[0] += a.tile_l1[t], values[1] += a.tile_ssim[t];
   values[0] /= values_in, values[1] /= values_in;

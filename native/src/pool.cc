@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <memory>
 #include <mutex>
@@ -23,10 +24,24 @@ struct Job {
   std::atomic<int64_t> next{0};
   std::atomic<int> working{0};  // workers inside; changed under the pool's mutex
 
-  void work() {
-    for (int64_t i; (i = next.fetch_add(1, std::memory_order_relaxed)) < count;) task(argument, i);
+  void traced_work();
+  void work(int worker) {
+    for (int64_t i; (i = next.fetch_add(1, std::memory_order_relaxed)) < count;) task(argument, i, worker);
   }
 };
+
+std::atomic<bool> tracing{false};
+std::vector<double> seconds_of_tasks;
+
+void Job::traced_work() {
+  using Clock = std::chrono::steady_clock;
+  seconds_of_tasks.push_back(-1);
+  for (int64_t i = 0; i < count; ++i) {
+    const auto begun = Clock::now();
+    task(argument, i, 0);
+    seconds_of_tasks.push_back(std::chrono::duration<double>(Clock::now() - begun).count());
+  }
+}
 
 // A view is a dozen short jobs. To wake a sleeping thread takes as long as some of them, so threads spin for a while before they sleep.
 constexpr int kSpins = 4000;  // some 50 microseconds
@@ -44,7 +59,7 @@ class Pool {
  public:
   explicit Pool(int size) {
     try {
-      for (int i = 1; i < size; ++i) workers_.emplace_back([this] { loop(); });
+      for (int i = 1; i < size; ++i) workers_.emplace_back([this, i] { loop(i); });
     } catch (const std::system_error&) {  // the system gives no more threads: those there are do the work
     }
   }
@@ -61,7 +76,8 @@ class Pool {
   int size() const { return static_cast<int>(workers_.size()) + 1; }
 
   void run(Job& job) {
-    if (workers_.empty() || job.count < 2) return job.work();
+    if (workers_.empty() && tracing) return job.traced_work();
+    if (workers_.empty() || job.count < 2) return job.work(0);
     std::lock_guard one_at_a_time(submit_);
     {
       std::lock_guard lock(mutex_);
@@ -69,7 +85,7 @@ class Pool {
       ++generation_;
     }
     wake_.notify_all();
-    job.work();
+    job.work(0);
     {
       std::lock_guard lock(mutex_);
       job_ = nullptr;
@@ -80,7 +96,7 @@ class Pool {
   }
 
  private:
-  void loop() {
+  void loop(int worker) {
     uint64_t seen = 0;
     for (;;) {
       spin_until([&] { return generation_ != seen; });
@@ -91,7 +107,7 @@ class Pool {
       Job* job = job_;
       ++job->working;
       lock.unlock();
-      job->work();
+      job->work(worker);
       lock.lock();
       if (--job->working == 0) done_.notify_all();  // `job` may be gone from here on
     }
@@ -138,9 +154,18 @@ void set_threads(int threads) {
 
 int threads() { return current_pool()->size(); }
 
-void run_tasks(int64_t count, Task task, void* argument) {
+void trace(bool on) {
+  if (on) seconds_of_tasks.clear();
+  tracing = on;
+}
+
+const std::vector<double>& traced() { return seconds_of_tasks; }
+
+void run_tasks(int64_t count, Task task, void* argument, Prepare prepare) {
+  const auto workers = current_pool();
+  if (prepare) prepare(argument, workers->size());
   Job job{task, argument, count};
-  current_pool()->run(job);
+  workers->run(job);
 }
 
 }  // namespace svrgs

@@ -1,19 +1,37 @@
 // The one thread pool of the library. Work is handed out by an atomic counter; the caller takes part.
 #pragma once
 #include <cstdint>
+#include <vector>
 
 namespace svrgs {
 
 void set_threads(int threads);  // 0: one per core; at most 8 per core, or 32
 int threads();
 
-using Task = void (*)(void* argument, int64_t index);
-void run_tasks(int64_t count, Task task, void* argument);
+using Task = void (*)(void* argument, int64_t index, int worker);
+using Prepare = void (*)(void* argument, int workers);
+void run_tasks(int64_t count, Task task, void* argument, Prepare prepare = nullptr);
+
+// The seconds of each task, in the order of the jobs, with -1 before each job, since trace(true). Only with one thread.
+void trace(bool on);
+const std::vector<double>& traced();
 
 // Calls f(i) for i in [0, count), in any order, on all threads; returns when all are done. f must not throw.
 template <class F>
 void parallel_for(int64_t count, F&& f) {
-  run_tasks(count, [](void* a, int64_t i) { (*static_cast<F*>(a))(i); }, &f);
+  run_tasks(count, [](void* a, int64_t i, int) { (*static_cast<F*>(a))(i); }, &f);
+}
+
+// The same with f(i, worker), for tasks that need memory of their own: each thread is another worker, 0 to workers - 1. prepare(workers) is called before.
+template <class P, class F>
+void parallel_for_workers(int64_t count, P&& prepare, F&& f) {
+  struct Both {
+    P& prepare;
+    F& f;
+  } both{prepare, f};
+  run_tasks(
+      count, [](void* a, int64_t i, int worker) { static_cast<Both*>(a)->f(i, worker); }, &both,
+      [](void* a, int workers) { static_cast<Both*>(a)->prepare(workers); });
 }
 
 // Calls f(begin, end) for fixed blocks of `grain` items: the split does not depend on the number of threads.

@@ -10,6 +10,7 @@ from .. import native
 from ..files.atomic import atomic_write, check_writable
 from .accuracy import error
 from .cases import chosen_cases, room_case
+from .cores import measure_cores
 from .interactive import measure_interactive
 from .knobs import measure_knobs
 from .measure import measure, peaks_of
@@ -22,7 +23,7 @@ REPEAT, QUICK_REPEAT = 9, 3
 
 
 def bench(options: argparse.Namespace) -> dict:
-    """The JSON result: machine, cases, and the chosen ones of knobs, skips, scaling, interactive. Charts go to options.plots. Raises
+    """The JSON result: machine, cases, and the chosen ones of knobs, skips, scaling, cores, interactive. Charts go to options.plots. Raises
     SplatError, NativeError."""
     if options.plots:
         check_writable(options.plots / "plot.svg")
@@ -45,6 +46,8 @@ def bench(options: argparse.Namespace) -> dict:
         result["skips"] = measure_skips(room_case(), repeat, tell)
     if options.scaling:
         result["scaling"] = measure_scaling(repeat, tell)
+    if options.cores:
+        result["cores"] = measure_cores(repeat, tell)
     if options.interactive:
         result["interactive"] = measure_interactive(tell)
     if options.plots:

@@ -10,7 +10,7 @@ def as_text(result: dict) -> str:
     if "stress" in result:
         return _stress(result["stress"])
     parts = [_machine(result["machine"]), *(_case(case) for case in result["cases"])]
-    for name, show in (("knobs", _knobs), ("skips", _skips), ("scaling", _scaling), ("interactive", _interactive)):
+    for name, show in (("knobs", _knobs), ("skips", _skips), ("scaling", _scaling), ("cores", _cores), ("interactive", _interactive)):
         if result.get(name):
             parts.append(show(result[name]))
     return "\n\n".join(parts)
@@ -92,6 +92,18 @@ def _scaling(scaling: list[dict]) -> str:
         cells = f"{s['count']:,}", f"{s['visible']:,}", f"{s['width']}x{s['height']}", f"{s['forward_ms']:.1f}"
         rows.append((s["axis"], *cells, f"{s['ms_per_megapixel']:.1f}", f"{s['ms_per_million_gaussians']:.1f}"))
     return "Scaling:\n" + table(rows)
+
+
+def _cores(found: dict) -> str:
+    entries = found["entries"]
+    counts = list(entries[0]["speed_up"])
+    rows: list[tuple[str, ...]] = [("what", "Gaussians", "size", "ms", "serial", "jobs", *(f"x {count}" for count in counts))]
+    for e in entries:
+        cells = e["what"], f"{e['count']:,}", f"{e['width']}x{e['height']}", f"{e['ms']:.1f}", f"{e['serial']:.2%}", str(e["jobs"])
+        rows.append((*cells, *(f"{e['speed_up'][count]:.2f}" for count in counts)))
+        rows.append(("  measured", *[""] * 5, *(f"{e['measured'][count]:.2f}" if count in e["measured"] else "" for count in counts)))
+    where = f"{found['threads']} threads" + (f" on {found['cores']} cores" if found["cores"] else "")
+    return f"Speed-up at most, by the tasks of one thread, with so many threads ({where} here):\n" + table(rows, 1)
 
 
 def _interactive(i: dict) -> str:

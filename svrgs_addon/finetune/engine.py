@@ -37,7 +37,7 @@ class Step:
     penalty: Penalty | tuple[Penalty, ...] | None = None  # one term, or several
     update: bool = True  # False: gradients only (3DGS takes no optimiser step in a step that densifies)
     want_means2d: bool = False  # the gradient of the projected centres is returned, for densification
-    window: tuple[slice, slice] | None = None  # rows and columns of the view that the image loss sees; None: all
+    window: tuple[slice, slice] | None = None  # rows and columns of the view: outside of them, its picture counts as equal to the target. None: all
 
     @property
     def spatial(self) -> bool:
@@ -120,13 +120,13 @@ class NativeEngine:
         return result
 
     def _image_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, np.ndarray]:
-        """Mean |difference|, SSIM and the gradient (H, W, 3) of the image loss, which is 0 outside of the window."""
+        """Mean |difference|, SSIM and the gradient (H, W, 3) of the image loss; both values and the gradient are means over all pixels of the view."""
         if step.window is None:
             return self.rasterizer.loss(rgb, step.target, step.l1_weight, step.ssim_weight)
         l1, ssim, grad = self.rasterizer.loss(np.ascontiguousarray(rgb[step.window]), step.target, step.l1_weight, step.ssim_weight)
-        whole = np.zeros_like(rgb)
-        whole[step.window] = grad
-        return l1, ssim, whole
+        share, whole = grad.size / rgb.size, np.zeros_like(rgb)
+        np.multiply(grad, rgb.dtype.type(share), out=whole[step.window])
+        return share * l1, 1 - share * (1 - ssim), whole
 
     def _update(self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...], ids: np.ndarray) -> tuple[dict, int]:
         """Backward and Adam in one call of the library. A parameter is updated separately if its gradient is needed here: because a

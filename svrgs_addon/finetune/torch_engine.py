@@ -129,7 +129,8 @@ class TorchEngine:
         a spatial mask, 'mask' (H, W). masks (N,) or None."""
         target = torch.tensor(step.target)  # a copy: photographs are read-only
         rgb = images["rgb"] if step.window is None else images["rgb"][step.window]
-        l1, similarity = (rgb - target).abs().mean(), ssim(rgb, target)
+        share = rgb.numel() / images["rgb"].numel()
+        l1, similarity = share * (rgb - target).abs().mean(), 1 - share * (1 - ssim(rgb, target))
         total = step.l1_weight * l1 + step.ssim_weight * (1 - similarity)
         mask_loss = (images["mask"] ** 2).mean() if "mask" in images else torch.zeros(())
         if "mask" in images:

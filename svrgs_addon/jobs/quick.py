@@ -103,7 +103,7 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
         raise SceneError(f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep")
     enlarged, factor = (scene, 1.0) if options.colmap else _enlarged(scene)
     cameras, test, notes = _views(enlarged, options)
-    memory.refuse_excess(f"{options.scene}: pruning it", memory.decimating(scene.count, scene.sh.shape[1], cameras))
+    memory.refuse_excess(f"{options.scene}: pruning it", memory.decimating(scene.count, scene.sh.shape[1], cameras), memory.BY_BLOCKS)
     rasterizer, settings = Rasterizer(), render_options(scene, options.background)
     sums, pictures = looks(enlarged, cameras, rasterizer, settings)
     if not options.colmap and (hidden := _hidden(sums)) > MOST_HIDDEN * scene.count:

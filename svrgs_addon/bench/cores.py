@@ -1,0 +1,80 @@
+"""What more cores would give: the serial part of a picture and of a step, and how evenly their tasks can be shared.
+
+With one thread, the library says how long each task of its thread pool takes. What a call takes beyond its tasks is serial. From both follows a lower bound of
+the time with any number of threads: each task goes to the thread that is free first, as in the pool. It knows nothing of memory and of caches that threads
+share, nor of the microseconds in which a thread wakes. Where there are the cores, the speed-up is measured.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable
+
+import numpy as np
+
+from .. import native
+from ..native_library import traced
+from ..system.processor import cores
+from .cases import Case
+from .scenes import orbit_camera, room
+from .timing import ratio, seconds
+from .trial import Trial
+
+COUNTS = (1, 2, 4, 8, 16, 32, 64)  # of threads
+CASES = ((100_000, (1280, 720)), (500_000, (640, 360)))  # Gaussians, image size
+
+
+def measure_cores(repeat: int, tell: Callable[[str], None], cases=CASES) -> dict:
+    """The entry `cores` of the result."""
+    entries = []
+    for count, size in cases:
+        tell(f"cores: {count:,} Gaussians, {size[0]} x {size[1]}")
+        native.set_threads(1)
+        trial = Trial(Case("room", room(count, 3), orbit_camera(*size)))
+        for name, call in (("picture", trial.forward), ("step", trial.step)):
+            facts = {"count": count, "width": size[0], "height": size[1], "what": name}
+            entries.append(facts | _foreseen(call, repeat) | {"measured": _measured(call, repeat)})
+    native.set_threads(0)
+    return {"cores": cores(), "threads": native.threads(), "entries": entries}
+
+
+def _foreseen(call: Callable[[], object], repeat: int) -> dict:
+    """Medians over the repeats: milliseconds with one thread, the serial share, jobs, and the best speed-up with each number of threads."""
+    call()
+    total: list[float] = []
+    serial: list[float] = []
+    bounds: dict[int, list[float]] = {threads: [] for threads in COUNTS}
+    jobs: list[np.ndarray] = []
+    for _ in range(repeat):
+        jobs = traced(lambda: total.append(seconds(call)))
+        serial.append(total[-1] - sum(float(job.sum()) for job in jobs))
+        for threads in COUNTS:
+            bounds[threads].append(serial[-1] + sum(makespan(job, threads) for job in jobs))
+    return {
+        "ms": 1e3 * float(np.median(total)),
+        "serial": ratio(serial, total),
+        "jobs": len(jobs),
+        "speed_up": {str(threads): ratio(total, bounds[threads]) for threads in COUNTS},
+    }
+
+
+def makespan(tasks: np.ndarray, threads: int) -> float:
+    """Seconds until tasks of so many seconds, (n,), are done, when a thread that is free takes the next one."""
+    free = [0.0] * min(threads, max(1, len(tasks)))
+    for task in tasks.tolist():
+        heapq.heapreplace(free, free[0] + task)
+    return max(free)
+
+
+def _measured(call: Callable[[], object], repeat: int) -> dict[str, float]:
+    """The speed-up over one thread with each number of threads for which there are cores. All are measured in each round."""
+    native.set_threads(0)
+    counts = [count for count in COUNTS if count <= native.threads()]
+    readings: dict[int, list[float]] = {count: [] for count in counts}
+    for _ in range(repeat):
+        for count in counts:
+            native.set_threads(count)
+            call()
+            readings[count].append(seconds(call))
+    native.set_threads(1)
+    return {str(count): ratio(readings[1], readings[count]) for count in counts}
