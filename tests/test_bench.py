@@ -11,7 +11,7 @@ from svrgs_addon.bench import knobs, variants
 from svrgs_addon.bench.accuracy import error
 from svrgs_addon.bench.cases import room_case
 from svrgs_addon.bench.floors import LANES, stage_floors
-from svrgs_addon.bench.interactive import measure_interactive
+from svrgs_addon.bench.interactive import measure_interactive, measure_viewport
 from svrgs_addon.bench.measure import measure, peaks_of, work_counts
 from svrgs_addon.bench.plots import charts
 from svrgs_addon.bench.scaling import measure_scaling
@@ -145,6 +145,11 @@ def test_orbiting():
     result = measure_interactive(ignore, count=3000, size=(96, 64), frames=3)
     assert 0 < result["rest_ms"] < result["frame_ms"] <= result["slowest_ms"]
     assert result["frames_per_second"] == pytest.approx(1000 / result["frame_ms"])
+
+
+def test_orbiting_in_a_viewport():
+    result = measure_viewport(ignore, count=20_000, size=(640, 360), frames=6)
+    assert 0 < result["frame_ms"] <= result["slowest_ms"] and result["reduction"] == 4 and result["frame_ms"] < result["exact_ms"]
 
 
 def test_knobs_chosen_at_run_time_and_their_charts(small, monkeypatch):

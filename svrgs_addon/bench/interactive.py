@@ -7,12 +7,16 @@ from collections.abc import Callable
 import numpy as np
 
 from .. import native
+from ..camera import Camera
+from ..render.live_view import COARSE
 from .preview import Preview
 from .scenes import orbit_camera, room
 from .timing import WARMUPS, seconds
 
 COUNT, SIZE = 1_000_000, (640, 360)
+VIEWPORT_COUNT, VIEWPORT_SIZE = 3_000_000, (1280, 720)
 FRAMES, STEP = 30, 1.0  # number of frames; degrees per frame
+EXACT = 6  # exact pictures of a viewport
 
 
 def measure_interactive(tell: Callable[[str], None], count: int = COUNT, size: tuple[int, int] = SIZE, frames: int = FRAMES) -> dict:
@@ -21,15 +25,25 @@ def measure_interactive(tell: Callable[[str], None], count: int = COUNT, size: t
     tell(f"orbiting around {count:,} Gaussians")
     preview = Preview(room(count), native.RenderOptions())
     cameras = [orbit_camera(*size, turn=STEP * k) for k in range(WARMUPS + frames)]
+    return _frames(preview, cameras, count, size) | {"rest_ms": 1e3 * seconds(preview.image, cameras[-1])}
+
+
+def measure_viewport(
+    tell: Callable[[str], None], count: int = VIEWPORT_COUNT, size: tuple[int, int] = VIEWPORT_SIZE, frames: int = FRAMES, reduction: int = COARSE
+) -> dict:
+    """The entry `viewport` of the result: the same of coarse pictures, as the viewport of Blender draws them while the camera moves (render/live_view.py),
+    and `exact_ms`, the milliseconds of the exact picture where it stops."""
+    tell(f"orbiting around {count:,} Gaussians in a viewport")
+    preview = Preview(room(count), native.RenderOptions())
+    cameras = [orbit_camera(*size, turn=STEP * k) for k in range(WARMUPS + frames)]
+    facts = _frames(preview, [camera.reduced(reduction) for camera in cameras], count, size)
+    exact = [1e3 * seconds(preview.image, camera) for camera in cameras[:: max(1, frames // EXACT)]][1:]
+    return facts | {"reduction": reduction, "exact_ms": float(np.median(exact))}
+
+
+def _frames(preview: Preview, cameras: list[Camera], count: int, size: tuple[int, int]) -> dict:
+    """Milliseconds of the median and of the slowest frame; the first ones do not count."""
     ms = [1e3 * seconds(preview.image, camera) for camera in cameras][WARMUPS:]
     median = float(np.median(ms))
-    return {
-        "count": count,
-        "width": size[0],
-        "height": size[1],
-        "threads": native.threads(),
-        "frame_ms": median,
-        "slowest_ms": max(ms),
-        "frames_per_second": 1e3 / median,
-        "rest_ms": 1e3 * seconds(preview.image, cameras[-1]),
-    }
+    facts = {"count": count, "width": size[0], "height": size[1], "threads": native.threads()}
+    return facts | {"frame_ms": median, "slowest_ms": max(ms), "frames_per_second": 1e3 / median}

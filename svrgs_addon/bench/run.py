@@ -11,7 +11,7 @@ from ..files.atomic import atomic_write, check_writable
 from .accuracy import error
 from .cases import chosen_cases, room_case
 from .cores import measure_cores
-from .interactive import measure_interactive
+from .interactive import measure_interactive, measure_viewport
 from .knobs import measure_knobs
 from .measure import measure, peaks_of
 from .plots import charts
@@ -23,7 +23,7 @@ REPEAT, QUICK_REPEAT = 9, 3
 
 
 def bench(options: argparse.Namespace) -> dict:
-    """The JSON result: machine, cases, and the chosen ones of knobs, skips, scaling, cores, interactive. Charts go to options.plots. Raises
+    """The JSON result: machine, cases, and the chosen ones of knobs, skips, scaling, cores, interactive and viewport. Charts go to options.plots. Raises
     SplatError, NativeError."""
     if options.plots:
         check_writable(options.plots / "plot.svg")
@@ -50,6 +50,7 @@ def bench(options: argparse.Namespace) -> dict:
         result["cores"] = measure_cores(repeat, tell)
     if options.interactive:
         result["interactive"] = measure_interactive(tell)
+        result["viewport"] = measure_viewport(tell)
     if options.plots:
         result["plots"] = _write(options.plots, charts(result))
     return result

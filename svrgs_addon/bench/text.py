@@ -10,7 +10,7 @@ def as_text(result: dict) -> str:
     if "stress" in result:
         return _stress(result["stress"])
     parts = [_machine(result["machine"]), *(_case(case) for case in result["cases"])]
-    for name, show in (("knobs", _knobs), ("skips", _skips), ("scaling", _scaling), ("cores", _cores), ("interactive", _interactive)):
+    for name, show in (("knobs", _knobs), ("skips", _skips), ("scaling", _scaling), ("cores", _cores), ("interactive", _interactive), ("viewport", _viewport)):
         if result.get(name):
             parts.append(show(result[name]))
     return "\n\n".join(parts)
@@ -110,4 +110,11 @@ def _interactive(i: dict) -> str:
     return (
         f"Orbiting around {i['count']:,} Gaussians at {i['width']} x {i['height']}, {i['threads']} threads: {i['frames_per_second']:.1f} frames per second "
         f"({i['frame_ms']:.1f} ms, slowest {i['slowest_ms']:.1f}; at rest {i['rest_ms']:.2f})"
+    )
+
+
+def _viewport(v: dict) -> str:
+    return (
+        f"In a viewport, {v['count']:,} Gaussians at {v['width']} x {v['height']}: {v['frames_per_second']:.1f} frames per second of a {v['reduction']}th of "
+        f"the size ({v['frame_ms']:.1f} ms, slowest {v['slowest_ms']:.1f}); exact {v['exact_ms']:.0f} ms after the camera stops"
     )

@@ -304,6 +304,6 @@ def _bench(commands):
     command.add_argument("--scaling", action="store_true", help="also measure forward time over image size, up to 4K, and over Gaussians, up to 5 million")
     help_ = "also measure the serial part of a picture and of a step, the speed-up of more threads, and foresee it for up to 64"
     command.add_argument("--cores", action="store_true", help=help_)
-    command.add_argument("--interactive", action="store_true", help="also measure frames per second of a million Gaussians under an orbiting camera")
+    command.add_argument("--interactive", action="store_true", help="also measure frames per second under an orbiting camera, and of a viewport")
     command.add_argument("--stress", action="store_true", help="instead: measure errors of extreme scenes, and the drift over 1,000 steps, against float64")
     command.add_argument("--plots", type=extended, metavar="DIR", help="folder to write charts to; measures knobs and skips (unless --stress is given)")
