@@ -109,6 +109,7 @@ def measure(source: Path, folder: Path, block: int, target: float, suffix: str) 
         f"{result['after']['bytes'] / 1e6:,.1f}",
         f"{result['psnr_merged']:.2f}",
         f"{result['psnr']:.2f}",
+        str(result["tuned_share"]),
     ]
     shutil.rmtree(work)
     return line
@@ -130,8 +131,8 @@ def main() -> int:
             write_scene(source, scene)
         write_cameras_json(folder / "cameras.json", views(words.views))
         print(f"{words.count:,} Gaussians, SH degree 3, a PLY of {source.stat().st_size / 1e6:,.0f} MB, {words.views} views of {WIDTH} x {HEIGHT} pixels\n")
-        print(f"| blocks | {', s | '.join(STEPS)}, s | memory, GB | sums (SHA-256) | MB | merged, dB | tuned, dB |")
-        print(f"|{'---:|' * (len(STEPS) + 6)}", flush=True)
+        print(f"| blocks | {', s | '.join(STEPS)}, s | memory, GB | sums (SHA-256) | MB | merged, dB | tuned, dB | share of tuned |")
+        print(f"|{'---:|' * (len(STEPS) + 7)}", flush=True)
         for blocks in words.blocks:
             print(f"| {' | '.join(measure(source, folder, math.ceil(words.count / blocks), words.target, words.to))} |", flush=True)
     return 0

@@ -20,7 +20,7 @@ from svrgs_addon.large.blocks import Divided, divide, scene_of
 from svrgs_addon.large.merging import LEAST, counts, merge, merged, reduce
 from svrgs_addon.large.pruning import likeness, pictures_of, write_joined
 from svrgs_addon.large.scoring import UNITS, picture_path, score, total, visibility
-from svrgs_addon.large.tuning import cut, tune, tuned_blocks
+from svrgs_addon.large.tuning import best_share, cut, mixed, tune, tuned_blocks
 from svrgs_addon.large.views import seen
 from svrgs_addon.metrics.evaluate import render_options
 from svrgs_addon.native import VISIBILITY, Rasterizer
@@ -168,6 +168,28 @@ def test_tuned_blocks_are_as_good_as_the_tuned_whole_in_any_order(ordered, camer
     assert (tuned.folder / "0.geometry").read_bytes() == first, "neither order nor what was tuned before counts"
     GAINS.append(after)
     assert max(GAINS) - min(GAINS) < 1, "of a scene of a few Gaussians; docs/farm.md has those of large ones"
+
+
+def test_where_fine_tuning_does_harm_less_of_it_is_taken(ordered, cameras):
+    left = cut(ordered, FEW)
+    for number in range(len(left.blocks)):
+        tune(ordered, number, cameras, 3)
+    tuned, asked = tuned_blocks(ordered), []
+
+    def likes(share: float):
+        def quality(scene: Divided) -> float:
+            change = [np.abs(one.geometry[:, :3] - other.geometry[:, :3]).max() for one, other in zip(scene.blocks, left.blocks, strict=True)]
+            asked.append(max(change))
+            return -abs(max(change) - share * asked[0])
+
+        return quality
+
+    assert best_share(ordered, tuned, likes(0.5)) == 0.5 and len(asked) == 4
+    assert mixed(ordered, tuned, 0.0).folder == left.folder and mixed(ordered, tuned, 1.0) is tuned
+    asked.clear()
+    assert best_share(ordered, tuned, likes(1.0)) == 1.0 and len(asked) == 2
+    asked.clear()
+    assert best_share(ordered, tuned, likes(0.0)) == 0.0 and len(asked) == 5
 
 
 def test_pictures_that_are_missing_are_named(source, cameras, tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from ..large.blocks import Divided, clear, divide
 from ..large.merging import merge, reduce
 from ..large.pruning import likeness, pictures_of, result_of, write_joined
 from ..large.scoring import score
-from ..large.tuning import CUT, EPOCHS, TUNED, cut, tune, tuned_blocks
+from ..large.tuning import CUT, EPOCHS, MIXED, TUNED, best_share, cut, mixed, tune, tuned_blocks
 from ..photographs.camera_files import load_cameras
 from ..photographs.cameras_json import write_cameras_json
 from ..photographs.dataset import HOLDOUT, load_dataset
@@ -65,7 +64,7 @@ def _prune(words: argparse.Namespace) -> dict[str, Any]:
 
 def _remove(work: Path):
     """Removes what was written into the folder of the blocks, and the folder, if nothing else is in it."""
-    for folder in (work / RESULT, work / CUT, work / TUNED, work):
+    for folder in (work / RESULT, work / CUT, work / TUNED, work / MIXED, work):
         clear(folder)
         for name in (TRAIN, TEST):
             (folder / name).unlink(missing_ok=True)
@@ -130,15 +129,15 @@ def _finish(words: argparse.Namespace) -> dict[str, Any]:
     _check_out(words.out, divided.source)
     left, tuned, test = Divided.read(words.work / CUT), tuned_blocks(divided), evenly(load_cameras(words.work / TEST), MEASURED)
     originals = list(pictures_of(divided, test, _told(words, "look")))
-    merged = likeness(left, test, originals) if tuned and test else None
-    if tuned and (merged is None or likeness(tuned, test, originals) > merged):
-        left = tuned
-    elif tuned:
-        logging.warning("%s: fine-tuning made it less like the original in views that were held out, so it was left out", divided.source)
+    facts: dict[str, float | None] = {"psnr_merged": None, "tuned_share": 0.0}
+    if tuned:
+        share = best_share(divided, tuned, lambda scene: likeness(scene, test, originals, _told(words, "compare"))) if test else 1.0
+        facts = {"psnr_merged": likeness(left, test, originals), "tuned_share": share}
+        left = mixed(divided, tuned, share)
     write_joined(left, words.out)
     written = divide(words.out, words.work / RESULT, tell=_told(words, "read"))
-    quality = {"psnr": likeness(written, test, originals, _told(words, "measure")), "psnr_merged": merged}
-    return result_of(divided, written, quality, len(test), words.out)
+    facts["psnr"] = likeness(written, test, originals, _told(words, "measure"))
+    return result_of(divided, written, facts, len(test), words.out)
 
 
 def _check_out(out: Path, source: Path):

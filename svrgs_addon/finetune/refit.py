@@ -20,6 +20,7 @@ from .settings import Rates
 FASTER = {"sh": 3.0, "sh_rest": 24.0, "log_scales": 3.0, "quats": 3.0, "opacity_logits": 1.5}  # times the rates of 3DGS; they fall to LAST of that
 LAST = 0.1
 USUAL = 0.25  # share of the Gaussians down to which the rates are smaller
+SHARES = (0.75, 0.5, 0.25, 0.0)  # of the fine-tuned scene in the result, the rest is the one before the steps; tried after 1
 POSITION = 0.025  # rate of position, in median middle scales: Gaussians move by fractions of their size
 
 

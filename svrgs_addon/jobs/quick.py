@@ -26,7 +26,7 @@ from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_write, invisible, load_scene, refuse_input, size_on_disk
 from ..finetune.quality import LEAST
-from ..finetune.refit import USUAL, Look, interpolated, middle_scale, pace_at, refit
+from ..finetune.refit import SHARES, USUAL, Look, interpolated, middle_scale, pace_at, refit
 from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
@@ -46,7 +46,6 @@ from .smallest_file import ASSUMED, smallest_file
 SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
-SHARES = (0.75, 0.5, 0.25, 0.0)  # of the fine-tuned scene in the result, the rest is the merged one; tried after 1
 HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
 MOST_HIDDEN = 0.3  # share of the Gaussians that may be hidden from outside
 NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged

@@ -37,7 +37,7 @@ GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
 OWN = (
     INDEX,
-    *(f"[0-9]*.{name}" for name in ("geometry", "sh", "rows", "visibility", "order.npz", "picture.npy")),
+    *(f"[0-9]*.{name}" for name in ("geometry", "sh", "rows", "visibility", "order.npz", "picture.npy", "blended.npy")),
     "scores_*_of_*.npy",
     "reduced.json",
 )  # files of large/

@@ -76,15 +76,15 @@ class Discs:
         return Window(left, top, right, min(camera.height, int(np.ceil(self.bottom[some].max())) + margin))
 
 
-def may_show(block: Block, camera: Camera, window: Window) -> bool:
-    """Whether a window may show a Gaussian of the block: not, if the ball around its box, with all its Gaussians, is outside."""
+def may_show(block: Block, camera: Camera) -> bool:
+    """Whether a view may show a Gaussian of the block: not, if the ball around its box, with all its Gaussians, is outside."""
     middle, half = (block.low + block.high) / 2, np.linalg.norm(block.high - block.low) / 2
     ball = Discs.of(middle[None].astype(np.float64), np.array([half + SIGMAS * np.exp(float(block.largest))]), camera)
-    return bool(ball.touch(window)[0])
+    return bool(ball.touch(Window.of(camera))[0])
 
 
-def rows_in(block: Block, camera: Camera, window: Window) -> np.ndarray:
-    """The places in the block of the Gaussians that a window may show, ascending."""
-    starts = range(0, block.count, PART)
+def places_in(block: Block, camera: Camera) -> np.ndarray:
+    """The places in the block of the Gaussians that a view may show, ascending."""
+    window, starts = Window.of(camera), range(0, block.count, PART)
     found = [start + np.flatnonzero(Discs.of_geometry(block.geometry[start : start + PART], camera).touch(window)) for start in starts]
     return np.concatenate(found) if found else np.zeros(0, np.int64)

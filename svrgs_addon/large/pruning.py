@@ -44,9 +44,9 @@ def likeness(divided: Divided, cameras: Sequence[Camera], pictures: Sequence[np.
     return fmean(values) if values else math.nan
 
 
-def result_of(divided: Divided, left: Divided, quality: dict[str, float | None], views: int, out: Path) -> dict[str, Any]:
+def result_of(divided: Divided, left: Divided, facts: dict[str, float | None], views: int, out: Path) -> dict[str, Any]:
     """The JSON result of a pruned scene. left: what is left of it."""
     return {
-        "scene": str(divided.source), "out": str(out), "method": "merge", "views": views, "blocks": len(divided.blocks), **quality,
+        "scene": str(divided.source), "out": str(out), "method": "merge", "views": views, "blocks": len(divided.blocks), **facts,
         "before": {"count": divided.count, "bytes": divided.source_bytes}, "after": {"count": left.count, "bytes": size_on_disk(out)},
     }  # fmt: skip

@@ -6,32 +6,34 @@ whatever was tuned before, so they may be tuned in any order.
 
 Beside the blocks of the original lie
 
-    cut/     what is left of each block (Divided)
+    cut/     what is left of each block (Divided), and NUMBER.blended.npy: uint32, the rows that a view blends
     tuned/   the same, tuned
+    mixed/   the same, interpolated between both
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from .. import memory
 from ..camera import Camera
 from ..errors import FormatError
-from ..finetune.refit import Look, middle_scale, pace_at, refit
+from ..files.atomic import atomic_write
+from ..finetune.refit import SHARES, Look, interpolated, middle_scale, pace_at, refit
 from ..finetune.saliency import reduced
 from ..metrics.evaluate import render_options
 from ..native import Rasterizer
 from ..native_library import PARAMETERS
 from ..scene import Scene
 from .blocks import Divided, Tell, arrays_of, clear, gathered, scene_of, write_block
-from .discs import Discs, Window, rows_in
+from .discs import Discs, Window
 from .merging import counts, merged
 from .scoring import picture_path
 from .views import shown
 
-CUT, TUNED = "cut", "tuned"  # folders
+CUT, TUNED, MIXED = "cut", "tuned", "mixed"  # folders
 MARGIN = 8  # pixels around what counts: SSIM compares windows of 11 x 11
 EPOCHS = 2  # times that each view is shown, if nothing else is asked for
 
@@ -55,7 +57,7 @@ def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, t
     there = [np.zeros(block.count, bool) for block in left.blocks]
     for view, camera in enumerate(views):
         tell(f"block {number}, view {camera.name or view}", 0.5 * view / len(views))
-        window = _look_around(left, number, camera, rasterizer, there)
+        window = _look_around(left, number, camera, _blended(left, view, camera, rasterizer), there)
         looks.append(Look(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices) if window else None)
     scene = _scene(left, there)
     needed = memory.tuning(scene.count, left.coefficients, views, sum(look.picture.nbytes for look in looks if look))
@@ -67,28 +69,57 @@ def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, t
     _write_own(left, number, there[number], tuned.select(np.arange(first, first + int(there[number].sum()))))
 
 
+def best_share(divided: Divided, tuned: Divided, quality: Callable[[Divided], float]) -> float:
+    """The share of the tuned scene in the result, the rest is what was cut: less than 1 where fine-tuning does harm. Raises SplatError."""
+    best, highest = 1.0, quality(tuned)
+    for share in SHARES:
+        if (found := quality(mixed(divided, tuned, share))) <= highest:
+            break
+        best, highest = share, found
+    return best
+
+
+def mixed(divided: Divided, tuned: Divided, share: float) -> Divided:
+    """What was cut, with this share of the tuned scene. It replaces the last one of another share. Raises SplatError."""
+    left, folder = Divided.read(divided.folder / CUT), divided.folder / MIXED
+    if share in (0, 1):
+        return tuned if share else left
+    folder.mkdir(exist_ok=True)
+    for one, other in zip(left.blocks, tuned.blocks, strict=True):
+        write_block(folder, one.number, interpolated(scene_of(left, one), scene_of(tuned, other), share), int(one.rows[0]))
+    return gathered(folder, left)
+
+
 def tuned_blocks(divided: Divided) -> Divided | None:
     """The tuned scene; None if no block was tuned. Raises SceneError if only some were."""
     folder, left = divided.folder / TUNED, Divided.read(divided.folder / CUT)
     return gathered(folder, left) if any(folder.glob("*.rows")) else None
 
 
-def _look_around(left: Divided, number: int, camera: Camera, rasterizer: Rasterizer, there: list[np.ndarray]) -> Window | None:
-    """The window of a view in which it shows the block; None if nowhere. there: of each block, (n,) bool, which are blended into such a window; those
-    of this one are added."""
-    block = left.blocks[number]
-    rows = rows_in(block, camera, Window.of(camera))
-    window = Discs.of_geometry(block.geometry[rows], camera).around(camera, MARGIN)
-    if window is None:
-        return None
-    found = shown(left, camera, window, rasterizer)
-    blended = {one.number: places[drawn] for one, places, drawn in zip(found.blocks, found.places, found.blended, strict=True)}
-    window = Discs.of_geometry(block.geometry[blended.get(number, rows[:0])], camera).around(camera, MARGIN)
-    if window is None:
-        return None
-    for other, places in blended.items():
-        there[other][places[Discs.of_geometry(left.blocks[other].geometry[places], camera).touch(window)]] = True
+def _look_around(left: Divided, number: int, camera: Camera, rows: np.ndarray, there: list[np.ndarray]) -> Window | None:
+    """The window of a view in which it shows the block; None if nowhere. rows: that the view blends. there: of each block, (n,) bool, which are blended
+    into such a window; those of this one are added."""
+    firsts = np.cumsum([0, *(block.count for block in left.blocks)])
+    places = [some - first for some, first in zip(np.split(rows, np.searchsorted(rows, firsts[1:-1])), firsts, strict=False)]
+    window = Discs.of_geometry(left.blocks[number].geometry[places[number]], camera).around(camera, MARGIN)
+    if window is not None:
+        for block, some, marked in zip(left.blocks, places, there, strict=True):
+            marked[some[Discs.of_geometry(block.geometry[some], camera).touch(window)]] = True
     return window
+
+
+def _blended(left: Divided, view: int, camera: Camera, rasterizer: Rasterizer) -> np.ndarray:
+    """The rows that a view blends, ascending, int64. Whoever needs them first writes them into the folder. Raises SplatError."""
+    path = left.folder / f"{view}.blended.npy"
+    if not path.exists():
+        found = shown(left, camera, rasterizer)
+        drawn = [block.rows[some[blended]] for block, some, blended in zip(found.blocks, found.places, found.blended, strict=True)]
+        with atomic_write(path) as file:
+            np.save(file, np.concatenate([np.zeros(0, np.uint32), *drawn]))
+    try:
+        return np.load(path, allow_pickle=False).astype(np.int64)
+    except (OSError, ValueError, EOFError) as error:
+        raise FormatError(f"{path}: cannot be read ({error}); cut the scene again") from None
 
 
 def _picture(divided: Divided, view: int, camera: Camera) -> np.ndarray:

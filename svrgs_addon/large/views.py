@@ -15,14 +15,14 @@ from ..native import Rasterizer, threads
 from ..render.quads import colors, recolored
 from ..scene import Scene
 from .blocks import WIDTH, Block, Divided, arrays_of
-from .discs import PART, Window, may_show, rows_in
+from .discs import PART, may_show, places_in
 
 ROW = 3 * 4 * 14  # bytes of a Gaussian in one colour: its values, and copies while they are put in order
 
 
 @dataclass(frozen=True)
 class Shown:
-    """The Gaussians that a window of a view may show."""
+    """The Gaussians that a view may show."""
 
     blocks: list[Block]  # that have some
     places: list[np.ndarray]  # of each block, the places of the Gaussians in it, ascending
@@ -32,11 +32,11 @@ class Shown:
     scene: Scene  # in the order of the file, without colours (SH degree 0)
 
 
-def shown(divided: Divided, camera: Camera, window: Window, rasterizer: Rasterizer) -> Shown:
-    """What a window of a view may show. Those that the view does not blend are behind others or too small. Raises SplatError."""
-    near = [block for block in divided.blocks if may_show(block, camera, window)]
+def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> Shown:
+    """What a view may show. Those that it does not blend are behind others or too small. Raises SplatError."""
+    near = [block for block in divided.blocks if may_show(block, camera)]
     with ThreadPoolExecutor(threads()) as pool:
-        places = list(pool.map(lambda block: rows_in(block, camera, window), near))
+        places = list(pool.map(lambda block: places_in(block, camera), near))
         count = sum(map(len, places))
         needed = memory.rendering(count, camera.width, camera.height) + ROW * count
         memory.refuse_excess(f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}", needed)
@@ -54,7 +54,7 @@ def shown(divided: Divided, camera: Camera, window: Window, rasterizer: Rasteriz
 def seen(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> tuple[Scene, np.ndarray]:
     """The Gaussians that a view may show, in the order of the file, in colours as it sees them (SH degree 0), and their rows in the file (n,). Those that
     the view does not blend have no colours: theirs are not read. Raises SplatError."""
-    found = shown(divided, camera, Window.of(camera), rasterizer)
+    found = shown(divided, camera, rasterizer)
     sh = np.zeros((found.scene.count, 1, 3), np.float32)
     if found.blocks:
         with ThreadPoolExecutor(threads()) as pool:
