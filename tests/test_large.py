@@ -14,7 +14,7 @@ from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.decimate.order import looks, order_of
 from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.registry import read_scene, write_scene
-from svrgs_addon.finetune.refit import Look, middle_scale, pace_at, refit
+from svrgs_addon.finetune.refit import Look, middle_scale, pace_for, refit
 from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.large.blocks import Divided, divide, scene_of
 from svrgs_addon.large.merging import LEAST, counts, merge, merged, reduce
@@ -119,7 +119,7 @@ def test_so_many_are_left_as_are_wanted_at_one_cost_for_all_blocks(ordered):
 
 
 def test_blocks_and_formats_change_the_result_little(ordered, source, cameras, tmp_path):
-    originals, left = list(pictures_of(ordered, cameras)), cut(ordered, COUNT // 4)
+    originals, left = list(pictures_of(ordered, cameras)), cut(ordered, cameras, COUNT // 4)
 
     def psnr_of(name: str) -> float:
         write_joined(left, tmp_path / name)
@@ -138,13 +138,18 @@ def test_blocks_and_formats_change_the_result_little(ordered, source, cameras, t
 def test_one_block_is_tuned_as_the_scene_in_memory(ordered, source, cameras):
     if len(ordered.blocks) > 1:
         pytest.skip("of one block")
-    left, views = cut(ordered, COUNT // 4), reduced(cameras)
+    left, views = cut(ordered, cameras, COUNT // 4), reduced(cameras)
     tune(ordered, 0, cameras, 9)
     scene, original = scene_of(left, left.blocks[0]), read_scene(source)
     pictures = [np.load(picture_path(ordered, k)).astype(np.float32) for k in range(len(views))]
     for view, picture in zip(views, pictures, strict=True):
         assert np.abs(Rasterizer().forward(original, view, render_options(original))["rgb"] - picture).max() < 2**-11
-    expected = refit(scene, list(map(Look, views, pictures)), 9, pace_at(0.25), middle_scale(scene.log_scales), render_options(scene), 0, lambda: False)
+    error = json.loads((left.folder / "error.json").read_text())["error"]
+    shown = [Rasterizer().forward(scene, view, render_options(scene))["rgb"] for view in views]
+    assert (
+        error == pytest.approx(np.mean([np.square(one - other).mean() for one, other in zip(shown, pictures, strict=True)]) ** 0.5, rel=1e-3) and error < 0.01
+    )
+    expected = refit(scene, list(map(Look, views, pictures)), 9, pace_for(error), middle_scale(scene.log_scales), render_options(scene), 0, lambda: False)
     found = tuned_blocks(ordered)
     tuned = scene_of(found, found.blocks[0])
     for name in PARAMETERS:
@@ -153,7 +158,7 @@ def test_one_block_is_tuned_as_the_scene_in_memory(ordered, source, cameras):
 
 
 def test_tuned_blocks_are_as_good_as_the_tuned_whole_in_any_order(ordered, cameras):
-    originals, left = list(pictures_of(ordered, cameras)), cut(ordered, FEW)
+    originals, left = list(pictures_of(ordered, cameras)), cut(ordered, cameras, FEW)
     with pytest.raises(SceneError, match="the block 0 is missing; tune it first") if len(left.blocks) > 1 else contextlib.nullcontext():
         tune(ordered, len(left.blocks) - 1, cameras, 60)
         tuned_blocks(ordered)
@@ -171,7 +176,7 @@ def test_tuned_blocks_are_as_good_as_the_tuned_whole_in_any_order(ordered, camer
 
 
 def test_where_fine_tuning_does_harm_less_of_it_is_taken(ordered, cameras):
-    left = cut(ordered, FEW)
+    left = cut(ordered, cameras, FEW)
     for number in range(len(left.blocks)):
         tune(ordered, number, cameras, 3)
     tuned, asked = tuned_blocks(ordered), []
@@ -196,7 +201,7 @@ def test_pictures_that_are_missing_are_named(source, cameras, tmp_path):
     divided, _ = scored(source, tmp_path, COUNT, 1, cameras)
     reduce(divided, cameras)
     merge(divided, 0)
-    cut(divided, COUNT // 2)
+    cut(divided, cameras, COUNT // 2)
     assert tuned_blocks(divided) is None
     path = tmp_path / "3.picture.npy"
     for contents, sentence in ((path.read_bytes()[:500], "score the views first"), ((tmp_path / "scores_0_of_1").name.encode(), "score the views first")):

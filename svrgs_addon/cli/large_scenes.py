@@ -111,7 +111,7 @@ def _merge(words: argparse.Namespace) -> dict[str, Any]:
 
 def _cut(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
-    left = cut(divided, words.target_count or max(1, round(words.target * divided.count)), _told(words, "cut"))
+    left = cut(divided, load_cameras(words.work / TRAIN), words.target_count or max(1, round(words.target * divided.count)), _told(words, "cut"))
     return {"work": str(words.work), "blocks": len(left.blocks), "count": left.count}
 
 

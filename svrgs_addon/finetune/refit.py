@@ -19,6 +19,7 @@ from .settings import Rates
 
 FASTER = {"sh": 3.0, "sh_rest": 24.0, "log_scales": 3.0, "quats": 3.0, "opacity_logits": 1.5}  # times the rates of 3DGS; they fall to LAST of that
 LAST = 0.1
+LARGE_ERROR = 0.02  # of a picture; 34 dB
 USUAL = 0.25  # share of the Gaussians down to which the rates are smaller
 SHARES = (0.75, 0.5, 0.25, 0.0)  # of the fine-tuned scene in the result, the rest is the one before the steps; tried after 1
 POSITION = 0.025  # rate of position, in median middle scales: Gaussians move by fractions of their size
@@ -59,6 +60,11 @@ def interpolated(first: Scene, second: Scene, share: float) -> Scene:
     """(1 - share) of the first scene and `share` of the second, which have the same Gaussians in the same order. share: 0 to 1."""
     arrays = {name: np.float32(1 - share) * getattr(first, name) + np.float32(share) * getattr(second, name) for name in PARAMETERS}
     return replace(second, **arrays)
+
+
+def pace_for(error: float) -> float:
+    """Factor on all rates for pictures with this error, the root mean square over values of 0 to 1: where little is wrong, large steps do harm."""
+    return min(1.0, error / LARGE_ERROR)
 
 
 def pace_at(share: float) -> float:

@@ -40,6 +40,7 @@ OWN = (
     *(f"[0-9]*.{name}" for name in ("geometry", "sh", "rows", "visibility", "order.npz", "picture.npy", "blended.npy")),
     "scores_*_of_*.npy",
     "reduced.json",
+    "error.json",
 )  # files of large/
 Tell = Callable[[str, float], None]  # what is done now, and the share of the work that is done
 

@@ -6,14 +6,16 @@ whatever was tuned before, so they may be tuned in any order.
 
 Beside the blocks of the original lie
 
-    cut/     what is left of each block (Divided), and NUMBER.blended.npy: uint32, the rows that a view blends
+    cut/     what is left of each block (Divided), and NUMBER.blended.npy: uint32, the rows that a view blends; and error.json
     tuned/   the same, tuned
     mixed/   the same, interpolated between both
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
+from statistics import fmean
 
 import numpy as np
 
@@ -21,7 +23,8 @@ from .. import memory
 from ..camera import Camera
 from ..errors import FormatError
 from ..files.atomic import atomic_write
-from ..finetune.refit import SHARES, Look, interpolated, middle_scale, pace_at, refit
+from ..files.opened import json_object
+from ..finetune.refit import SHARES, Look, interpolated, middle_scale, pace_for, refit
 from ..finetune.saliency import reduced
 from ..metrics.evaluate import render_options
 from ..native import Rasterizer
@@ -31,15 +34,17 @@ from .blocks import Divided, Tell, arrays_of, clear, gathered, scene_of, write_b
 from .discs import Discs, Window
 from .merging import counts, merged
 from .scoring import picture_path
-from .views import shown
+from .views import seen, shown
 
-CUT, TUNED, MIXED = "cut", "tuned", "mixed"  # folders
+CUT, TUNED, MIXED, ERROR = "cut", "tuned", "mixed", "error.json"  # folders, and a file
 MARGIN = 8  # pixels around what counts: SSIM compares windows of 11 x 11
+LOOKS = 8  # views in which the error is measured, at most
 EPOCHS = 2  # times that each view is shown, if nothing else is asked for
 
 
-def cut(divided: Divided, wanted: int, tell: Tell = lambda *_: None) -> Divided:
-    """Removes and merges until `wanted` Gaussians are left. Writes what is left of each block. Raises SplatError."""
+def cut(divided: Divided, cameras: Sequence[Camera], wanted: int, tell: Tell = lambda *_: None) -> Divided:
+    """Removes and merges until `wanted` Gaussians are left. Writes what is left of each block, and how large the error is in some views. Raises
+    SplatError."""
     folder, kept, start = divided.folder / CUT, counts(divided, wanted), 0
     for one in (folder, divided.folder / TUNED):
         one.mkdir(exist_ok=True)
@@ -47,7 +52,20 @@ def cut(divided: Divided, wanted: int, tell: Tell = lambda *_: None) -> Divided:
     for number, scene in enumerate(merged(divided, kept, tell)):
         write_block(folder, number, scene, start)
         start += scene.count
-    return gathered(folder, divided)
+    left = gathered(folder, divided)
+    with atomic_write(folder / ERROR) as file:
+        file.write(json.dumps({"error": _error(divided, left, reduced(cameras))}).encode())
+    return left
+
+
+def _error(divided: Divided, left: Divided, views: Sequence[Camera]) -> float:
+    """The root mean square error of some views."""
+    some, rasterizer, squares = np.unique(np.linspace(0, len(views) - 1, min(len(views), LOOKS)).round().astype(int)), Rasterizer(), []
+    for view in some.tolist():
+        scene, _ = seen(left, views[view], rasterizer)
+        picture = rasterizer.forward(scene, views[view], render_options(scene))["rgb"]
+        squares.append(float(np.square(picture - _picture(divided, view, views[view])).mean(dtype=np.float64)))
+    return fmean(squares) ** 0.5
 
 
 def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, tell: Tell = lambda *_: None):
@@ -64,9 +82,19 @@ def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, t
     memory.refuse_excess(f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}", needed)
     middle = middle_scale(np.concatenate([block.geometry[:, 3:6] for block in left.blocks]))
     tell(f"block {number}, {scene.count:,} Gaussians", 0.5)
-    tuned = refit(scene, looks, steps, pace_at(left.count / divided.count), middle, render_options(scene), 0, lambda: False)
+    tuned = refit(scene, looks, steps, pace_for(_error_of(left)), middle, render_options(scene), 0, lambda: False)
     first = sum(int(some.sum()) for some in there[:number])
     _write_own(left, number, there[number], tuned.select(np.arange(first, first + int(there[number].sum()))))
+
+
+def _error_of(left: Divided) -> float:
+    path = left.folder / ERROR
+    try:
+        found = json_object(path, 1 << 16)
+        assert found is not None
+        return float(found["error"])
+    except (OSError, AssertionError, KeyError, TypeError, ValueError):
+        raise FormatError(f"{path}: is missing or damaged; cut the scene again") from None
 
 
 def best_share(divided: Divided, tuned: Divided, quality: Callable[[Divided], float]) -> float:
