@@ -37,7 +37,7 @@ from .scoring import picture_path
 from .views import seen, shown
 
 CUT, TUNED, MIXED, ERROR = "cut", "tuned", "mixed", "error.json"  # folders, and a file
-MARGIN = 8  # pixels around what counts: SSIM compares windows of 11 x 11
+MARGIN = 32  # pixels around what counts: so what is next to the block is tuned as in the whole scene
 LOOKS = 8  # views in which the error is measured, at most
 EPOCHS = 2  # times that each view is shown, if nothing else is asked for
 
