@@ -15,6 +15,8 @@ import pytest
 from svrgs_addon.cli.main import main
 from svrgs_addon.farm import openjd, run_tasks
 from svrgs_addon.farm.farm_job import FarmJob
+from svrgs_addon.farm.run_tasks import dataset_sha256
+from svrgs_addon.files.images import write_image
 from svrgs_addon.files.registry import describe, read_scene, write_scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,6 +82,15 @@ def test_what_is_done_stays_and_what_was_changed_is_done_again(job, captures, tm
     other = json.loads(capsys.readouterr().out)["tasks"][0]
     assert not other["done_before"] and describe(first["out"])["count"] == 100, "another scene under the same name"
     shutil.copy(tmp_path / "kept.ply", scene)
+    photograph = next(one for one in sorted((captures / "one").rglob("*")) if one.suffix in (".png", ".jpg"))
+    shutil.copy(photograph, tmp_path / "kept.png")
+    write_image(photograph, np.zeros((48, 64, 3), np.uint8))
+    assert dataset_sha256(captures / "one", "") not in ("", dataset_sha256(captures / "two", ""))
+    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
+    assert not json.loads(capsys.readouterr().out)["tasks"][0]["done_before"], "another photograph under the same name"
+    shutil.copy(tmp_path / "kept.png", photograph)
+    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["tasks"][0] == first
     Path(first["out"]).write_bytes(b"half a file")
     assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tasks"][0] == first

@@ -13,6 +13,8 @@ from ..files.registry import INDEXES
 from ..finetune.loop import Progress
 from ..jobs.context import JobContext
 from ..jobs.run_job import prune_scene
+from ..photographs.colmap_files import MODEL_FILES
+from ..photographs.sources import read_source
 from .engine_messages import Messages
 from .farm_job import FarmJob, Task, write_json
 
@@ -37,8 +39,8 @@ def numbers_of(words: str, count: int) -> list[int]:
 def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     out, done, options = job.out(task), job.result(task), job.options(task)
     assert options.scene is not None
-    scene = scene_sha256(options.scene)
-    if done and (done.get("sha256"), done.get("scene_sha256")) == (sha256(out), scene):
+    inputs = {"scene_sha256": scene_sha256(options.scene), "dataset_sha256": dataset_sha256(options.colmap, options.images)}
+    if done and done.get("sha256") == sha256(out) and all(done.get(name) == digest for name, digest in inputs.items()):
         messages.tell(f"{task.name}: is done already", 1.0)
         return {"name": task.name, "out": str(out), "sha256": done["sha256"], "done_before": True}
     job.result_path(task).unlink(missing_ok=True)
@@ -55,7 +57,7 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     except SplatError as error:
         raise type(error)(f"task {task.name}: {error}") from None
     digest = sha256(out)
-    facts = {"task": {"scene": task.scene, "options": task.options}, "scene_sha256": scene, "sha256": digest, "result": result}
+    facts = {"task": {"scene": task.scene, "options": task.options}, **inputs, "sha256": digest, "result": result}
     write_json(job.result_path(task), facts)
     messages.tell(f"{task.name}: keeps {result['after']['count']:,} of {result['before']['count']:,} Gaussians", 1.0)
     return {"name": task.name, "out": str(out), "sha256": digest, "done_before": False}
@@ -66,6 +68,23 @@ def scene_sha256(path: Path) -> str:
     folder = path if path.is_dir() else path.parent if path.name in INDEXES else None
     files = [path] if folder is None else sorted(one for one in folder.rglob("*") if one.is_file())
     return hashlib.sha256("".join(sha256(one) for one in files if one.is_file()).encode()).hexdigest() if files and files[0].is_file() else ""
+
+
+def dataset_sha256(folder: Path | None, images: str) -> str:
+    """Of a dataset, in hexadecimal digits: of the files of its cameras, and of the names and sizes of its photographs. Empty if there is none, or if it
+    cannot be read; the task then says so."""
+    if folder is None:
+        return ""
+    try:
+        source = read_source(folder, images or None)
+    except SplatError:
+        return ""
+    files = [source.location] if source.location.is_file() else sorted(one for one in source.location.iterdir() if one.stem in MODEL_FILES)
+    facts = [sha256(one) for one in files]
+    if source.image_folder is not None:
+        photographs = sorted(one for one in source.image_folder.rglob("*") if one.is_file())
+        facts += [f"{one.relative_to(source.image_folder).as_posix()} {one.stat().st_size}" for one in photographs]
+    return hashlib.sha256("\n".join(facts).encode(errors="surrogateescape")).hexdigest()
 
 
 def sha256(path: Path) -> str:
