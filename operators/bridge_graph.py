@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import bpy
 import numpy as np
@@ -20,6 +21,7 @@ from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
 from ..svrgs_addon.geometry.merge import merged
 from ..svrgs_addon.render.meshes import Surface, Triangles, surface
+from ..svrgs_addon.render.thinning import Thinning
 from ..svrgs_addon.scene import Scene
 from . import bridge, bridge_cameras, bridge_order
 
@@ -35,6 +37,11 @@ class PlacedScene:
 
     scene: Scene
     matrix: Matrix  # from the scene's coordinates to Blender's world: no shear, no mirroring
+
+    @cached_property
+    def thinning(self) -> Thinning:
+        """What coarse pictures draw. For the thread that draws."""
+        return Thinning(self.scene)
 
     @property
     def unit(self) -> float:

@@ -45,7 +45,9 @@ def draw_view(rasterizer, request: DrawRequest, reduction: int):
     """(H, W, 4) float32 times alpha, in the file's working colour space."""
     camera, placed = request.camera.reduced(reduction), request.placed
     background = (0.0, 0.0, 0.0) if request.transparent else request.background
-    picture = composite(rasterizer, placed.scene, placed.seen_by(camera), background, placed.hidden_by(request.triangles, camera))
+    scene = placed.thinning.draws() if reduction > 1 else placed.scene
+    picture = composite(rasterizer, scene, placed.seen_by(camera), background, placed.hidden_by(request.triangles, camera))
+    placed.thinning.drew(scene, rasterizer)
     return linear_rgba(picture, request.transparent, request.working_space)
 
 

@@ -8,7 +8,9 @@ import numpy as np
 
 from .. import native
 from ..camera import Camera
+from ..geometry.morton_order import morton_order
 from ..render.live_view import COARSE
+from ..render.thinning import Thinning
 from .preview import Preview
 from .scenes import orbit_camera, room
 from .timing import WARMUPS, seconds
@@ -25,7 +27,7 @@ def measure_interactive(tell: Callable[[str], None], count: int = COUNT, size: t
     tell(f"orbiting around {count:,} Gaussians")
     preview = Preview(room(count), native.RenderOptions())
     cameras = [orbit_camera(*size, turn=STEP * k) for k in range(WARMUPS + frames)]
-    return _frames(preview, cameras, count, size) | {"rest_ms": 1e3 * seconds(preview.image, cameras[-1])}
+    return _frames(preview.image, cameras, count, size) | {"rest_ms": 1e3 * seconds(preview.image, cameras[-1])}
 
 
 def measure_viewport(
@@ -34,16 +36,23 @@ def measure_viewport(
     """The entry `viewport` of the result: the same of coarse pictures, as the viewport of Blender draws them while the camera moves (render/live_view.py),
     and `exact_ms`, the milliseconds of the exact picture where it stops."""
     tell(f"orbiting around {count:,} Gaussians in a viewport")
-    preview = Preview(room(count), native.RenderOptions())
+    scene, rasterizer = (one := room(count)).select(morton_order(one.means)), native.Rasterizer()
+    thinning = Thinning(scene)
+
+    def coarse(camera: Camera):
+        drawn = thinning.draws()
+        rasterizer.forward(drawn, camera, native.RenderOptions())
+        thinning.drew(drawn, rasterizer)
+
     cameras = [orbit_camera(*size, turn=STEP * k) for k in range(WARMUPS + frames)]
-    facts = _frames(preview, [camera.reduced(reduction) for camera in cameras], count, size)
-    exact = [1e3 * seconds(preview.image, camera) for camera in cameras[:: max(1, frames // EXACT)]][1:]
+    facts = _frames(coarse, [camera.reduced(reduction) for camera in cameras], count, size)
+    exact = [1e3 * seconds(rasterizer.forward, scene, camera, native.RenderOptions()) for camera in cameras[:: max(1, frames // EXACT)]][1:]
     return facts | {"reduction": reduction, "exact_ms": float(np.median(exact))}
 
 
-def _frames(preview: Preview, cameras: list[Camera], count: int, size: tuple[int, int]) -> dict:
+def _frames(draw: Callable[[Camera], object], cameras: list[Camera], count: int, size: tuple[int, int]) -> dict:
     """Milliseconds of the median and of the slowest frame; the first ones do not count."""
-    ms = [1e3 * seconds(preview.image, camera) for camera in cameras][WARMUPS:]
+    ms = [1e3 * seconds(draw, camera) for camera in cameras][WARMUPS:]
     median = float(np.median(ms))
     facts = {"count": count, "width": size[0], "height": size[1], "threads": native.threads()}
     return facts | {"frame_ms": median, "slowest_ms": max(ms), "frames_per_second": 1e3 / median}

@@ -82,8 +82,8 @@ class StepResult:
 
 def mask_loss_grad(mask: np.ndarray, weight: float) -> tuple[float, np.ndarray]:
     """mean F^2 (SVR-GS Eq. 10) and `weight` times its gradient, (H, W). mask: F (H, W)."""
-    flat = mask.ravel()
-    return float(np.dot(flat, flat)) / flat.size, mask * mask.dtype.type(2 * weight / flat.size)
+    value = float(np.square(mask).mean(dtype=np.float64))  # np.dot would wake the threads of a BLAS, which then stand in the way of those of the library
+    return value, mask * mask.dtype.type(2 * weight / mask.size)
 
 
 def global_mask_grad(masks: np.ndarray, slope: np.ndarray, lambda_m: float) -> np.ndarray:
