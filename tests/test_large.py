@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -287,3 +290,31 @@ def test_a_divided_scene_that_is_damaged_is_one_sentence(source, cameras, tmp_pa
     with pytest.raises(SceneError, match="divide the scene first"):
         Divided.read(tmp_path)
     assert divided.count == COUNT
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signal 9")
+def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, cameras, tmp_path, svrgs):
+    write_cameras_json(tmp_path / "views.json", [replace(camera, name=str(k)) for k, camera in enumerate(cameras)])
+    work, given = tmp_path / "work", ["--cameras", tmp_path / "views.json", "--block", "2000"]
+    assert svrgs("large", "prune", source, *given, "--target", "0.05", "--steps", "40", "--out", tmp_path / "one.ply").status == 0
+    killed = 0
+    for step, *more in (
+        ("divide", source, *given, "--work", work),
+        ("score",),
+        ("reduce",),
+        ("merge",),
+        ("cut", "--target", "0.05"),
+        ("tune", "--steps", "40"),
+    ):
+        command = ["large", step, *more] if step == "divide" else ["large", step, work, *more]
+        words = [sys.executable, "-m", "svrgs_addon", *map(str, command)]
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, cwd=Path(__file__).resolve().parents[1])
+        assert process.stderr is not None
+        process.stderr.readline()  # the first line of its progress, if it tells any
+        process.kill()
+        killed += process.wait() == -signal.SIGKILL
+        process.stderr.close()
+        assert svrgs(*command).status == 0
+    assert killed >= 3, "most were still at work"
+    assert svrgs("large", "finish", work, "--out", tmp_path / "many.ply").status == 0
+    assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
