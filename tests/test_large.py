@@ -318,3 +318,19 @@ def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, camera
     assert killed >= 3, "most were still at work"
     assert svrgs("large", "finish", work, "--out", tmp_path / "many.ply").status == 0
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
+
+
+def test_a_block_that_no_view_sees_stays_as_it_was_cut(source, tmp_path):
+    wide = orbit_camera(160, 120, 0.1)
+    K = wide.K.copy()
+    K[:2, :2] *= 6
+    narrow = [replace(wide, K=K)]
+    divided, _ = scored(source, tmp_path, 300, 1, narrow)
+    reduce(divided, narrow)
+    for block in divided.blocks:
+        merge(divided, block.number)
+    left = cut(divided, narrow, 1500)
+    for block in left.blocks:
+        tune(divided, block.number, narrow, 4)
+    changed = [(one.geometry != other.geometry).any() for one, other in zip(left.blocks, tuned_blocks(divided).blocks, strict=True)]
+    assert 0 < sum(changed) < len(changed) / 2
