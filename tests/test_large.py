@@ -318,6 +318,9 @@ def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, camera
     assert killed >= 3, "most were still at work"
     assert svrgs("large", "finish", work, "--out", tmp_path / "many.ply").status == 0
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
+    assert svrgs("large", "tune", work, "--steps", "0").status == 0
+    untuned = svrgs("large", "finish", work, "--out", tmp_path / "many.ply", "--json").json
+    assert untuned["tuned_share"] == 0 and untuned["psnr_merged"] is None, "what was tuned before does not count"
 
 
 def test_a_block_that_no_view_sees_stays_as_it_was_cut(source, tmp_path):

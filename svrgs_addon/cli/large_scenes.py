@@ -118,6 +118,8 @@ def _cut(words: argparse.Namespace) -> dict[str, Any]:
 def _tune(words: argparse.Namespace) -> dict[str, Any]:
     divided, cameras = Divided.read(words.work), load_cameras(words.work / TRAIN)
     steps = EPOCHS * len(cameras) if words.steps is None else words.steps
+    if not steps:
+        clear(words.work / TUNED)  # what was tuned before does not count then
     numbers = range(len(divided.blocks))[words.part :: words.parts] if steps else range(0)
     for number in numbers:
         tune(divided, number, cameras, steps, _told(words, "tune"))

@@ -45,7 +45,7 @@ def likeness(divided: Divided, cameras: Sequence[Camera], pictures: Sequence[np.
 
 
 def result_of(divided: Divided, left: Divided, facts: dict[str, float | None], views: int, out: Path) -> dict[str, Any]:
-    """The JSON result of a pruned scene. left: what is left of it."""
+    """The JSON result of a pruned scene. left: the Gaussians that stay."""
     return {
         "scene": str(divided.source), "out": str(out), "method": "merge", "views": views, "blocks": len(divided.blocks), **facts,
         "before": {"count": divided.count, "bytes": divided.source_bytes}, "after": {"count": left.count, "bytes": size_on_disk(out)},

@@ -1,8 +1,7 @@
-"""Fine-tunes what is left of a divided scene, block by block, on the pictures of the original.
+"""Fine-tunes a pruned scene block by block, on the pictures of the original.
 
-A block is tuned together with all that is blended into its pixels, in the views that show it, cropped to the window of the picture where they do. All of it
-is tuned, in the steps and at the rates that the whole scene would have; of the result, each block keeps its own Gaussians. Blocks begin with what was cut,
-whatever was tuned before, so they may be tuned in any order.
+A block is tuned in the views that show it, in the window of each view where it is seen. All Gaussians that are blended there are tuned with it, but only its
+own are kept. Steps and rates are those that the whole scene would have. No block uses the tuned values of another, so any order gives the same bits.
 
 Beside the blocks of the original lie
 
