@@ -112,13 +112,38 @@ def ordered(request, source, cameras, tmp_path_factory) -> Divided:
 
 def test_so_many_are_left_as_are_wanted_at_one_cost_for_all_blocks(ordered):
     for wanted in (COUNT, COUNT - 1, 4_321, COUNT // 10):
-        kept = counts(ordered, wanted)
+        cells = counts(ordered, wanted)
+        kept = [sum(some) for some in cells]
         assert sum(kept) == wanted and all(0 < count <= block.count for count, block in zip(kept, ordered.blocks, strict=True))
-        parts = list(merged(ordered, kept))
+        parts = list(merged(ordered, cells))
         assert [part.count for part in parts] == kept and all(np.isfinite(part.means).all() for part in parts)
-    shares = [count / block.count for count, block in zip(counts(ordered, COUNT // 4), ordered.blocks, strict=True)]
+    shares = [sum(some) / block.count for some, block in zip(counts(ordered, COUNT // 4), ordered.blocks, strict=True)]
     assert len(shares) == 1 or max(shares) > 1.3 * min(shares), "what is seen more keeps more"
-    assert sum(counts(ordered, 1)) == sum(max(1, round(LEAST * block.count)) for block in ordered.blocks)
+    assert sum(map(sum, counts(ordered, 1))) == sum(max(1, round(LEAST * block.count)) for block in ordered.blocks)
+
+
+def test_the_same_gaussians_are_merged_whatever_the_number_of_blocks(source, cameras, tmp_path, monkeypatch):
+    monkeypatch.setattr("svrgs_addon.large.merging.CELL", COUNT // 16)
+    files = []
+    for most in (COUNT, COUNT // 4, COUNT // 16):
+        divided, _ = scored(source, tmp_path / str(most), most, 1, cameras)
+        reduce(divided, cameras)
+        for block in divided.blocks:
+            merge(divided, block.number)
+        cells = counts(divided, COUNT // 4)
+        assert sum(map(len, cells)) == 16 and len(divided.blocks) == COUNT // most
+        write_joined(cut(divided, cameras, COUNT // 4), tmp_path / f"{most}.ply")
+        files.append((tmp_path / f"{most}.ply").read_bytes())
+    assert len(set(files)) == 1 and np.ptp(sum(cells, [])) > 100, "what is seen more keeps more, cell by cell too"
+
+
+def test_orders_of_other_cells_are_refused(source, cameras, tmp_path, monkeypatch):
+    divided, _ = scored(source, tmp_path, COUNT, 1, cameras)
+    reduce(divided, cameras)
+    merge(divided, 0)
+    monkeypatch.setattr("svrgs_addon.large.merging.CELL", COUNT // 2)
+    with pytest.raises(FormatError, match="merge it again"):
+        counts(divided, COUNT // 2)
 
 
 def test_blocks_and_formats_change_the_result_little(ordered, source, cameras, tmp_path):

@@ -138,12 +138,12 @@ def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_:
     tell("reads the means", 0.0)
     means, coefficients, antialiased = _means(source)
     check_space(folder / INDEX, len(means) * 4 * (WIDTH + 3 * coefficients + 1))
-    leaves = list(_leaves(means, np.arange(len(means), dtype=np.uint32), most))
+    parts = list(leaves(means, np.arange(len(means), dtype=np.uint32), most))
     block_of = np.empty(len(means), np.uint32)
-    for number, rows in enumerate(leaves):
+    for number, rows in enumerate(parts):
         block_of[rows] = number
-    boxes = [(means[rows].min(axis=0), means[rows].max(axis=0), len(rows)) for rows in leaves]
-    del means, leaves
+    boxes = [(means[rows].min(axis=0), means[rows].max(axis=0), len(rows)) for rows in parts]
+    del means, parts
     largest = np.full(len(boxes), -np.inf)
     start = 0
     for part in load_parts(source, MAX_COUNT):
@@ -200,8 +200,8 @@ def _means(source: Path) -> tuple[np.ndarray, int, bool]:
     return np.concatenate(parts), part.sh.shape[1], part.antialiased
 
 
-def _leaves(means: np.ndarray, rows: np.ndarray, most: int) -> Iterator[np.ndarray]:
-    """The rows of each block, ascending."""
+def leaves(means: np.ndarray, rows: np.ndarray, most: int) -> Iterator[np.ndarray]:
+    """The rows of each part of a k-d tree, ascending, at most so many. means: (N, 3). rows: (n,), ascending. Parts of a part are those of the whole."""
     if len(rows) <= most:
         yield rows
         return
@@ -211,8 +211,8 @@ def _leaves(means: np.ndarray, rows: np.ndarray, most: int) -> Iterator[np.ndarr
     low = values < np.partition(values, len(values) // 2)[len(values) // 2]
     if not low.any():  # more than half are at the lowest place
         low[: len(low) // 2] = True
-    yield from _leaves(means, rows[low], most)
-    yield from _leaves(means, rows[~low], most)
+    yield from leaves(means, rows[low], most)
+    yield from leaves(means, rows[~low], most)
 
 
 def _geometry(scene: Scene) -> np.ndarray:

@@ -1,9 +1,10 @@
-"""Merges and removes in a divided scene: each block has an order of operations (decimate/order.py), and one cost for the whole scene says how far each goes.
+"""Merges and removes in a divided scene: each cell has an order of operations (decimate/order.py), and one cost for the whole scene says how far each goes.
 
-Beside the blocks lie
+Cells are small parts of the k-d tree whose large parts are the blocks. So the same Gaussians are merged whatever the number of blocks, if these are not smaller
+than cells. Beside the blocks lie
 
     NUMBER.visibility   float64, 9 for each Gaussian: the sums over all views
-    NUMBER.order.npz    the operations and their costs, down to LEAST of the block
+    NUMBER.order.npz    the operations on its cells and their costs, down to LEAST of each cell; steps: their number for each cell
     reduced.json        a point and a length of about a pixel, of the whole scene
 """
 
@@ -22,14 +23,17 @@ from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write, check_space
 from ..files.npz import write_arrays
 from ..files.opened import json_object
+from ..geometry.merge import joined
 from ..native import VISIBILITY
 from ..native_decimation import REMOVED, Merges, decimate
 from ..native_library import PARAMETERS
 from ..scene import Scene
-from .blocks import Block, Divided, Tell, scene_of
+from .blocks import Block, Divided, Tell, leaves, scene_of
 from .scoring import UNITS, total, visibility
 
 REDUCED, LEAST = "reduced.json", 0.01
+CELL = 1 << 16  # Gaussians of a cell, at most
+OPERATIONS = ("a", "b", "costs")  # arrays of Merges
 NEEDED = "reduce the scores first"
 
 
@@ -53,38 +57,66 @@ def reduce(divided: Divided, cameras: Sequence[Camera]):
 
 
 def merge(divided: Divided, number: int):
-    """Orders the operations on the block with this number, and writes them. Raises SplatError."""
+    """Orders the operations on the cells of the block with this number, and writes them. Raises SplatError."""
     if not 0 <= number < len(divided.blocks):
         raise SceneError(f"{divided.folder}: has no block {number}, only 0 to {len(divided.blocks) - 1}")
     block, (pixel, middle) = divided.blocks[number], _reduced(divided)
-    found = decimate(scene_of(divided, block), _visibility(block), middle, pixel, max(1, round(LEAST * block.count)))
-    write_arrays(_order_path(block), {"a": found.a, "b": found.b, "costs": found.costs, **found.results})
+    scene, sums = scene_of(divided, block), _visibility(block)
+    found = [decimate(scene.select(rows), sums[rows], middle, pixel, max(1, round(LEAST * len(rows)))) for rows in _cells(block)]
+    arrays = {name: np.concatenate([getattr(one, name) for one in found]) for name in OPERATIONS}
+    results = {name: np.concatenate([one.results[name] for one in found]) for name in PARAMETERS}
+    write_arrays(_order_path(block), {"steps": np.array([len(one.a) for one in found]), **arrays, **results})
 
 
-def counts(divided: Divided, wanted: int) -> list[int]:
-    """How many Gaussians each block keeps, so that together they are `wanted`, or as few as the orders allow: operations are done whose cost, or that of one
-    before them, is below one bound. Raises SplatError."""
-    costs = [np.maximum.accumulate(_order(block, ("costs",))["costs"]) for block in divided.blocks]
+def counts(divided: Divided, wanted: int) -> list[list[int]]:
+    """How many Gaussians each cell of each block keeps, so that together they are `wanted`, or as few as the orders allow: operations are done whose cost, or
+    that of one before them in the cell, is below one bound. Raises SplatError."""
+    cells = [[len(rows) for rows in _cells(block)] for block in divided.blocks]
+    costs = [np.maximum.accumulate(one) for block, some in zip(divided.blocks, cells, strict=True) for one in _costs(block, some)]
     most = sum(map(len, costs))
     steps = min(max(divided.count - wanted, 0), most)
     if not steps:
-        return [block.count for block in divided.blocks]
+        return cells
     bound = np.partition(np.concatenate(costs), steps - 1)[steps - 1]
     done = [int(np.searchsorted(one, bound, "left")) for one in costs]
+    spare = steps - sum(done)
     for number, one in enumerate(costs):  # of operations at the bound, as many as are still needed
-        done[number] += min(steps - sum(done), int(np.searchsorted(one, bound, "right")) - done[number])
-    return [block.count - some for block, some in zip(divided.blocks, done, strict=True)]
+        more = min(spare, int(np.searchsorted(one, bound, "right")) - done[number])
+        done[number], spare = done[number] + more, spare - more
+    left = iter(done)
+    return [[count - next(left) for count in some] for some in cells]
 
 
-def merged(divided: Divided, kept: Sequence[int], tell: Tell = lambda *_: None) -> Iterator[Scene]:
-    """What is left of each block. kept: from counts(). Raises SplatError."""
-    for block, count in zip(divided.blocks, kept, strict=True):
+def merged(divided: Divided, kept: Sequence[Sequence[int]], tell: Tell = lambda *_: None) -> Iterator[Scene]:
+    """What is left of each block, cell after cell. kept: from counts(). Raises SplatError."""
+    for block, wanted in zip(divided.blocks, kept, strict=True):
         tell("writes what stays", block.number / len(divided.blocks))
-        arrays = _order(block, ("a", "b", "costs", *PARAMETERS))
-        merges = Merges(arrays["a"], arrays["b"], arrays["costs"], {name: arrays[name] for name in PARAMETERS})
-        if len(merges.a) >= block.count or len(merges.results["means"]) != int((merges.b != REMOVED).sum()):
-            raise FormatError(f"{_order_path(block)}: is not of this block; merge it again")
-        yield Order(scene_of(divided, block), merges).at(count)
+        scene = scene_of(divided, block)
+        yield joined([Order(scene.select(rows), one).at(count) for rows, one, count in zip(_cells(block), _merges(block), wanted, strict=True)])
+
+
+def _cells(block: Block) -> list[np.ndarray]:
+    """The places in the block of the Gaussians of each of its cells, ascending."""
+    return list(leaves(block.geometry[:, :3], np.arange(block.count), CELL))
+
+
+def _costs(block: Block, counts: Sequence[int]) -> list[np.ndarray]:
+    """The costs of the operations on each cell. counts: of its Gaussians."""
+    arrays = _order(block, ("steps", "costs"))
+    if len(arrays["steps"]) != len(counts) or (arrays["steps"] >= counts).any() or arrays["steps"].sum() != len(arrays["costs"]):
+        raise FormatError(f"{_order_path(block)}: is not of this block; merge it again")
+    return np.split(arrays["costs"], np.cumsum(arrays["steps"])[:-1])
+
+
+def _merges(block: Block) -> Iterator[Merges]:
+    """The operations on each cell."""
+    arrays = _order(block, ("steps", *OPERATIONS, *PARAMETERS))
+    ends = np.cumsum(arrays["steps"])
+    made = np.cumsum([0, *(np.count_nonzero(one != REMOVED) for one in np.split(arrays["b"], ends[:-1]))])
+    if len(arrays["means"]) != made[-1]:
+        raise FormatError(f"{_order_path(block)}: is damaged; merge it again")
+    for start, end, first, last in zip(ends - arrays["steps"], ends, made, made[1:], strict=False):
+        yield Merges(*(arrays[name][start:end] for name in OPERATIONS), {name: arrays[name][first:last] for name in PARAMETERS})
 
 
 def _reduced(divided: Divided) -> tuple[float, np.ndarray]:
