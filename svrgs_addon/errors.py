@@ -16,8 +16,16 @@ class FormatError(SplatError):
     """A file cannot be read: it is truncated, malformed, malicious or of an unsupported kind."""
 
 
+class TooMany(FormatError):
+    """A file holds more Gaussians than are read as a whole, or than memory can hold."""
+
+
 class SceneError(SplatError):
     """The files can be read, but the request cannot be carried out: they do not belong together, or nothing would be left of the scene."""
+
+
+class MemoryShort(SceneError):
+    """The work on a whole scene needs more memory than there is."""
 
 
 class NativeError(Exception):

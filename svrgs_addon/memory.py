@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from .errors import SceneError
+from .errors import MemoryShort, SceneError
 from .system.memory import address_limit, available
 
 if TYPE_CHECKING:  # importing NumPy needs memory
@@ -131,9 +131,9 @@ def shortage(what: str, needed: int) -> str:
 
 
 def refuse_excess(what: str, needed: int, advice: str = "") -> None:
-    """Raises SceneError with the sentence of shortage() if there is one. advice: what else can be done."""
+    """Raises MemoryShort with the sentence of shortage() if there is one. advice: what else can be done."""
     if sentence := shortage(what, needed):
-        raise SceneError(f"{sentence}; {advice}" if advice else sentence)
+        raise MemoryShort(f"{sentence}; {advice}" if advice else sentence)
 
 
 def refuse_few_addresses(least: int) -> None:

@@ -125,6 +125,18 @@ HOSTILE_SCENES = {f.__name__: f for f in (needles, near_camera, off_screen, extr
 # --- cameras
 
 
+def ball(count: int = 2_000, radius: float = 3.0, middle=(0.0, 0.0, 0.0), seed: int = 0) -> Scene:
+    """A sphere of overlapping Gaussians whose colours change slowly."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    sh = np.zeros((count, 4, 3))
+    sh[:, 0] = directions
+    sh[:, 1:] = 0.05 * rng.normal(size=(count, 3, 3))
+    scales = np.full((count, 3), np.log(radius * 0.05))
+    return Scene.of(radius * directions + np.array(middle), scales, rng.normal(size=(count, 4)), np.full(count, 1.5), sh)
+
+
 def camera(
     width: int,
     height: int,

@@ -15,7 +15,7 @@ LAYERS = ("svrgs_addon", "operators", "panels")  # each may import those before 
 # Rooms of svrgs_addon, likewise; "" are the files beside them.
 ROOMS = (
     "system", "", "geometry", "files", "photographs", "blender", "metrics", "render", "rig", "decimate",
-    "finetune", "selection", "report", "jobs", "large", "farm", "bench", "cli",
+    "finetune", "selection", "report", "large", "jobs", "farm", "bench", "cli",
 )  # fmt: skip
 TOP = ("__main__.py", "batch.py")  # of svrgs_addon, above every room
 FILES = [path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))]

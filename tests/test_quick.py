@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 
+from scenes import ball
 from svrgs_addon.decimate.order import looks, order_of
 from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
@@ -25,18 +26,6 @@ from svrgs_addon.rig.around import cameras_around, middle_and_radius
 from svrgs_addon.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
-
-
-def ball(count: int = 2_000, radius: float = 3.0, middle=(0.0, 0.0, 0.0), seed: int = 0) -> Scene:
-    """A sphere of overlapping Gaussians whose colours change slowly."""
-    rng = np.random.default_rng(seed)
-    directions = rng.normal(size=(count, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    sh = np.zeros((count, 4, 3))
-    sh[:, 0] = directions
-    sh[:, 1:] = 0.05 * rng.normal(size=(count, 3, 3))
-    scales = np.full((count, 3), np.log(radius * 0.05))
-    return Scene.of(radius * directions + np.array(middle), scales, rng.normal(size=(count, 4)), np.full(count, 1.5), sh)
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from job_checks import follow
+from scenes import ball
 from svrgs_addon.camera import Camera
 from svrgs_addon.errors import Cancelled, FormatError, SceneError
 from svrgs_addon.files.images import to_float
@@ -26,7 +27,6 @@ from svrgs_addon.photographs.camera_files import load_cameras
 from svrgs_addon.photographs.cameras_json import load_cameras_json, write_cameras_json
 from svrgs_addon.rig import place
 from svrgs_addon.rig.around import cameras_around
-from test_quick import ball
 
 FEW = {"FIRST": 12, "SECOND": 4, "LEAST": 8, "MOST": 12, "USUAL": 16}  # views of a rig in these tests
 

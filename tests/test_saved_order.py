@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from scenes import ball
 from svrgs_addon.decimate.order import looks, order_of
 from svrgs_addon.decimate.saved_order import MERGED, ORDER, read_order, write_order
 from svrgs_addon.errors import SplatError
@@ -19,7 +20,6 @@ from svrgs_addon.native import Rasterizer
 from svrgs_addon.native_library import PARAMETERS
 from svrgs_addon.rig.around import cameras_around
 from svrgs_addon.scene import Scene
-from test_quick import ball
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 

@@ -266,9 +266,10 @@ def _large(commands):
         command.add_argument("--messages", choices=MESSAGES, default=MESSAGES[0], help=f"how progress is told (default: {MESSAGES[0]}, on stderr)")
         if name in ("prune", "divide"):
             command.add_argument("scene", type=extended, help="splat file")
-            cameras = command.add_mutually_exclusive_group(required=True)
+            cameras = command.add_mutually_exclusive_group()
             cameras.add_argument("--colmap", type=extended, metavar="DIR", help="dataset, COLMAP model or transforms.json, for its cameras")
-            cameras.add_argument("--cameras", type=extended, metavar="JSON", help="cameras.json of 3DGS, or transforms.json")
+            help_ = "cameras.json of 3DGS, or transforms.json (default: as svrgs rig places cameras)"
+            cameras.add_argument("--cameras", type=extended, metavar="JSON", help=help_)
             command.add_argument("--block", type=_reader(POSITIVE), default=2_000_000, metavar="N", help="Gaussians of a block, at most (default: 2000000)")
         if name == "prune":
             command.add_argument("--work", type=extended, metavar="DIR", help="folder for the blocks, which are deleted at the end (default: OUT.blocks)")

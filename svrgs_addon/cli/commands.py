@@ -171,7 +171,9 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
     parts = [f"{result['count']:,} Gaussians", f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
     if result.get("lpips") is not None:
         parts.append(f"LPIPS {result['lpips']:.4f}")
-    parts += [memory.size_text(result["bytes"]), f"{result['ms_per_frame']:.1f} ms per frame"]
+    parts.append(memory.size_text(result["bytes"]))
+    if result["ms_per_frame"] is not None:
+        parts.append(f"{result['ms_per_frame']:.1f} ms per frame")
     before = result.get("before")
     measured = before if before and "psnr" in before else None  # the quick way measures against the original itself
     lines = ([f"before  {_figures(measured)}"] if measured else []) + [("after   " if measured else "") + ", ".join(parts)]

@@ -4,28 +4,26 @@ farm."""
 from __future__ import annotations
 
 import argparse
-import contextlib
+import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from .. import native
-from ..camera import Camera, evenly
+from ..camera import Camera
 from ..errors import SceneError
 from ..farm.engine_messages import Messages
-from ..files.atomic import check_writable, reserved
-from ..files.registry import format_to_read, format_to_write, refuse_input
+from ..files.registry import format_to_read
 from ..large.blocks import Divided, clear, divide
+from ..large.folder import measured_views, prepare, refuse_foreign, scored_views
 from ..large.merging import merge, reduce
-from ..large.pruning import likeness, pictures_of, result_of, write_joined
+from ..large.pruning import finish
+from ..large.sample import refuse_hidden, sample_of
 from ..large.scoring import score
-from ..large.tuning import CUT, EPOCHS, MIXED, TUNED, best_share, cut, mixed, tune, tuned_blocks
+from ..large.tuning import EPOCHS, TUNED, cut, tune
+from ..large.whole import check_out, prune_by_blocks
 from ..photographs.camera_files import load_cameras
-from ..photographs.cameras_json import write_cameras_json
 from ..photographs.dataset import HOLDOUT, load_dataset
-
-TRAIN, TEST, RESULT = "scored_views.json", "measured_views.json", "result"  # in the folder of the blocks
-MEASURED = 8  # views on which the result is measured, at most
+from ..rig import place_rig
 
 
 def large(words: argparse.Namespace) -> dict[str, Any]:
@@ -49,54 +47,33 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
 
 
 def _prune(words: argparse.Namespace) -> dict[str, Any]:
-    words.work = words.work or words.out.with_name(words.out.name + ".blocks")
-    _check_out(words.out, words.scene)
-    with reserved(words.out):
-        _refuse_work(words.work)
-        words.part, words.parts = 0, 1
-        try:
-            for step in (_divide, _score, _reduce, _merge, _cut, _tune):
-                step(words)
-            return _finish(words)
-        finally:
-            _remove(words.work)
+    format_to_read(words.scene)
+    told = functools.partial(_told, words)
+    return prune_by_blocks(words.scene, words.out, _views(words), functools.partial(_wanted, words), words.steps, told, words.work, words.block)
 
 
-def _remove(work: Path):
-    """Removes what was written into the folder of the blocks, and the folder, if nothing else is in it."""
-    for folder in (work / RESULT, work / CUT, work / TUNED, work / MIXED, work):
-        clear(folder)
-        for name in (TRAIN, TEST):
-            (folder / name).unlink(missing_ok=True)
-        with contextlib.suppress(OSError):
-            folder.rmdir()
-
-
-def _refuse_work(work: Path):
-    """Raises SceneError for a folder with other things than blocks; those of a run that was killed are replaced."""
-    if work.exists() and not (work.is_dir() and (not any(work.iterdir()) or (work / TRAIN).is_file())):
-        raise SceneError(f"{work}: is not empty, and holds no blocks; name another folder with --work")
+def _wanted(words: argparse.Namespace, count: int) -> int:
+    """The number of Gaussians that stay of so many."""
+    return words.target_count or max(1, round(words.target * count))
 
 
 def _divide(words: argparse.Namespace) -> dict[str, Any]:
     format_to_read(words.scene)
-    _refuse_work(words.work)
-    train, test = _cameras(words)
-    words.work.mkdir(parents=True, exist_ok=True)
-    write_cameras_json(words.work / TRAIN, train)
-    write_cameras_json(words.work / TEST, test)
+    refuse_foreign(words.work)
+    scored, measured = _views(words)
+    prepare(words.work, scored, measured)
     divided = divide(words.scene.absolute(), words.work, words.block, _told(words, "divide"))
-    return {"work": str(words.work), "count": divided.count, "blocks": len(divided.blocks), "views": len(train)}
+    return {"work": str(words.work), "count": divided.count, "blocks": len(divided.blocks), "views": len(scored)}
 
 
 def _score(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
-    return {"scores": str(score(divided, load_cameras(words.work / TRAIN), words.part, words.parts, _told(words, "score")))}
+    return {"scores": str(score(divided, scored_views(words.work), words.part, words.parts, _told(words, "score")))}
 
 
 def _reduce(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
-    reduce(divided, load_cameras(words.work / TRAIN))
+    reduce(divided, scored_views(words.work))
     return {"work": str(words.work), "blocks": len(divided.blocks)}
 
 
@@ -111,12 +88,12 @@ def _merge(words: argparse.Namespace) -> dict[str, Any]:
 
 def _cut(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
-    left = cut(divided, load_cameras(words.work / TRAIN), words.target_count or max(1, round(words.target * divided.count)), _told(words, "cut"))
+    left = cut(divided, scored_views(words.work), _wanted(words, divided.count), _told(words, "cut"))
     return {"work": str(words.work), "blocks": len(left.blocks), "count": left.count}
 
 
 def _tune(words: argparse.Namespace) -> dict[str, Any]:
-    divided, cameras = Divided.read(words.work), load_cameras(words.work / TRAIN)
+    divided, cameras = Divided.read(words.work), scored_views(words.work)
     steps = EPOCHS * len(cameras) if words.steps is None else words.steps
     if not steps:
         clear(words.work / TUNED)  # what was tuned before does not count then
@@ -128,38 +105,27 @@ def _tune(words: argparse.Namespace) -> dict[str, Any]:
 
 def _finish(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
-    _check_out(words.out, divided.source)
-    left, tuned, test = Divided.read(words.work / CUT), tuned_blocks(divided), evenly(load_cameras(words.work / TEST), MEASURED)
-    originals = list(pictures_of(divided, test, _told(words, "look")))
-    facts: dict[str, float | None] = {"psnr_merged": None, "tuned_share": 0.0}
-    if tuned:
-        share = best_share(divided, tuned, lambda scene: likeness(scene, test, originals, _told(words, "compare"))) if test else 1.0
-        facts = {"psnr_merged": likeness(left, test, originals), "tuned_share": share}
-        left = mixed(divided, tuned, share)
-    write_joined(left, words.out)
-    written = divide(words.out, words.work / RESULT, tell=_told(words, "read"))
-    facts["psnr"] = likeness(written, test, originals, _told(words, "measure"))
-    return result_of(divided, written, facts, len(test), words.out)
+    check_out(words.out, divided.source)
+    return finish(divided, measured_views(words.work), words.out, functools.partial(_told, words))
 
 
-def _check_out(out: Path, source: Path):
-    format_to_write(out)
-    check_writable(out)
-    refuse_input(out, source)
-
-
-def _cameras(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:
-    """The views that are scored, and those on which the result is measured. Raises SplatError."""
+def _views(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:
+    """The views that are scored, and those on which the result is measured: given, or placed. Raises SceneError."""
     if words.colmap:
         dataset = load_dataset(words.colmap, holdout=HOLDOUT, cameras_only=True)
-        groups = ([dataset.cameras[k] for k in indices] for indices in (dataset.train_indices, dataset.test_indices))
-    else:
+        scored, measured = ([dataset.cameras[k] for k in indices] for indices in (dataset.train_indices, dataset.test_indices))
+    elif words.cameras:
         cameras = load_cameras(words.cameras)
-        groups = ([camera for k, camera in enumerate(cameras) if (k % HOLDOUT == 0) is held_out] for held_out in (False, True))
-    train, test = groups
-    if not train:
+        scored, measured = ([camera for k, camera in enumerate(cameras) if (k % HOLDOUT == 0) is held_out] for held_out in (False, True))
+    else:
+        _told(words, "rig")("looks for places of cameras", 0.0)
+        scene, enlarged = sample_of(words.scene)
+        rig = place_rig(scene, enlarged=enlarged)
+        refuse_hidden(scene, rig.cameras, words.scene)
+        scored, measured = rig.cameras, rig.held_out
+    if not scored:
         raise SceneError("one view is held out for the test, and no other is there: give at least two")
-    return train, test
+    return scored, measured
 
 
 def _told(words: argparse.Namespace, step: str) -> Callable[[str, float], None]:

@@ -19,6 +19,8 @@ from ..native_decimation import REMOVED, Merges, decimate
 from ..native_library import PARAMETERS
 from ..scene import Scene
 
+HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
+MOST_HIDDEN = 0.3  # share of the Gaussians that placed cameras may leave hidden
 NORMALS = ("nx", "ny", "nz")  # columns of every 3DGS file, without a meaning
 
 
@@ -74,6 +76,12 @@ def looks(
         seen += [images["rgb"]] if pictures else []
         rasterizer.add_visibility(sums)
     return sums, seen
+
+
+def hidden(sums: np.ndarray) -> int:
+    """The number of Gaussians that no view sees, or only through what is nearly opaque. sums: from looks()."""
+    columns = dict(zip(VISIBILITY, sums.T, strict=True))
+    return int((columns["transmittance"] <= HIDDEN * columns["pixels"]).sum())
 
 
 def order_of(scene: Scene, sums: np.ndarray, least: int) -> Order:

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from .. import memory
-from ..errors import FormatError
+from ..errors import FormatError, TooMany
 
 MAX_COUNT = 20_000_000  # Gaussians in a file
 SHORTER = "became shorter while it was read; try again when no program writes it"
@@ -27,7 +27,7 @@ def opened(path: str | os.PathLike) -> Iterator[BinaryIO]:
         with open(path, "rb") as file:
             yield file
     except FormatError as error:
-        raise FormatError(f"{path} {error}") from None
+        raise type(error)(f"{path} {error}") from None
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
 
@@ -49,16 +49,16 @@ def size_of(file: BinaryIO) -> int:
 
 
 def refuse_many(count: int, most: int = MAX_COUNT):
-    """Raises FormatError (without the name of the file) for more Gaussians than a file may hold."""
+    """Raises TooMany (without the name of the file) for more Gaussians than a file may hold."""
     if count > most:
-        raise FormatError(f"holds {count} Gaussians, more than the limit of {most}")
+        raise TooMany(f"holds {count} Gaussians, more than the limit of {most}")
 
 
 def refuse_unpacking(count: int, coefficients: int, most: int = MAX_COUNT):
     """As refuse_many(), and if memory is too short for so many Gaussians out of a compressed file. coefficients: SH coefficients per channel."""
     refuse_many(count, most)
     if sentence := memory.shortage("", memory.unpacking(count, coefficients)):
-        raise FormatError(sentence.lstrip())
+        raise TooMany(sentence.lstrip())
 
 
 def rows_at(file: BinaryIO, offset: int, dtype: np.dtype, count: int) -> np.ndarray:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__, memory
+from ..errors import SceneError
 from ..geometry.morton_order import morton_order
 from ..scene import Scene
 from .atomic import atomic_path, atomic_write, check_space
@@ -44,7 +45,8 @@ def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
 def write_in_order(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
     """As write(), with the Gaussians in the order of the scene."""
     check_space(path, BYTES * scene.count)
-    memory.refuse_excess(f"{path}: writing so many Gaussians into one SOG", memory.texturing(scene.count, scene.sh.shape[1]))
+    if sentence := memory.shortage(f"{path}: writing so many Gaussians into one SOG", memory.texturing(scene.count, scene.sh.shape[1])):
+        raise SceneError(sentence)
     meta, textures = encoded(scene, quantise)
     if Path(path).name == META:
         _write_folder(Path(path), meta, textures)

@@ -27,14 +27,16 @@ class Reporter:
             print(sentence, file=sys.stderr, flush=True)
 
     def __call__(self, p: Progress):
-        now = time.monotonic()
-        last = p.iteration == p.total
+        self.part(describe(p), p.iteration / p.total)
+
+    def part(self, text: str, share: float):
+        """Prints what is done now and, in a terminal, a bar. share: of the work that is done, 0 to 1."""
+        now, last = time.monotonic(), share == 1
         if self.quiet or (now < self._next and not last):
             return
         self._next = now + (TERMINAL_PAUSE if self.terminal else LOG_PAUSE)
-        text = describe(p)
         if self.terminal:
-            line = _fitting(f"{bar(p.iteration / p.total)} {text}", text)
+            line = _fitting(f"{bar(share)} {text}", text)
             padded = f"{line:{self._width}}"  # spaces clear the rest of a longer line: not every console of Windows knows escapes
             print(f"\r{padded}", end="\n" if last else "", file=sys.stderr, flush=True)
             self._width = len(line)

@@ -20,7 +20,7 @@ import numpy as np
 
 from .. import memory
 from ..camera import Camera, evenly
-from ..decimate.order import Order, looks, lost_columns, order_of
+from ..decimate.order import MOST_HIDDEN, Order, hidden, looks, lost_columns, order_of
 from ..decimate.saved_order import write_order
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
@@ -31,7 +31,7 @@ from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
 from ..metrics.psnr import with_error
-from ..native import VISIBILITY, Rasterizer, thresholds
+from ..native import Rasterizer, thresholds
 from ..option_kinds import default_of
 from ..photographs.dataset import load_dataset
 from ..photographs.rendered import PHOTOGRAPHED, RenderedDataset
@@ -46,8 +46,6 @@ from .smallest_file import ASSUMED, smallest_file
 SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
-HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
-MOST_HIDDEN = 0.3  # share of the Gaussians that may be hidden from outside
 NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 TAKES = (  # options; others are refused
     "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "max_drop", "quiet", "quick", "scene", "out", "levels",
@@ -105,8 +103,8 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     memory.refuse_excess(f"{options.scene}: pruning it", memory.decimating(scene.count, scene.sh.shape[1], cameras), memory.BY_BLOCKS)
     rasterizer, settings = Rasterizer(), render_options(scene, options.background)
     sums, pictures = looks(enlarged, cameras, rasterizer, settings)
-    if not options.colmap and (hidden := _hidden(sums)) > MOST_HIDDEN * scene.count:
-        cameras, test, notes = _views_within(enlarged, options, hidden)
+    if not options.colmap and (unseen := hidden(sums)) > MOST_HIDDEN * scene.count:
+        cameras, test, notes = _views_within(enlarged, options, unseen)
         sums, pictures = looks(enlarged, cameras, rasterizer, settings)
     if job.stop():
         raise Cancelled(NOT_FINISHED)
@@ -124,7 +122,7 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
         "seconds": time.perf_counter() - begun,
         "views": len(cameras),
         "invisible": source.count - scene.count,
-        "hidden": _hidden(sums),
+        "hidden": hidden(sums),
     }
     before = {"count": source.count, "bytes": size_on_disk(options.scene)}
     after, *levels = (_measured(scaled(one.scene, factor), enlarged, test, rasterizer, options) | {"bytes": one.bytes, "out": str(one.path)} for one in written)
@@ -190,12 +188,6 @@ def _tuned(order: Order, count: int, likeness: _Likeness, shown: list[Look], opt
     return best
 
 
-def _hidden(sums: np.ndarray) -> int:
-    """The number of Gaussians that no view sees, or only through what is nearly opaque. sums: from looks()."""
-    columns = dict(zip(VISIBILITY, sums.T, strict=True))
-    return int((columns["transmittance"] <= HIDDEN * columns["pixels"]).sum())
-
-
 def _of_hidden(count: int) -> list[str]:
     return [f"{count:,} Gaussians are hidden in all views, so they are removed or merged first"] if count else []
 
@@ -222,13 +214,13 @@ def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Came
     return evenly(train, VIEWS), evenly(test, TEST_VIEWS), _of_views("from the cameras of the dataset")
 
 
-def _views_within(scene: Scene, options: PruneOptions, hidden: int) -> tuple[list[Camera], list[Camera], list[str]]:
-    """As _views(), for a scene that is seen from inside. hidden: number of Gaussians that views from outside do not show. Raises SceneError if
+def _views_within(scene: Scene, options: PruneOptions, unseen: int) -> tuple[list[Camera], list[Camera], list[str]]:
+    """As _views(), for a scene that is seen from inside. unseen: number of Gaussians that views from outside do not show. Raises SceneError if
     no free space is found inside."""
     rig = quick_rig(scene, VIEWS, held_out=TEST_VIEWS, seed=options.seed)
     if not rig.inside_out:
         raise SceneError(
-            f"{options.scene}: {hidden:,} of its {scene.count:,} Gaussians are hidden in all views from outside, and no free space was found inside;"
+            f"{options.scene}: {unseen:,} of its {scene.count:,} Gaussians are hidden in all views from outside, and no free space was found inside;"
             " give the cameras with --colmap DIR"
         )
     where = "from places inside; what is seen only from outside is not measured. To choose the cameras, give --colmap"

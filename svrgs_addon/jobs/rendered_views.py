@@ -23,25 +23,35 @@ OWN = "no photographs: the splat's own pictures take their place"
 
 def rendered_dataset(options: PruneOptions) -> RenderedDataset:
     """The dataset of options.cameras and of placed cameras; of the first alone with options.seen_from_only. Raises SceneError, FormatError."""
-    _refuse_options(options)
+    refuse_options(options)
     assert options.scene is not None
     scene = load_scene(options.scene).scene
     if invisible(scene).all():
         raise SceneError(f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep")
+    train, test, notes, facts = views_of(options, scene)
+    budget = int(options.image_memory * 1e9)
+    return RenderedDataset.of(scene, train, test, background=options.background, memory_budget=budget, notes=tuple(notes), facts=facts)
+
+
+def views_of(
+    options: PruneOptions, scene: Scene, enlarged: float = 1.0, views: int | None = None
+) -> tuple[list[Camera], list[Camera], list[str], dict[str, Any]]:
+    """The views to train on, those held out, what the user must know of them, which is logged too, and facts for the result. enlarged, views: as for
+    place_rig(). Raises SceneError, FormatError."""
     train, test, notes = _given(options, scene) if options.cameras else ([], [], [])
     facts: dict[str, Any] = {"given": len(train) + len(test)}
     if not options.seen_from_only:
-        rig = place_rig(scene, seed=options.seed)
+        rig = place_rig(scene, views=views, seed=options.seed, enlarged=enlarged)
         train, test, facts = train + rig.cameras, test + rig.held_out, facts | rig.facts()
         inside = "within the scene" if rig.inside_out else "around it"
         notes.append(f"{OWN}, from {len(rig.cameras)} cameras {inside} that together show {rig.seen:.1%} of what can be seen three times")
     for note in notes:
         logging.warning("%s", note)
-    budget = int(options.image_memory * 1e9)
-    return RenderedDataset.of(scene, train, test, background=options.background, memory_budget=budget, notes=tuple(notes), facts=facts)
+    return train, test, notes, facts
 
 
-def _refuse_options(options: PruneOptions):
+def refuse_options(options: PruneOptions):
+    """Raises SceneError for options that need what is not given."""
     if options.seen_from_only and options.cameras is None:
         raise SceneError("--seen-from-only keeps what given cameras see: name them with --cameras")
     if options.images:

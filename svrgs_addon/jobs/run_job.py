@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import native
-from ..errors import SceneError
+from ..errors import MemoryShort, SceneError, TooMany
 from ..files import registry
 from ..finetune.methods import DEFAULT, method_named, paper_method
 from ..finetune.methods.base import Method
@@ -17,7 +17,7 @@ from ..finetune.settings import MCMC, Densify
 from ..metrics import load_lpips
 from ..option_kinds import default_of, options_of
 from ..photographs.dataset import Dataset, load_dataset
-from . import train_and_prune
+from . import by_blocks, train_and_prune
 from .context import JobContext
 from .options import MIN_CONTRIBUTION, RECOVERY, DatasetOptions, PruneOptions, TrainOptions, TuningOptions, refuse_time_and_steps
 from .planning import pruning_within, training_within
@@ -46,6 +46,19 @@ def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict:
 def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
     """Does `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint."""
     native.set_threads(options.threads)
+    try:
+        return _prune_whole(options, adapt)
+    except (MemoryShort, TooMany) as error:
+        if not by_blocks.possible(options):
+            raise
+        reason = str(error)
+    assert options.out is not None  # what was read of the scene is not in memory any more
+    with StopRequest() as stop:
+        return by_blocks.prune_large(options, adapt(JobContext(options.out, stop=stop)), reason)
+
+
+def _prune_whole(options: PruneOptions, adapt: Adapt) -> dict:
+    """With the whole scene in memory. Raises MemoryShort or TooMany before anything is done if that is too large."""
     if options.quick:
         assert options.out is not None
         with StopRequest() as stop:

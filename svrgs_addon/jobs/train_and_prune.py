@@ -87,7 +87,7 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
     with clock.phase("read"):
         source = load_scene(scene_path).scene
         refuse_unseen(source, dataset.cameras, str(scene_path))
-        refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset, plan)
+        refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS)
         room.hold_for(source, source.count, plan.averaged_count(source.count))
     with clock.phase("evaluate before"):
         before = facts_before(source, dataset, job, scene_path)
@@ -169,10 +169,11 @@ def refuse_unseen_points(dataset: Dataset):
         raise SceneError(f"no training view sees any of the {count:,} sparse points more than {near:g} in front of it; run COLMAP again, or scale the model up")
 
 
-def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, plan: Plan):
-    """Raises SceneError if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH coefficients per channel."""
+def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, plan: Plan, advice: str = ""):
+    """Raises MemoryShort if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH coefficients per channel. advice: what else can
+    be done."""
     needed = memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget, plan.averaged_count(count))
-    memory.refuse_excess(what, max(needed, memory.ordering(count, coefficients, dataset.cameras)) if plan.method.merges else needed)
+    memory.refuse_excess(what, max(needed, memory.ordering(count, coefficients, dataset.cameras)) if plan.method.merges else needed, advice)
 
 
 def facts_before(source: Scene, dataset: Dataset, job: JobContext, path: Path) -> dict:

@@ -116,7 +116,8 @@ def _merges(block: Block) -> Iterator[Merges]:
     if len(arrays["means"]) != made[-1]:
         raise FormatError(f"{_order_path(block)}: is damaged; merge it again")
     for start, end, first, last in zip(ends - arrays["steps"], ends, made, made[1:], strict=False):
-        yield Merges(*(arrays[name][start:end] for name in OPERATIONS), {name: arrays[name][first:last] for name in PARAMETERS})
+        a, b, costs = (arrays[name][start:end] for name in OPERATIONS)
+        yield Merges(a, b, costs, {name: arrays[name][first:last] for name in PARAMETERS})
 
 
 def _reduced(divided: Divided) -> tuple[float, np.ndarray]:

@@ -50,16 +50,16 @@ class Rig:
         }  # fmt: skip
 
 
-def place_rig(scene: Scene, *, views: int | None = None, held_out: int = HELD_OUT, seed: int = 0) -> Rig:
+def place_rig(scene: Scene, *, views: int | None = None, held_out: int = HELD_OUT, seed: int = 0, enlarged: float = 1.0) -> Rig:
     """The fewest cameras that see ENOUGH of what can be seen from free space in at least 3 views each, LEAST to MOST, and further ones, evenly
     spread, up to USUAL.
 
-    views: their number instead, each chosen by what it sees. held_out: further cameras for testing. The result depends on the seed, not on the
-    number of threads. Raises SceneError if the splat shows nothing.
+    views: their number instead, each chosen by what it sees. held_out: further cameras for testing. enlarged: as for side_of(). The result depends on the
+    seed, not on the number of threads. Raises SceneError if the splat shows nothing.
     """
     rng = np.random.default_rng([seed, 0])
     setting = _setting(scene)
-    side = side_of(setting)
+    side = side_of(setting, enlarged)
     outside, coverage = _outside(scene, min(side, SCORED)) if setting.inside_out else ([], _coverage(scene))
     looked, choice = _candidates(coverage, setting, outside, min(side, SCORED), rng)
     choice.run(views or LEAST, views or MOST, 2.0 if views else ENOUGH)

@@ -270,11 +270,12 @@ def body_of(matter: Matter, rows: np.ndarray) -> Body:
     return Body(centre, radius, rows)
 
 
-def side_of(setting: Around | Within) -> int:
-    """The side of a picture in pixels at which a pixel is as wide as half of all Gaussians, within limits."""
+def side_of(setting: Around | Within, enlarged: float = 1.0) -> int:
+    """The side of a picture in pixels at which a pixel is as wide as half of all Gaussians, within limits. enlarged: how much wider they are than those that
+    are looked at in the end."""
     rows, distances = setting.distances()
     focal = share_below(distances / setting.matter.widths[rows], setting.matter.opacities[rows], 0.5)
-    return int(np.clip(round(2 * setting.tangent * focal / STEP) * STEP, SMALLEST, LARGEST))
+    return int(np.clip(round(2 * setting.tangent * focal * enlarged / STEP) * STEP, SMALLEST, LARGEST))
 
 
 def _in_bulk(matter: Matter, space: Space) -> np.ndarray:

@@ -1,0 +1,79 @@
+"""`svrgs prune` of a scene that is too large to be read as a whole: it is pruned by blocks (large/), if removing and merging is what was asked for."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any
+
+from .. import memory
+from ..camera import Camera, evenly
+from ..errors import Cancelled, SceneError
+from ..large.blocks import Tell
+from ..large.sample import refuse_hidden, sample_of
+from ..large.tuning import EPOCHS
+from ..large.whole import prune_by_blocks
+from ..metrics.evaluate import refuse_unseen
+from ..option_kinds import default_of
+from ..photographs.dataset import load_dataset
+from ..scene import Scene
+from .context import JobContext
+from .options import PruneOptions
+from .progress import Reporter
+from .rendered_views import LONGEST, MOST, refuse_options, views_of
+
+TAKES = (  # options; with others, the scene must be read as a whole
+    "colmap", "images", "holdout", "cameras", "seen_from_only", "threads", "seed", "target", "target_count", "quiet", "quick", "method", "scene", "out",
+)  # fmt: skip
+QUICK_VIEWS = 64  # that are placed for a quick job
+NOT_FINISHED = "stopped; nothing was written: start it again, or use the steps of svrgs large, each of which can be continued"
+
+
+def possible(options: PruneOptions) -> bool:
+    """Whether a job can be done by blocks: a quick one, or one that merges without photographs, to a number."""
+    merges = options.quick or (options.colmap is None and options.method in ("", "merge"))
+    other = [name for name in PruneOptions.__dataclass_fields__ if name not in TAKES and getattr(options, name) != default_of(PruneOptions, name)]
+    return merges and bool(options.target or options.target_count) and not other
+
+
+def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str, Any]:
+    """Does `svrgs prune` by blocks; of the context, `stop` counts. reason: why, in a sentence. Returns the JSON result. Raises SplatError, Cancelled."""
+    assert options.scene is not None and options.out is not None
+    begun, reporter = time.perf_counter(), Reporter(options.quiet)
+    reason = reason.removesuffix(f"; {memory.BY_BLOCKS}")
+    logging.warning("%s; it is pruned by blocks, which takes longer", reason)
+    notes = [f"{reason}; so it was pruned by blocks, and fine-tuned in {EPOCHS} steps for each view"]
+    train, test, more = _views(options, *sample_of(options.scene))
+    share = options.target or 1.0
+    wanted = lambda count: options.target_count or max(1, round(share * count))  # noqa: E731
+    result = prune_by_blocks(options.scene, options.out, (train, test or train), wanted, None, lambda step: _told(step, reporter, job.stop))
+    after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
+    return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more]}
+
+
+def _told(step: str, reporter: Reporter, stop: Callable[[], bool]) -> Tell:
+    def tell(text: str, share: float):
+        if stop():
+            raise Cancelled(NOT_FINISHED)
+        reporter.part(f"{step}: {text}", share)
+
+    return tell
+
+
+def _views(options: PruneOptions, scene: Scene, enlarged: float) -> tuple[list[Camera], list[Camera], list[str]]:
+    """Views to score and tune on, others to measure on, and what the user must know of them. scene, enlarged: from sample_of(). Raises SceneError,
+    FormatError."""
+    assert options.scene is not None
+    if options.colmap is None:
+        refuse_options(options)
+        train, test, notes, _ = views_of(options, scene, enlarged, QUICK_VIEWS if options.quick else None)
+        if not options.seen_from_only:
+            refuse_hidden(scene, train, options.scene)
+        return train, test, notes
+    dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
+    refuse_unseen(scene, dataset.cameras, str(options.scene))
+    train, test = ([dataset.cameras[i].fitted(LONGEST) for i in indices] for indices in (dataset.train_indices, dataset.test_indices))
+    if not train:
+        raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
+    return evenly(train, MOST), test, []

@@ -1,0 +1,50 @@
+"""The folder of the blocks, which also holds the views."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..camera import Camera
+from ..errors import SceneError
+from ..photographs.camera_files import load_cameras
+from ..photographs.cameras_json import write_cameras_json
+from .blocks import clear
+from .tuning import CUT, MIXED, TUNED
+
+SCORED, MEASURED, RESULT = "scored_views.json", "measured_views.json", "result"
+
+
+def prepare(work: Path, scored: Sequence[Camera], measured: Sequence[Camera]):
+    """Makes the folder, or takes that of a run that was killed, and writes the views into it. Raises SceneError for a folder with other things."""
+    refuse_foreign(work)
+    work.mkdir(parents=True, exist_ok=True)
+    write_cameras_json(work / SCORED, scored)
+    write_cameras_json(work / MEASURED, measured)
+
+
+def refuse_foreign(work: Path):
+    """Raises SceneError for a folder with other things than blocks."""
+    if work.exists() and not (work.is_dir() and (not any(work.iterdir()) or (work / SCORED).is_file())):
+        raise SceneError(f"{work}: is not empty, and holds no blocks; name another folder with --work")
+
+
+def scored_views(work: Path) -> list[Camera]:
+    """The views that are scored and tuned on. Raises SplatError."""
+    return load_cameras(work / SCORED)
+
+
+def measured_views(work: Path) -> list[Camera]:
+    """The views on which the result is measured. Raises SplatError."""
+    return load_cameras(work / MEASURED)
+
+
+def remove(work: Path):
+    """Removes what was written into the folder, and the folder, if nothing else is in it."""
+    for folder in (work / RESULT, work / CUT, work / TUNED, work / MIXED, work):
+        clear(folder)
+        for name in (SCORED, MEASURED):
+            (folder / name).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            folder.rmdir()

@@ -1,0 +1,151 @@
+"""`svrgs prune` of scenes that are too large to be read as a whole: it goes over to blocks, and says so."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scenes import ball
+from svrgs_addon import memory
+from svrgs_addon.bench.scenes import room
+from svrgs_addon.decimate.order import hidden, looks
+from svrgs_addon.errors import SceneError
+from svrgs_addon.files import ply
+from svrgs_addon.files.registry import load_scene, read_scene, write_scene
+from svrgs_addon.jobs import by_blocks, run_job
+from svrgs_addon.jobs.options import PruneOptions
+from svrgs_addon.large.sample import MOST, refuse_hidden, sample_of
+from svrgs_addon.metrics.evaluate import render_options
+from svrgs_addon.native import Rasterizer
+from svrgs_addon.photographs.cameras_json import write_cameras_json
+from svrgs_addon.rig import place, place_rig
+
+COUNT = 3_000
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    path = tmp_path_factory.mktemp("object") / "ball.ply"
+    write_scene(path, ball(COUNT))
+    return path
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """As if memory sufficed for no scene as a whole."""
+    monkeypatch.setattr(memory, "decimating", lambda *_: 10**15)
+    monkeypatch.setattr(memory, "ordering", lambda *_: 10**15)
+
+
+@pytest.fixture(autouse=True)
+def few_views(monkeypatch):
+    monkeypatch.setattr(by_blocks, "QUICK_VIEWS", 12)
+    monkeypatch.setattr(place, "USUAL", 20)
+
+
+def test_a_quick_job_goes_over_to_blocks_where_memory_is_short(svrgs, short, source, tmp_path, caplog):
+    result = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.spz", "--json").json
+    assert result["count"] == result["after"]["count"] == COUNT // 4 and result["before"]["count"] == COUNT and result["views"] == by_blocks.QUICK_VIEWS
+    assert result["psnr"] > 25 and result["ssim"] > 0.8 and 0 < result["flip"] < 0.2 and result["blocks"] == 1
+    assert read_scene(tmp_path / "o.spz").count == COUNT // 4 and result["bytes"] == (tmp_path / "o.spz").stat().st_size
+    assert "of memory" in result["notes"][0] and "pruned by blocks" in result["notes"][0] and "it is pruned by blocks" in caplog.text
+    assert [path.name for path in tmp_path.iterdir()] == ["o.spz"], "the blocks are removed"
+
+
+def test_the_text_of_the_result_has_no_time_per_frame(svrgs, short, source, tmp_path):
+    said = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.ply").out
+    assert "PSNR" in said and "ms per frame" not in said and "by blocks" in said
+
+
+def test_a_merge_without_photographs_goes_over_to_blocks_too(svrgs, short, source, tmp_path):
+    result = svrgs("prune", source, "--target-count", 700, "--out", tmp_path / "o.ply", "--json").json
+    assert result["count"] == 700 and result["views"] > by_blocks.QUICK_VIEWS
+
+
+def test_a_file_with_more_gaussians_than_are_read_as_a_whole_is_pruned_by_blocks(svrgs, monkeypatch, source, tmp_path):
+    monkeypatch.setattr(ply.read_ply, "__defaults__", (COUNT - 1,))
+    result = svrgs("prune", source, "--quick", "--target", 0.5, "--out", tmp_path / "o.ply", "--json").json
+    assert result["count"] == COUNT // 2 and "more than the limit" in result["notes"][0]
+
+
+def test_given_cameras_alone_count_where_that_is_asked_for(svrgs, short, source, tmp_path):
+    rig = place_rig(load_scene(source).scene, views=6)
+    write_cameras_json(tmp_path / "views.json", rig.cameras)
+    words = ["--cameras", tmp_path / "views.json", "--seen-from-only"]
+    result = svrgs("prune", source, "--target", 0.5, *words, "--out", tmp_path / "o.ply", "--json").json
+    assert result["views"] == 6 and any("of views.json alone" in note for note in result["notes"])
+
+
+def test_the_cameras_of_a_dataset_are_taken_for_a_quick_job(svrgs, short, tiny, tmp_path):
+    result = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--quick", "--target", 0.5, "--out", tmp_path / "o.ply", "--json").json
+    assert result["count"] == round(result["before"]["count"] / 2) and result["views"] < by_blocks.QUICK_VIEWS and len(result["notes"]) == 1
+
+
+@pytest.mark.parametrize("words", [["--quick", "--max-drop", 0.5], ["--quick", "--target", 0.5, "--levels", "0.5"], ["--target", 0.5, "--method", "opacity"]])
+def test_what_blocks_cannot_do_is_refused_as_before(svrgs, monkeypatch, short, source, tmp_path, words):
+    monkeypatch.setattr(memory, "tuning", lambda *_: 10**15)
+    done = svrgs("prune", source, *words, "--out", tmp_path / "o.ply")
+    assert done.status == 2 and "svrgs large prunes it by blocks" in done.err and not any(tmp_path.iterdir())
+
+
+def test_a_stop_leaves_nothing_behind(svrgs, short, monkeypatch, source, tmp_path):
+    asked = by_blocks.Reporter.part
+
+    def part(self, text: str, share: float):
+        asked(self, text, share)
+        if text.startswith("score"):
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(by_blocks.Reporter, "part", part)
+    done = svrgs("prune", source, "--quick", "--target", 0.5, "--out", tmp_path / "o.ply")
+    assert done.status == 130 and "nothing was written" in done.err and not any(tmp_path.iterdir())
+
+
+def test_a_room_whose_inside_no_placed_camera_sees_is_refused(source, tmp_path):
+    write_scene(tmp_path / "room.ply", room(COUNT, 0))
+    scene, _ = sample_of(tmp_path / "room.ply")
+    outside = place_rig(load_scene(source).scene).cameras
+    far = [replace(camera, viewmat=camera.viewmat @ np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 90], [0, 0, 0, 1]], float)) for camera in outside]
+    with pytest.raises(SceneError, match=r"room.ply: about \d+% of its Gaussians are hidden in all views that were placed.*give the cameras"):
+        refuse_hidden(scene, far, tmp_path / "room.ply")
+    refuse_hidden(*sample_of(source)[:1], outside, source)
+
+
+def test_a_sample_covers_about_what_all_gaussians_do(monkeypatch, source):
+    monkeypatch.setattr("svrgs_addon.large.sample.MOST", COUNT // 2)
+    scene, enlarged = sample_of(source)
+    whole = load_scene(source).scene
+    assert MOST > COUNT and scene.count == COUNT // 2 and enlarged == pytest.approx((COUNT / scene.count) ** 0.5, rel=0.01)
+    assert (scene.means == whole.means[:: round(enlarged**2)]).all() and np.allclose(
+        scene.log_scales, whole.log_scales[:: round(enlarged**2)] + np.log(enlarged)
+    )
+    camera = place_rig(whole, views=1).cameras[0]
+    alphas = [Rasterizer().forward(one, camera, render_options(one), outputs=("alpha",))["alpha"].mean() for one in (whole, scene)]
+    assert alphas[1] == pytest.approx(alphas[0], rel=0.12)
+
+
+def test_pictures_are_as_fine_as_all_gaussians_need(monkeypatch, source):
+    whole = load_scene(source).scene
+    small = replace(whole, log_scales=whole.log_scales - 3.5)
+    sides = [place_rig(small, views=1, enlarged=factor).width for factor in (1.0, 1.2, 100.0)]
+    assert sides[0] < sides[1] < sides[2] == 1024
+
+
+def test_only_jobs_that_merge_to_a_number_can_be_done_by_blocks(tmp_path):
+    def possible(**given) -> bool:
+        return by_blocks.possible(PruneOptions(scene=tmp_path / "a.ply", out=tmp_path / "b.ply", **given))
+
+    assert possible(quick=True, target=0.5) and possible(target_count=5) and possible(method="merge", target=0.5)
+    assert not possible(target=0.5, colmap=tmp_path) and not possible(quick=True, max_drop=0.1) and not possible(method="svr", target=0.5)
+    assert not possible(target=0.5, recovery=10) and not possible(quick=True, target=0.5, levels=(0.5,)) and not possible()
+    assert run_job.method_of(PruneOptions(target=0.5)).merges
+
+
+def test_hidden_gaussians_are_counted(source):
+    scene = load_scene(source).scene
+    camera = place_rig(scene, views=1).cameras[0]
+    sums, _ = looks(scene, [camera], Rasterizer(), render_options(scene), pictures=False)
+    assert 0.1 * COUNT < hidden(sums) < COUNT, "a ball hides its other side"
