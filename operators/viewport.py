@@ -46,7 +46,7 @@ def draw_view(rasterizer, request: DrawRequest, reduction: int):
     camera, placed = request.camera.reduced(reduction), request.placed
     background = (0.0, 0.0, 0.0) if request.transparent else request.background
     scene = placed.thinning.draws() if reduction > 1 else placed.scene
-    picture = composite(rasterizer, scene, placed.seen_by(camera), background, placed.hidden_by(request.triangles, camera))
+    picture = composite(rasterizer, scene, placed.seen_by(camera), background, placed.hidden_by(request.triangles, camera), passes=())
     placed.thinning.drew(scene, rasterizer)
     return linear_rgba(picture, request.transparent, request.working_space)
 

@@ -9,7 +9,7 @@ import scenes
 from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.files.images import linear_to_srgb
 from svrgs_addon.native import Rasterizer, RenderOptions
-from svrgs_addon.render.composite import FAR, ON_CATCHER, composite, composite_while, split
+from svrgs_addon.render.composite import FAR, ON_CATCHER, PASS_OUTPUTS, composite, composite_while, split
 from svrgs_addon.render.meshes import Surface
 from svrgs_addon.render.passes import linear_rgba, overlay_rgba
 
@@ -170,3 +170,12 @@ def test_laid_over_a_picture_it_shows_what_is_before_it(scene):
     hidden = plane(float(np.median(depths(scene)))).depth
     rgba, picture = overlay_rgba(Rasterizer(), scene, CAMERA, hidden), composite(Rasterizer(), scene, CAMERA, surface=plane(hidden[0, 0], (1, 1, 1)))
     np.testing.assert_allclose(rgba[..., :3] + (1 - rgba[..., 3:]), picture.rgb, atol=1e-6)
+
+
+def test_passes_that_nobody_asked_for_are_not_rendered(scene):
+    for surface in (None, plane(float(np.median(depths(scene))))):
+        whole, part = (composite(Rasterizer(), scene, CAMERA, (0.1, 0.2, 0.3), surface, passes) for passes in (PASS_OUTPUTS, ()))
+        assert (part.rgb == whole.rgb).all() and (part.coverage == whole.coverage).all() and (part.holes == whole.holes).all()
+        assert set(part.images) == {"alpha"} and set(whole.images) == set(PASS_OUTPUTS)
+        depth = composite(Rasterizer(), scene, CAMERA, (0.1, 0.2, 0.3), surface, ("depth",))
+        assert (depth.depth == whole.depth).all() and set(depth.images) == {"depth", "alpha"}

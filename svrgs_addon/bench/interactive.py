@@ -9,8 +9,11 @@ import numpy as np
 from .. import native
 from ..camera import Camera
 from ..geometry.morton_order import morton_order
+from ..render.composite import composite
 from ..render.live_view import COARSE
+from ..render.passes import linear_rgba
 from ..render.thinning import Thinning
+from ..scene import Scene
 from .preview import Preview
 from .scenes import orbit_camera, room
 from .timing import WARMUPS, seconds
@@ -41,12 +44,15 @@ def measure_viewport(
 
     def coarse(camera: Camera):
         drawn = thinning.draws()
-        rasterizer.forward(drawn, camera, native.RenderOptions())
+        picture(drawn, camera)
         thinning.drew(drawn, rasterizer)
+
+    def picture(drawn: Scene, camera: Camera) -> np.ndarray:
+        return linear_rgba(composite(rasterizer, drawn, camera, passes=()), transparent=False)
 
     cameras = [orbit_camera(*size, turn=STEP * k) for k in range(WARMUPS + frames)]
     facts = _frames(coarse, [camera.reduced(reduction) for camera in cameras], count, size)
-    exact = [1e3 * seconds(rasterizer.forward, scene, camera, native.RenderOptions()) for camera in cameras[:: max(1, frames // EXACT)]][1:]
+    exact = [1e3 * seconds(picture, scene, camera) for camera in cameras[:: max(1, frames // EXACT)]][1:]
     return facts | {"reduction": reduction, "exact_ms": float(np.median(exact))}
 
 

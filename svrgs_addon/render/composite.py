@@ -8,7 +8,7 @@ mesh and Gaussians do not light each other. A pixel at the edge of a mesh is the
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +33,7 @@ class Composite:
     rgb: np.ndarray  # (H, W, 3) float32 display sRGB, over background and meshes, not clamped; black in holes
     coverage: np.ndarray  # (H, W) float32, alpha of Gaussians and meshes together
     holes: np.ndarray  # (H, W) float32, share of each pixel that shows a holdout
-    images: dict[str, np.ndarray]  # {name: (H, W) float32} of the outputs that are render passes
+    images: dict[str, np.ndarray]  # {name: (H, W) float32} of the outputs that are render passes, or of those that were asked for
     behind: np.ndarray | None = None  # (H, W, 4) float32, display sRGB times alpha: Gaussians behind the surfaces; only of split()
 
     @property
@@ -47,21 +47,24 @@ class Composite:
         return self.images["alpha"]
 
 
-def composite(rasterizer: Rasterizer, scene: Scene, camera: Camera, background=(0.0, 0.0, 0.0), surface: Surface | None = None) -> Composite:
+def composite(
+    rasterizer: Rasterizer, scene: Scene, camera: Camera, background=(0.0, 0.0, 0.0), surface: Surface | None = None, passes: Sequence[str] = PASS_OUTPUTS
+) -> Composite:  # fmt: skip
     """Renders Gaussians over meshes and a background.
 
-    background: display sRGB. surface: meshes as the camera sees them; None: there are none. Scene and camera have the same world.
-    Raises Cancelled when rasterizer.cancel[0] is set.
+    background: display sRGB. surface: meshes as the camera sees them; None: there are none. Scene and camera have the same world. passes: of PASS_OUTPUTS;
+    others are not rendered, but for alpha. Raises Cancelled when rasterizer.cancel[0] is set.
     """
-    options = RenderOptions(antialiased=scene.antialiased, mask_kind="svr", background=tuple(background))
+    options = RenderOptions(antialiased=scene.antialiased, mask_kind="svr" if "mask" in passes else "none", background=tuple(background))
+    outputs = ("rgb", *(name for name in PASS_OUTPUTS if name in passes or name == "alpha"))
     if surface is None:
-        images = rasterizer.forward(scene, camera, options, outputs=("rgb", *PASS_OUTPUTS))
+        images = rasterizer.forward(scene, camera, options, outputs=outputs)
         return _composite(images | {"coverage": images["alpha"], "holes": np.zeros_like(images["alpha"])})
-    images = _over(rasterizer, scene, camera, options, surface, surface.depth)
+    images = _over(rasterizer, scene, camera, options, outputs, surface, surface.depth)
     if surface.rest is not None:
         assert surface.share is not None
         edges = surface.share < 1
-        behind = _over(rasterizer, scene, camera, options, surface.rest, np.where(edges, surface.rest.depth, np.float32(0)))
+        behind = _over(rasterizer, scene, camera, options, outputs, surface.rest, np.where(edges, surface.rest.depth, np.float32(0)))
         share = surface.share[edges]
         for name, image in images.items():
             part = share if image.ndim == 2 else share[:, None]
@@ -95,15 +98,18 @@ def split(
     return replace(front, holes=np.zeros_like(front.holes), behind=behind)
 
 
-def _over(rasterizer: Rasterizer, scene: Scene, camera: Camera, options: RenderOptions, surface: Surface, limit: np.ndarray) -> dict[str, np.ndarray]:
+def _over(
+    rasterizer: Rasterizer, scene: Scene, camera: Camera, options: RenderOptions, outputs: Sequence[str], surface: Surface, limit: np.ndarray
+) -> dict[str, np.ndarray]:
     """The sums of a pixel: Gaussians with z < limit (H, W) over the surface, which lies over the background."""
     limit = np.ascontiguousarray(limit, rasterizer.dtype)
-    images = rasterizer.forward(scene, camera, replace(options, background=(0.0, 0.0, 0.0)), outputs=("rgb", *PASS_OUTPUTS), depth_limit=limit)
+    images = rasterizer.forward(scene, camera, replace(options, background=(0.0, 0.0, 0.0)), outputs=outputs, depth_limit=limit)
     images = {name: image.astype(rasterizer.dtype, copy=False) for name, image in images.items()}
     T, solid, shown = 1 - images["alpha"], np.isfinite(surface.depth), surface.rgba[..., 3]
     behind = np.where(solid[..., None], surface.rgba[..., :3], np.asarray(options.background, np.float32))
     images["rgb"] += T[..., None] * behind
-    images["depth"] += T * shown * np.where(solid, surface.depth, np.float32(0))
+    if "depth" in images:
+        images["depth"] += T * shown * np.where(solid, surface.depth, np.float32(0))
     images["coverage"] = images["alpha"] + T * shown
     images["holes"] = T * (solid - shown)
     return images
@@ -140,6 +146,7 @@ def composite_while(wanted: Callable[[], bool], rasterizer: Rasterizer, draw: Ca
 def _composite(sums: dict) -> Composite:
     """Makes a Composite of the sums of each pixel; divides the summed depth by the coverage."""
     coverage = sums["coverage"]
-    depth = np.divide(sums["depth"], coverage, out=np.full_like(coverage, FAR), where=coverage > 0)
-    passes = {name: sums[name].astype(np.float32, copy=False) for name in PASS_OUTPUTS}
-    return Composite(sums["rgb"], coverage, sums["holes"], passes | {"depth": depth})
+    passes = {name: sums[name].astype(np.float32, copy=False) for name in PASS_OUTPUTS if name in sums}
+    if "depth" in sums:
+        passes["depth"] = np.divide(sums["depth"], coverage, out=np.full_like(coverage, FAR), where=coverage > 0)
+    return Composite(sums["rgb"], coverage, sums["holes"], passes)
