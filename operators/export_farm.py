@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
@@ -10,7 +12,7 @@ from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SceneError
-from ..svrgs_addon.farm.farm_job import CAPTURES, FarmJob, Task, refuse_folder, refuse_same_names
+from ..svrgs_addon.farm.farm_job import CAPTURES, OWN, FarmJob, Task, common_folder, refuse_folder, refuse_same_names, relative
 from ..svrgs_addon.files.registry import FORMATS, write_scene
 from ..svrgs_addon.jobs.job_folder import CAMERAS
 from ..svrgs_addon.memory import size_text
@@ -61,8 +63,8 @@ class SVRGS_OT_export_farm_job(JobOperator):
         if context.scene.svrgs_prune.use_time:
             raise SceneError(tr("A time limit is for one machine: switch it off under Advanced, and set the steps"))
         refuse_same_names([bpy.path.clean_name(obj.name) for obj in selected_splats(context)])  # before one is written over another
-        tasks = tuple(_task(context, obj, folder / CAPTURES) for obj in selected_splats(context))
-        FarmJob(folder, folder / CAPTURES, tasks).write()
+        tasks = [_task(context, obj, folder / CAPTURES) for obj in selected_splats(context)]
+        _job(folder, tasks).write()
         _lines[:] = [tr("Exporting a farm job to {folder} …").format(folder=folder)]
         _child_work.start(_complete, folder)
         redraw_panels()
@@ -77,8 +79,18 @@ def _task(context, obj: bpy.types.Object, captures: Path) -> Task:
     write_scene(captures / splat, bridge.scene_from_object(obj))
     if cameras:
         write_cameras_json(captures / beside, cameras)
-        options["cameras"] = beside
-    return Task(name, splat, options)
+        options["cameras"] = f"{OWN}{CAPTURES}/{beside}"
+    return Task(name, f"{OWN}{CAPTURES}/{splat}", options)
+
+
+def _job(folder: Path, tasks: list[Task]) -> FarmJob:
+    """The job, with datasets relative to the folder that holds all of them: that of a worker may have another name."""
+    root = common_folder([Path(task.options["colmap"]) for task in tasks if task.options.get("colmap")]) or folder / CAPTURES
+    return FarmJob(folder, root, tuple(replace(task, options=_within(root, task.options)) for task in tasks))
+
+
+def _within(root: Path, options: dict[str, Any]) -> dict[str, Any]:
+    return options | {"colmap": relative(root, Path(options["colmap"]))} if options.get("colmap") else options
 
 
 def _complete(folder: Path):

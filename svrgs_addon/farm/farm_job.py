@@ -7,13 +7,15 @@
     template.json, parameter_values.json, asset_references.json      the job in Open Job Description (openjd.py)
     flamenco.json        the job for the manager of Flamenco (flamenco.py)
 
-Paths in job.json are relative to `root`, the folder of the captures; a worker that has them elsewhere gives its own root. job.json is read like a file
+Paths in job.json are relative to `root`, the folder of the captures, or begin with OWN, the folder of the job itself; a worker that has the captures elsewhere
+gives its own root. job.json is read like a file
 of a stranger: options are checked by name, type and range, and names of tasks become names of files only if they are plain.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,13 +34,15 @@ from ..system.file_names import extended, real
 SCHEMA, JOB, RESULTS, CAPTURES = 1, "job.json", "results", "captures"  # captures: of a job that Blender made
 LARGEST = 1 << 24  # bytes of job.json, and of a result
 NAME = re.compile(r"\w[\w.+ -]{0,200}")
+OWN = "{job}/"  # begins a path within the folder of the job
 INSIDE = ("colmap", "cameras")  # options with a path that may lie in the root
 LEFT_OUT = ("resume", "quiet", "time")  # options that are not of a farm: it resumes by itself, and one machine's seconds are not another's
 
 
 @dataclass(frozen=True)
 class Task:
-    """One scene that is pruned in one way. scene and the paths in options (of INSIDE) are relative to the root, or absolute."""
+    """One scene that is pruned in one way. scene and the paths in options (of INSIDE) are relative to the root, begin with OWN, or are
+    absolute."""
 
     name: str
     scene: str
@@ -98,7 +102,7 @@ class FarmJob:
         return found if same else None
 
     def _place(self, path: str) -> Path:
-        return extended(self.root / path)
+        return extended(self.folder / path.removeprefix(OWN) if path.startswith(OWN) else self.root / path)
 
 
 def refuse_folder(folder: Path):
@@ -126,6 +130,14 @@ def refuse_same_names(names: Sequence[str]):
     lower = [name.lower() for name in names]
     if same := next((name for name in names if lower.count(name.lower()) > 1), ""):
         raise SceneError(f"two tasks would have the name '{same}': make two jobs")
+
+
+def common_folder(folders: Sequence[Path]) -> Path | None:
+    """The folder that holds all of them; None if they lie on several drives, or if there are none."""
+    try:
+        return Path(os.path.commonpath([folder.absolute() for folder in folders]))
+    except ValueError:
+        return None
 
 
 def relative(root: Path, path: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import bpy
 import numpy as np
@@ -26,8 +27,8 @@ def lines() -> str:
     return bpy.context.window_manager.svrgs_prune_state.exported
 
 
-def run(folder) -> int:
-    return part("svrgs_addon.blender.subprocess_python").run(["farm", "run", str(folder), "--json"])[0]
+def run(folder, *words: str) -> int:
+    return part("svrgs_addon.blender.subprocess_python").run(["farm", "run", str(folder), *words, "--json"])[0]
 
 
 def test_a_farm_prunes_as_the_panel_would(splat, bridge, watch, tmp_path):
@@ -49,9 +50,20 @@ def test_every_selected_splat_is_a_task_with_its_photographs(splat, tmp_path):
     bpy.ops.object.duplicate()
     splat.select_set(True)
     assert export(tmp_path / "job") == {"FINISHED"}
-    tasks = json.loads((tmp_path / "job/job.json").read_text())["tasks"]
-    assert len(tasks) == 2 and all(task["options"]["colmap"] == str(DATA / "tiny") for task in tasks)
+    contents = json.loads((tmp_path / "job/job.json").read_text())
+    assert contents["root"] == str(DATA / "tiny") and [task["options"]["colmap"] for task in contents["tasks"]] == [".", "."]
     assert run(tmp_path / "job") == 0 and len(list((tmp_path / "job/results").glob("*.ply"))) == 2
+
+
+def test_a_worker_may_have_job_and_photographs_elsewhere(splat, tmp_path):
+    shutil.copytree(DATA / "tiny", tmp_path / "here/tiny")
+    set_up({"colmap": str(tmp_path / "here/tiny"), "depth": "PHOTOGRAPHS", "goal": "SHARE", "share": 30, "iterations": 40, "recovery": 20})
+    assert export(tmp_path / "job") == {"FINISHED"}
+    assert all(str(tmp_path) not in json.dumps(task) for task in json.loads((tmp_path / "job/job.json").read_text())["tasks"])
+    shutil.move(tmp_path / "here", tmp_path / "there")
+    shutil.move(tmp_path / "job", tmp_path / "moved")
+    assert run(tmp_path / "moved") != 0
+    assert run(tmp_path / "moved", "--root", str(tmp_path / "there/tiny")) == 0 and len(list((tmp_path / "moved/results").glob("*.ply"))) == 1
 
 
 def test_splats_whose_files_would_be_one_are_refused(splat, tmp_path):
