@@ -22,6 +22,7 @@ SH_MOMENT = 2  # bytes of Adam moments per SH coefficient; other values have mom
 STATISTICS = 8  # bytes per Gaussian: the statistics of densification
 ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densification adds
 PROJECTED = 150  # bytes per projected Gaussian
+STREAMED = 65  # bytes per Gaussian of a compressed file that is unpacked, without SH; an SPZ needs most
 TEXTURED = 150  # bytes per Gaussian that becomes pixels of a SOG
 DECIMATED = 500  # bytes per Gaussian while it is removed or merged, without its values
 RENDERED_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = 100, 200, 100  # bytes per pixel of a view: rendering, fine-tuning, metrics
@@ -39,6 +40,12 @@ def unpacking(count: int, coefficients: int) -> int:
     """Bytes of memory needed to read `count` Gaussians out of a compressed file: in parts, which are then joined. coefficients: SH coefficients per
     channel, K."""
     return 2 * 4 * (11 + 3 * coefficients) * count
+
+
+def unpacking_in_parts(count: int, coefficients: int) -> int:
+    """Bytes of memory needed to read `count` Gaussians out of a compressed file in parts: for the file, and the streams or textures
+    that are unpacked as a whole. coefficients: as for unpacking()."""
+    return (STREAMED + 6 * coefficients) * count
 
 
 def texturing(count: int, coefficients: int) -> int:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import memory
-from ..errors import SceneError, SplatError
+from ..errors import MemoryShort, SceneError, SplatError, TooMany
 from ..files import registry
 from ..files.atomic import check_writable
 from ..files.spooled import spooled
@@ -85,11 +85,19 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
 def _loaded(path: Path, out: Path, options: ConvertOptions) -> Iterator[Scene]:
     """The changed scene; the values of a large one lie in files."""
     registry.format_to_read(path)  # raises for what cannot be read
-    if registry.size_on_disk(path) < LARGE:
-        yield _changed(registry.load_scene(path).scene, options)
+    if whole := _whole(path):
+        yield _changed(whole, options)
         return
     with spooled((_changed(part, options) for part in registry.load_parts(path)), out) as scene:
         yield scene
+
+
+def _whole(path: Path) -> Scene | None:
+    """The scene of a file; None if it is large."""
+    try:
+        return registry.load_scene(path).scene if registry.size_on_disk(path) < LARGE else None
+    except (MemoryShort, TooMany):
+        return None
 
 
 def _changed(scene: Scene, options: ConvertOptions) -> Scene:

@@ -39,6 +39,7 @@ PART = 2**16  # Gaussians that are converted together
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """All Gaussians as one part. Raises FormatError, which names the file."""
+    max_count = min(max_count, MAX_COUNT)
     with opened(path) as file:
         glb = Glb.read(file)
         placed = list(_placed(glb))

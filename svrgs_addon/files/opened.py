@@ -14,7 +14,7 @@ import numpy as np
 from .. import memory
 from ..errors import FormatError, TooMany
 
-MAX_COUNT = 20_000_000  # Gaussians in a file
+MAX_COUNT, MAX_IN_PARTS = 20_000_000, 2**32 - 1  # Gaussians of a file that is read as a whole, in parts
 SHORTER = "became shorter while it was read; try again when no program writes it"
 
 
@@ -55,9 +55,11 @@ def refuse_many(count: int, most: int = MAX_COUNT):
 
 
 def refuse_unpacking(count: int, coefficients: int, most: int = MAX_COUNT):
-    """As refuse_many(), and if memory is too short for so many Gaussians out of a compressed file. coefficients: SH coefficients per channel."""
+    """As refuse_many(), and if memory is too short for so many Gaussians out of a compressed file: for their values, or, if more than MAX_COUNT may be
+    read, which is done in parts, for what these are made of. coefficients: SH coefficients per channel."""
     refuse_many(count, most)
-    if sentence := memory.shortage("", memory.unpacking(count, coefficients)):
+    needed = memory.unpacking if most <= MAX_COUNT else memory.unpacking_in_parts
+    if sentence := memory.shortage("", needed(count, coefficients)):
         raise TooMany(sentence.lstrip())
 
 

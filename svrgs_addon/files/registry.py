@@ -20,7 +20,7 @@ from ..native_library import thresholds
 from ..scene import Scene
 from ..system.file_names import extended, real
 from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, streamed_sog, usd
-from .opened import MAX_COUNT
+from .opened import MAX_IN_PARTS
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
@@ -142,7 +142,7 @@ def read_scene(path: str | Path) -> Scene:
 
 def check_readable(path: str | Path):
     """Checks a file by reading its header and at most a few thousand Gaussians. Raises FormatError, SceneError."""
-    next(format_to_read(path).read_parts(extended(path)))
+    next(format_to_read(path).read_parts(extended(path), MAX_IN_PARTS))
 
 
 def load_scene(path: str | Path) -> Loaded:
@@ -158,11 +158,11 @@ def load_scene(path: str | Path) -> Loaded:
     return loaded
 
 
-def load_parts(path: str | Path, max_count: int = MAX_COUNT) -> Iterator[Scene]:
+def load_parts(path: str | Path) -> Iterator[Scene]:
     """As load_scene(), in parts in the order of the file; each may overwrite the arrays of the previous one. What was repaired is logged at the end."""
     count = dropped = clamped = 0
     filtered = False
-    for part in format_to_read(path).read_parts(extended(path), max_count):
+    for part in format_to_read(path).read_parts(extended(path), MAX_IN_PARTS):
         loaded, baked = _repaired(part)
         count, dropped, clamped, filtered = count + loaded.scene.count, dropped + loaded.dropped, clamped + loaded.clamped, filtered or baked
         yield loaded.scene
@@ -270,7 +270,7 @@ def describe(path: str | Path) -> dict:
     count = faint = bad = 0
     corners = []
     splat_format = format_to_read(path)
-    for part in splat_format.read_parts(extended(path)):
+    for part in splat_format.read_parts(extended(path), MAX_IN_PARTS):
         good = ~unusable(part)
         means = np.ascontiguousarray(part.means[good].T)
         if means.size:

@@ -50,7 +50,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
         if not number:
             raise FormatError(f"holds no splat: no prim of the type {TYPE}")
         degrees = [_degree(arrays, one) for one in range(number)]
-        refuse_unpacking(sum(arrays[f"{one}:positions"].size // 3 for one in range(number)), SH_COEFFICIENTS[max(degrees)], max_count)
+        refuse_unpacking(sum(arrays[f"{one}:positions"].size // 3 for one in range(number)), SH_COEFFICIENTS[max(degrees)], min(max_count, MAX_COUNT))
         upright = Z_TO_Y if arrays["z_up"] else np.eye(4)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file

@@ -32,7 +32,6 @@ from ..scene import Scene
 
 SCHEMA, INDEX, LARGEST_INDEX = 1, "blocks.json", 1 << 24
 MOST = 2_000_000  # Gaussians of a block
-MAX_COUNT = 2**32 - 1  # Gaussians of a scene
 GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
 OWN = (
@@ -146,7 +145,7 @@ def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_:
     del means, parts
     largest = np.full(len(boxes), -np.inf)
     start = 0
-    for part in load_parts(source, MAX_COUNT):
+    for part in load_parts(source):
         _append(part, block_of[start : start + part.count], start, folder, largest)
         start += part.count
         tell("writes the blocks", start / len(block_of))
@@ -192,7 +191,7 @@ def clear(folder: Path):
 def _means(source: Path) -> tuple[np.ndarray, int, bool]:
     """The means (N, 3) of a file, its SH coefficients per channel, and whether it is antialiased."""
     parts, part = [], None
-    for part in load_parts(source, MAX_COUNT):
+    for part in load_parts(source):
         parts.append(part.means.copy())
     assert part is not None
     if columns := sorted(part.attributes.keys() - set(NORMALS)):

@@ -16,7 +16,6 @@ from ..geometry.merge import joined
 from ..metrics.evaluate import render_options
 from ..native import Rasterizer
 from ..scene import Scene
-from .blocks import MAX_COUNT
 
 MOST = 500_000  # Gaussians
 
@@ -25,7 +24,7 @@ def sample_of(source: Path) -> tuple[Scene, float]:
     """Evenly spread rows of the file, MOST at most, in one colour each (SH degree 0), enlarged so that they cover about what all do; and by how much. Raises
     SplatError."""
     parts, step, start = list[Scene](), 1, 0
-    for part in load_parts(source, MAX_COUNT):
+    for part in load_parts(source):
         parts.append(_lighter(part, np.arange(-start % step, part.count, step)))
         start += part.count
         while sum(one.count for one in parts) > MOST:
