@@ -48,6 +48,15 @@ def cameras():
     return [orbit_camera(160, 120, turn) for turn in (0.0, 0.2, 0.45, 0.7, 0.9)]
 
 
+@pytest.fixture
+def small_parts(monkeypatch) -> float:
+    """What views blend is found out in small parts of their pictures. The largest alpha T of Gaussians that may be missed there: the last ones of rays that
+    end in another part."""
+    for name, value in {"PORTION": COUNT // 20, "LEAST": 16, "REACH": 6.0}.items():
+        monkeypatch.setattr(f"svrgs_addon.large.views.{name}", value)
+    return 1e-3
+
+
 def scored(source: Path, folder: Path, most: int, parts: int, cameras) -> tuple[Divided, np.ndarray]:
     divided = divide(source, folder, most)
     for part in range(parts):
@@ -67,26 +76,40 @@ def test_scores_do_not_depend_on_blocks_and_parts_by_a_bit(source, cameras, whol
     assert (scores == whole[1]).all()
 
 
+def test_scores_hardly_depend_on_the_parts_of_a_picture(source, cameras, whole, tmp_path, small_parts):
+    """And not at all on the number of blocks then."""
+    found = [scored(source, tmp_path / str(most), most, 2, cameras)[1] for most in (COUNT, COUNT // 4)]
+    assert (found[0] == found[1]).all()
+    change = np.abs(visibility(found[0]) - visibility(whole[1]))[:, VISIBILITY.index("weights")]
+    assert change.max() < 5 * small_parts and (change > 1e-5).mean() < 0.02
+
+
 def test_scores_are_what_the_views_see_of_the_scene_in_memory(source, cameras, whole):
     expected, _ = looks(read_scene(source), reduced(cameras), Rasterizer(), render_options(read_scene(source)), pictures=False)
     scores = visibility(whole[1])
+    last = {"pixels": 1, "transmittance": 2e-4}  # without Gaussians that are not blended, T rounds in another way, and a ray may stop one Gaussian later
     for column, name in enumerate(VISIBILITY):
-        assert np.abs(scores[:, column] - expected[:, column]).max() <= 1e-6 * np.abs(expected[:, column]).max() + 5 * UNITS[column], name
+        bound = 1e-6 * np.abs(expected[:, column]).max() + 5 * UNITS[column] + last.get(name, 0)
+        assert np.abs(scores[:, column] - expected[:, column]).max() <= bound, name
     squares = VISIBILITY.index("squares")
     tiny = (expected[:, squares] > 0) & (expected[:, squares] < 1e-8)
     assert tiny.sum() > 50 and np.allclose(scores[tiny, squares], expected[tiny, squares], rtol=0.02, atol=1e-14)
 
 
-def test_every_gaussian_that_a_view_draws_is_read(source, cameras, tmp_path):
+@pytest.mark.parametrize("in_parts", [False, True])
+def test_every_gaussian_that_a_view_blends_is_read(source, cameras, tmp_path, request, in_parts):
+    faint = request.getfixturevalue("small_parts") if in_parts else 0.0
     divided, scene, rasterizer = divide(source, tmp_path, COUNT // 8), read_scene(source), Rasterizer()
     for camera in reduced(cameras):
         part, rows = seen(divided, camera, Rasterizer())
         rasterizer.forward(scene, camera, render_options(scene), outputs=())
-        assert set(rasterizer.visible()) <= set(rows.tolist()) and (np.diff(rows.astype(np.int64)) > 0).all()
-        assert (part.means == scene.means[rows]).all() and len(rows) < COUNT
+        most = np.zeros(scene.count, np.float32)
+        rasterizer.add_scores(np.zeros(scene.count), most, np.zeros(scene.count, np.int64))
+        assert set(np.flatnonzero(most > faint)) <= set(rows.tolist()) and (np.diff(rows.astype(np.int64)) > 0).all()
+        assert len(rows) < COUNT if in_parts else len(rows) == (most > 0).sum()
+        assert (part.means == scene.means[rows]).all()
         picture = rasterizer.forward(scene, camera, render_options(scene))["rgb"].copy()
         assert np.abs(rasterizer.forward(part, camera, render_options(part))["rgb"] - picture).max() < 1e-5
-        assert (part.sh != 0).any(axis=(1, 2)).mean() < 0.9, "what is not blended has no colours"
 
 
 def test_every_gaussian_is_in_one_block_and_in_its_box(source, tmp_path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,20 @@ class Window:
     def of(cls, camera: Camera) -> Window:
         """The whole picture."""
         return cls(0, 0, camera.width, camera.height)
+
+    def halves(self) -> tuple[Window, Window]:
+        """Cut across its longer side."""
+        if self.right - self.left >= self.bottom - self.top:
+            middle = (self.left + self.right) // 2
+            return replace(self, right=middle), replace(self, left=middle)
+        middle = (self.top + self.bottom) // 2
+        return replace(self, bottom=middle), replace(self, top=middle)
+
+    def seen_by(self, camera: Camera) -> Camera:
+        """The camera of this part of its picture."""
+        K = camera.K.copy()
+        K[:2, 2] -= self.left, self.top
+        return replace(camera, K=K, width=self.right - self.left, height=self.bottom - self.top)
 
     @property
     def slices(self) -> tuple[slice, slice]:
@@ -85,6 +99,10 @@ def may_show(block: Block, camera: Camera) -> bool:
 
 def places_in(block: Block, camera: Camera) -> np.ndarray:
     """The places in the block of the Gaussians that a view may show, ascending."""
-    window, starts = Window.of(camera), range(0, block.count, PART)
-    found = [start + np.flatnonzero(Discs.of_geometry(block.geometry[start : start + PART], camera).touch(window)) for start in starts]
-    return np.concatenate(found) if found else np.zeros(0, np.int64)
+    return places_among(np.arange(block.count), block, camera, Window.of(camera))
+
+
+def places_among(some: np.ndarray, block: Block, camera: Camera, window: Window) -> np.ndarray:
+    """Those of these places in the block whose Gaussians a part of the view may show."""
+    parts = [some[start : start + PART] for start in range(0, len(some), PART)]
+    return np.concatenate([some[:0], *(part[Discs.of_geometry(block.geometry[part], camera).touch(window)] for part in parts)])

@@ -139,10 +139,8 @@ def _blended(left: Divided, view: int, camera: Camera, rasterizer: Rasterizer) -
     """The rows that a view blends, ascending, int64. Whoever needs them first writes them into the folder. Raises SplatError."""
     path = left.folder / f"{view}.blended.npy"
     if not path.exists():
-        found = shown(left, camera, rasterizer)
-        drawn = [block.rows[some[blended]] for block, some, blended in zip(found.blocks, found.places, found.blended, strict=True)]
         with atomic_write(path) as file:
-            np.save(file, np.concatenate([np.zeros(0, np.uint32), *drawn]))
+            np.save(file, shown(left, camera, rasterizer).rows)
     try:
         return np.load(path, allow_pickle=False).astype(np.int64)
     except (OSError, ValueError, EOFError) as error:

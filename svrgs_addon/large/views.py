@@ -1,8 +1,13 @@
-"""What a view shows of a divided scene: it reads the blocks that it may show, and of those the Gaussians that it may show."""
+"""What a view shows of a divided scene: it reads the blocks that it may show, and of those the Gaussians that it may show.
+
+Which of these it blends into a pixel is found out first: without colours, and in parts of the picture that may show PORTION Gaussians at most, so memory need
+not hold all that is in view. Only those are then read with their colours, and rendered. The picture is the same: the others are behind what is opaque, or too
+small or too faint.
+"""
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -15,60 +20,91 @@ from ..native import Rasterizer, threads
 from ..render.quads import colors, recolored
 from ..scene import Scene
 from .blocks import WIDTH, Block, Divided, arrays_of
-from .discs import PART, may_show, places_in
+from .discs import PART, Discs, Window, may_show, places_among, places_in
 
 ROW = 3 * 4 * 14  # bytes of a Gaussian in one colour: its values, and copies while they are put in order
+PORTION, LEAST = 4_000_000, 64  # Gaussians that a part of a picture may show, at most, if its longer side is not below so many pixels
+REACH = 32.0  # pixels; what reaches farther is not tested in parts, at whose borders the rasterizer limits the shape of large Gaussians
 
 
 @dataclass(frozen=True)
 class Shown:
-    """The Gaussians that a view may show."""
+    """The Gaussians that a view blends into a pixel, and perhaps a few others."""
 
     blocks: list[Block]  # that have some
     places: list[np.ndarray]  # of each block, the places of the Gaussians in it, ascending
-    blended: list[np.ndarray]  # of each block, which of these the view blends into a pixel, bool
     rows: np.ndarray  # (n,) rows in the file, ascending
     order: np.ndarray  # (n,) of all, block after block, those in the order of the file
     scene: Scene  # in the order of the file, without colours (SH degree 0)
 
 
 def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> Shown:
-    """What a view may show. Those that it does not blend are behind others or too small. Raises SplatError."""
+    """What a view shows. Raises SplatError."""
     near = [block for block in divided.blocks if may_show(block, camera)]
     with ThreadPoolExecutor(threads()) as pool:
         places = list(pool.map(lambda block: places_in(block, camera), near))
-        count = sum(map(len, places))
-        needed = memory.rendering(count, camera.width, camera.height) + ROW * count
-        memory.refuse_excess(f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}", needed)
-        geometry = _joined(list(pool.map(lambda block, some: block.geometry[some], near, places)), (WIDTH,))
-    rows = _joined([block.rows[some] for block, some in zip(near, places, strict=True)], ()).astype(np.uint32)
-    order = np.argsort(rows, kind="stable")
-    scene = Scene(**arrays_of(geometry[order]), sh=np.zeros((count, 1, 3), np.float32), antialiased=divided.antialiased)
-    del geometry  # of a view of a town, gigabytes
-    blended = np.empty(count, bool)
-    blended[order] = _blended(scene, camera, rasterizer)
-    ends = np.cumsum([0, *map(len, places)])
-    return Shown(near, places, [blended[start:end] for start, end in itertools.pairwise(ends)], rows[order], order, scene)
+    blended = [np.zeros(block.count, bool) for block in near]
+    for window, some in _parts(near, places, camera, Window.of(camera)):
+        for marked, part, found in zip(blended, some, _blended(divided, near, some, camera, window, rasterizer), strict=True):
+            marked[part[found]] = True
+    kept = [(block, np.flatnonzero(marked)) for block, marked in zip(near, blended, strict=True) if marked.any()]
+    blocks, places = [block for block, _ in kept], [some for _, some in kept]
+    return Shown(blocks, places, *_read(divided, blocks, places, camera))
 
 
 def seen(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> tuple[Scene, np.ndarray]:
-    """The Gaussians that a view may show, in the order of the file, in colours as it sees them (SH degree 0), and their rows in the file (n,). Those that
-    the view does not blend have no colours: theirs are not read. Raises SplatError."""
+    """The Gaussians that a view blends, and perhaps a few others, in the order of the file, in colours as it sees them (SH degree 0), and their rows in the
+    file (n,). Raises SplatError."""
     found = shown(divided, camera, rasterizer)
-    sh = np.zeros((found.scene.count, 1, 3), np.float32)
-    if found.blocks:
-        with ThreadPoolExecutor(threads()) as pool:
-            parts = [some[blended] for some, blended in zip(found.places, found.blended, strict=True)]
-            sh[np.concatenate(found.blended)] = _joined(list(pool.map(lambda block, some: _colors(block, some, divided, camera), found.blocks, parts)), (1, 3))
+    with ThreadPoolExecutor(threads()) as pool:
+        sh = _joined(list(pool.map(lambda block, some: _colors(block, some, divided, camera), found.blocks, found.places)), (1, 3))
     return replace(found.scene, sh=sh[found.order]), found.rows
 
 
-def _blended(scene: Scene, camera: Camera, rasterizer: Rasterizer) -> np.ndarray:
-    """Which Gaussians the view blends into a pixel, (n,) bool. It does not depend on colours."""
-    pixels = np.zeros(scene.count, np.int64)
-    rasterizer.forward(scene, camera, render_options(scene), outputs=())
+def _parts(blocks: Sequence[Block], places: Sequence[np.ndarray], camera: Camera, window: Window) -> Iterator[tuple[Window, Sequence[np.ndarray]]]:
+    """Parts of the window, and the places in each block of the Gaussians that they may show. places: those of the window."""
+    if sum(map(len, places)) <= PORTION or max(window.right - window.left, window.bottom - window.top) < 2 * LEAST:
+        yield window, places
+        return
+    for half in window.halves():
+        with ThreadPoolExecutor(threads()) as pool:
+            inside = list(pool.map(lambda some, block, half=half: places_among(some, block, camera, half), places, blocks))
+        yield from _parts(blocks, inside, camera, half)
+
+
+def _blended(
+    divided: Divided, blocks: Sequence[Block], places: Sequence[np.ndarray], camera: Camera, window: Window, rasterizer: Rasterizer
+) -> Iterator[np.ndarray]:
+    """Which Gaussians a part of the view blends into a pixel, (n,) bool of each block. It does not depend on colours."""
+    _, order, scene = _read(divided, blocks, places, window.seen_by(camera))
+    pixels, blended = np.zeros(scene.count, np.int64), np.empty(scene.count, bool)
+    rasterizer.forward(scene, window.seen_by(camera), render_options(scene), outputs=())
     rasterizer.add_scores(np.zeros(scene.count), np.zeros(scene.count, np.float32), pixels)
-    return pixels > 0
+    blended[order] = pixels > 0
+    ends = np.cumsum([0, *map(len, places)])
+    for block, some, start, end in zip(blocks, places, ends, ends[1:], strict=False):
+        wide = _wide(block, some, camera) if window != Window.of(camera) else False
+        yield blended[start:end] | wide
+
+
+def _wide(block: Block, some: np.ndarray, camera: Camera) -> np.ndarray:
+    """Which of these Gaussians of a block reach farther than REACH, (n,) bool."""
+    discs = [Discs.of_geometry(block.geometry[some[start : start + PART]], camera) for start in range(0, len(some), PART)]
+    return np.concatenate([np.zeros(0, bool), *(disc.right - disc.left > 2 * REACH for disc in discs)])
+
+
+def _read(divided: Divided, blocks: Sequence[Block], places: Sequence[np.ndarray], camera: Camera) -> tuple[np.ndarray, np.ndarray, Scene]:
+    """Gaussians of blocks: their rows in the file, ascending, their order, and themselves, without colours, as in Shown. Raises SceneError if memory is too
+    short to render them."""
+    count = sum(map(len, places))
+    needed = memory.rendering(count, camera.width, camera.height) + ROW * count
+    memory.refuse_excess(f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}", needed)
+    with ThreadPoolExecutor(threads()) as pool:
+        geometry = _joined(list(pool.map(lambda block, some: block.geometry[some], blocks, places)), (WIDTH,))
+    rows = _joined([block.rows[some] for block, some in zip(blocks, places, strict=True)], ()).astype(np.uint32)
+    order = np.argsort(rows, kind="stable")
+    scene = Scene(**arrays_of(geometry[order]), sh=np.zeros((count, 1, 3), np.float32), antialiased=divided.antialiased)
+    return rows[order], order, scene
 
 
 def _joined(parts: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
