@@ -114,6 +114,12 @@ def test_a_room_whose_inside_no_placed_camera_sees_is_refused(source, tmp_path):
     refuse_hidden(*sample_of(source)[:1], outside, source)
 
 
+def test_cameras_are_placed_for_a_scene_that_is_too_large_too(svrgs, monkeypatch, source, tmp_path, caplog):
+    monkeypatch.setattr(ply.read_ply, "__defaults__", (COUNT - 1,))
+    result = svrgs("rig", source, "--views", 8, "--out", tmp_path / "rig.json", "--preview", tmp_path / "rig.png", "--json").json
+    assert result["views"] == 8 and (tmp_path / "rig.png").is_file() and "placed by up to 500,000 of its Gaussians" in caplog.text
+
+
 def test_a_sample_covers_about_what_all_gaussians_do(monkeypatch, source):
     monkeypatch.setattr("svrgs_addon.large.sample.MOST", COUNT // 2)
     scene, enlarged = sample_of(source)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import logging
+from pathlib import Path
 
 from .. import memory
-from ..errors import SceneError
+from ..errors import MemoryShort, SceneError, TooMany
 from ..files.atomic import check_writable
 from ..files.images import write_image
 from ..files.registry import load_scene, refuse_input
+from ..large.sample import MOST, sample_of
 from ..photographs.cameras_json import write_cameras_json
 from ..rig import place_rig
+from ..scene import Scene
 
 
 def place_cameras(words: argparse.Namespace) -> dict:
@@ -21,15 +25,25 @@ def place_cameras(words: argparse.Namespace) -> dict:
             check_writable(out)
     if words.preview is not None and words.preview.suffix.lower() != ".png":
         raise SceneError(f"{words.preview}: the preview is a PNG; give it the suffix .png")
-    scene = load_scene(words.scene).scene
-    memory.refuse_excess(f"{words.scene}: rendering it", memory.rendering(scene.count, 1024, 1024))
-    rig = place_rig(scene, views=words.views, seed=words.seed)
+    scene, enlarged = _scene(words.scene)
+    rig = place_rig(scene, views=words.views, seed=words.seed, enlarged=enlarged)
     write_cameras_json(words.out, [*rig.cameras, *rig.held_out])
     if words.preview is not None:
         from ..rig.preview import preview
 
         write_image(words.preview, preview(scene, rig))
     return {**rig.facts(), "out": str(words.out), "preview": words.preview and str(words.preview)}
+
+
+def _scene(path: Path) -> tuple[Scene, float]:
+    """The scene, or some of its Gaussians if it is too large; and how much wider they are than those of the scene. Raises SplatError."""
+    try:
+        scene = load_scene(path).scene
+        memory.refuse_excess(f"{path}: rendering it", memory.rendering(scene.count, 1024, 1024))
+        return scene, 1.0
+    except (MemoryShort, TooMany) as error:
+        logging.warning("%s; its cameras are placed by up to %s of its Gaussians", error, f"{MOST:,}")
+    return sample_of(path)
 
 
 def as_text(result: dict) -> str:
