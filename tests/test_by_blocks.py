@@ -15,9 +15,10 @@ from svrgs_addon.decimate.order import hidden, looks
 from svrgs_addon.errors import SceneError
 from svrgs_addon.files import ply
 from svrgs_addon.files.registry import load_scene, read_scene, write_scene
+from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.jobs import by_blocks, run_job
 from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.large.sample import MOST, refuse_hidden, sample_of
+from svrgs_addon.large.sample import MOST, finer, refuse_hidden, sample_of
 from svrgs_addon.metrics.evaluate import render_options
 from svrgs_addon.native import Rasterizer
 from svrgs_addon.photographs.cameras_json import write_cameras_json
@@ -138,6 +139,12 @@ def test_pictures_are_as_fine_as_all_gaussians_need(monkeypatch, source):
     small = replace(whole, log_scales=whole.log_scales - 3.5)
     sides = [place_rig(small, views=1, enlarged=factor).width for factor in (1.0, 1.2, 100.0)]
     assert sides[0] < sides[1] < sides[2] == 1024
+
+
+def test_placed_views_are_scored_at_the_size_that_they_need(source):
+    camera = place_rig(load_scene(source).scene, views=1).cameras[0]
+    (scored,) = reduced(finer([camera]))
+    assert scored.key == camera.key
 
 
 def test_only_jobs_that_merge_to_a_number_can_be_done_by_blocks(tmp_path):

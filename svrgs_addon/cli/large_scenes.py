@@ -17,7 +17,7 @@ from ..large.blocks import Divided, clear, divide
 from ..large.folder import measured_views, prepare, refuse_foreign, scored_views
 from ..large.merging import merge, reduce
 from ..large.pruning import finish
-from ..large.sample import refuse_hidden, sample_of
+from ..large.sample import finer, refuse_hidden, sample_of
 from ..large.scoring import score
 from ..large.tuning import EPOCHS, TUNED, cut, tune
 from ..large.whole import check_out, prune_by_blocks
@@ -122,7 +122,7 @@ def _views(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:
         scene, enlarged = sample_of(words.scene)
         rig = place_rig(scene, enlarged=enlarged)
         refuse_hidden(scene, rig.cameras, words.scene)
-        scored, measured = rig.cameras, rig.held_out
+        scored, measured = finer(rig.cameras), rig.held_out
     if not scored:
         raise SceneError("one view is held out for the test, and no other is there: give at least two")
     return scored, measured

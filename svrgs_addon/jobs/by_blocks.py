@@ -11,7 +11,7 @@ from .. import memory
 from ..camera import Camera, evenly
 from ..errors import Cancelled, SceneError
 from ..large.blocks import Tell
-from ..large.sample import refuse_hidden, sample_of
+from ..large.sample import finer, refuse_hidden, sample_of
 from ..large.tuning import EPOCHS
 from ..large.whole import prune_by_blocks
 from ..metrics.evaluate import refuse_unseen
@@ -67,10 +67,11 @@ def _views(options: PruneOptions, scene: Scene, enlarged: float) -> tuple[list[C
     assert options.scene is not None
     if options.colmap is None:
         refuse_options(options)
-        train, test, notes, _ = views_of(options, scene, enlarged, QUICK_VIEWS if options.quick else None)
+        train, test, notes, facts = views_of(options, scene, enlarged, QUICK_VIEWS if options.quick else None)
         if not options.seen_from_only:
             refuse_hidden(scene, train, options.scene)
-        return train, test, notes
+        given = len(train) - facts.get("views", 0)
+        return train[:given] + finer(train[given:]), test, notes
     dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
     refuse_unseen(scene, dataset.cameras, str(options.scene))
     train, test = ([dataset.cameras[i].fitted(LONGEST) for i in indices] for indices in (dataset.train_indices, dataset.test_indices))

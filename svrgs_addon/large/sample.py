@@ -42,6 +42,11 @@ def refuse_hidden(scene: Scene, cameras: Sequence[Camera], source: Path):
         raise SceneError(f"{source}: about {share:.0%} of its Gaussians are hidden in all views that were placed, and would be removed; give the cameras")
 
 
+def finer(cameras: Sequence[Camera]) -> list[Camera]:
+    """The views at twice their size: scores and fine-tuning halve all views, and pictures of placed cameras are just large enough."""
+    return [camera.resized(2 * camera.width, 2 * camera.height) for camera in cameras]
+
+
 def _lighter(part: Scene, rows: np.ndarray) -> Scene:
     some = part.select(rows)
     return Scene(some.means, some.log_scales, some.quats, some.opacity_logits, np.ascontiguousarray(some.sh[:, :1]), antialiased=some.antialiased)
