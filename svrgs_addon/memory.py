@@ -126,7 +126,12 @@ def _trained_row(coefficients: int) -> tuple[int, int]:
     return other + 4 * 3 * coefficients, other + SH_MOMENT * 3 * coefficients
 
 
-BY_BLOCKS = "svrgs large prunes it by blocks, with less"
+BY_BLOCKS, IN_PARTS = "svrgs large prunes it by blocks, with less", "svrgs convert and svrgs large read it in parts"  # advice
+
+
+def without_advice(sentence: str) -> str:
+    """The sentence of an error without BY_BLOCKS or IN_PARTS at its end: for work that then goes on in this way."""
+    return sentence.removesuffix(f"; {BY_BLOCKS}").removesuffix(f"; {IN_PARTS}")
 
 
 def shortage(what: str, needed: int) -> str:

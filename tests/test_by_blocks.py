@@ -56,6 +56,20 @@ def test_a_quick_job_goes_over_to_blocks_where_memory_is_short(svrgs, short, sou
     assert [path.name for path in tmp_path.iterdir()] == ["o.spz"], "the blocks are removed"
 
 
+def test_advice_that_is_followed_is_not_given(svrgs, monkeypatch, source, tmp_path):
+    monkeypatch.setattr(memory, "reading", lambda _: 10**15)
+    note = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.ply", "--json").json["notes"][0]
+    assert "reading it needs" in note and "are available; so it was pruned by blocks" in note and "svrgs large" not in note
+
+
+def test_outputs_are_checked_before_cameras_are_placed(svrgs, monkeypatch, source, tmp_path):
+    monkeypatch.setattr("svrgs_addon.cli.large_scenes.place_rig", lambda *_, **__: pytest.fail("cameras were placed"))
+    assert "is the input itself" in svrgs("large", "prune", source, "--target", 0.5, "--out", source).err
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work/mine.txt").write_text("mine")
+    assert "holds no blocks" in svrgs("large", "prune", source, "--target", 0.5, "--out", tmp_path / "o.ply", "--work", tmp_path / "work").err
+
+
 def test_the_text_of_the_result_has_no_time_per_frame(svrgs, short, source, tmp_path):
     said = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.ply").out
     assert "PSNR" in said and "ms per frame" not in said and "by blocks" in said

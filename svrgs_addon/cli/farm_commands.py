@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from ..errors import SceneError, SplatError
 from ..farm.engine_messages import Messages
-from ..farm.farm_job import FarmJob, refuse_folder, tasks_of
+from ..farm.farm_job import FarmJob, common_folder, refuse_folder, tasks_of
 from ..farm.flamenco import write_submission
 from ..farm.needs import memory_of
 from ..farm.openjd import write_bundle
@@ -45,7 +44,8 @@ def _export(words: argparse.Namespace) -> dict[str, Any]:
     if words.targets and (options.target_count or options.max_drop):
         raise SceneError("--targets and --target-count or --max-drop each say how many Gaussians stay: leave one out")
     items = expand(words.scenes, words.colmap, folder / "results")
-    root = Path(os.path.commonpath([item.scene.absolute().parent for item in items] + [item.colmap.absolute() for item in items if item.colmap]))
+    folders = [item.scene.absolute().parent for item in items] + [item.colmap.absolute() for item in items if item.colmap]
+    root = common_folder(folders) or folders[0]
     scenes = [(item.name, item.scene, None if words.no_photographs else item.colmap) for item in items]
     job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, list(_ways(words)), options), suffix)
     return _write(job)

@@ -49,7 +49,8 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
 def _prune(words: argparse.Namespace) -> dict[str, Any]:
     format_to_read(words.scene)
     told = functools.partial(_told, words)
-    return prune_by_blocks(words.scene, words.out, _views(words), functools.partial(_wanted, words), words.steps, told, words.work, words.block)
+    views, wanted = functools.partial(_views, words), functools.partial(_wanted, words)
+    return prune_by_blocks(words.scene, words.out, views, wanted, words.steps, told, words.work, words.block)
 
 
 def _wanted(words: argparse.Namespace, count: int) -> int:
@@ -96,7 +97,7 @@ def _tune(words: argparse.Namespace) -> dict[str, Any]:
     divided, cameras = Divided.read(words.work), scored_views(words.work)
     steps = EPOCHS * len(cameras) if words.steps is None else words.steps
     if not steps:
-        clear(words.work / TUNED)  # what was tuned before does not count then
+        clear(words.work / TUNED)  # no steps: remove what an earlier call has tuned
     numbers = range(len(divided.blocks))[words.part :: words.parts] if steps else range(0)
     for number in numbers:
         tune(divided, number, cameras, steps, _told(words, "tune"))

@@ -42,7 +42,7 @@ def _scene(path: Path) -> tuple[Scene, float]:
         memory.refuse_excess(f"{path}: rendering it", memory.rendering(scene.count, 1024, 1024))
         return scene, 1.0
     except (MemoryShort, TooMany) as error:
-        logging.warning("%s; its cameras are placed by up to %s of its Gaussians", error, f"{MOST:,}")
+        logging.warning("%s; its cameras are placed by up to %s of its Gaussians", memory.without_advice(str(error)), f"{MOST:,}")
     return sample_of(path)
 
 

@@ -79,7 +79,7 @@ def looks(
 
 
 def hidden(sums: np.ndarray) -> int:
-    """The number of Gaussians that no view sees, or only through what is nearly opaque. sums: from looks()."""
+    """The number of Gaussians that no view sees, or whose mean transmittance is at most HIDDEN. sums: (N, 9), from looks()."""
     columns = dict(zip(VISIBILITY, sums.T, strict=True))
     return int((columns["transmittance"] <= HIDDEN * columns["pixels"]).sum())
 

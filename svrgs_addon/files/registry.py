@@ -136,7 +136,7 @@ def size_on_disk(path: str | Path) -> int:
 def read_scene(path: str | Path) -> Scene:
     """Reads the scene with values as stored. Raises FormatError, or SceneError if the file is missing or memory does not suffice."""
     splat_format = format_to_read(path)
-    memory.refuse_excess(f"{path}: reading it", memory.reading(size_on_disk(path)), "svrgs convert and svrgs large read it in parts")
+    memory.refuse_excess(f"{path}: reading it", memory.reading(size_on_disk(path)), memory.IN_PARTS)
     return splat_format.whole(extended(path))
 
 

@@ -1,4 +1,4 @@
-"""`svrgs prune` of a scene that is too large to be read as a whole: it is pruned by blocks (large/), if removing and merging is what was asked for."""
+"""`svrgs prune` of a scene that is too large for memory. Jobs that remove and merge are done by blocks (large/) instead."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str
     """Does `svrgs prune` by blocks; of the context, `stop` counts. reason: why, in a sentence. Returns the JSON result. Raises SplatError, Cancelled."""
     assert options.scene is not None and options.out is not None
     begun, reporter = time.perf_counter(), Reporter(options.quiet)
-    reason = reason.removesuffix(f"; {memory.BY_BLOCKS}")
+    reason = memory.without_advice(reason)
     logging.warning("%s; it is pruned by blocks, which takes longer", reason)
     notes = [f"{reason}; so it was pruned by blocks, and fine-tuned in {EPOCHS} steps for each view"]
     train, test, more = _views(options, *sample_of(options.scene))
     share = options.target or 1.0
     wanted = lambda count: options.target_count or max(1, round(share * count))  # noqa: E731
-    result = prune_by_blocks(options.scene, options.out, (train, test or train), wanted, None, lambda step: _told(step, reporter, job.stop))
+    result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), wanted, None, lambda step: _told(step, reporter, job.stop))
     after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
     return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more]}
 

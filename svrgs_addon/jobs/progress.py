@@ -30,7 +30,7 @@ class Reporter:
         self.part(describe(p), p.iteration / p.total)
 
     def part(self, text: str, share: float):
-        """Prints what is done now and, in a terminal, a bar. share: of the work that is done, 0 to 1."""
+        """Prints the text and, in a terminal, a bar. share: how much of the work is done, 0 to 1."""
         now, last = time.monotonic(), share == 1
         if self.quiet or (now < self._next and not last):
             return

@@ -51,7 +51,7 @@ def views_of(
 
 
 def refuse_options(options: PruneOptions):
-    """Raises SceneError for options that need what is not given."""
+    """Raises SceneError for --seen-from-only without --cameras, and for --images without --colmap."""
     if options.seen_from_only and options.cameras is None:
         raise SceneError("--seen-from-only keeps what given cameras see: name them with --cameras")
     if options.images:

@@ -52,7 +52,7 @@ def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
         if not by_blocks.possible(options):
             raise
         reason = str(error)
-    assert options.out is not None  # what was read of the scene is not in memory any more
+    assert options.out is not None  # outside of the except: there, the error still holds the scene in memory
     with StopRequest() as stop:
         return by_blocks.prune_large(options, adapt(JobContext(options.out, stop=stop)), reason)
 

@@ -27,21 +27,21 @@ def check_out(out: Path, source: Path):
 
 
 def prune_by_blocks(
-    source: Path, out: Path, views: tuple[Sequence[Camera], Sequence[Camera]], wanted: Callable[[int], int], steps: int | None, told: Told,
+    source: Path, out: Path, views: Callable[[], tuple[Sequence[Camera], Sequence[Camera]]], wanted: Callable[[int], int], steps: int | None, told: Told,
     work: Path | None = None, block: int = MOST,
 ) -> dict[str, Any]:  # fmt: skip
     """Removes and merges Gaussians, fine-tunes what is left, writes and measures it.
 
-    views: those that are scored and tuned on, and those on which the result is measured. wanted: how many Gaussians stay of so many. steps: of fine-tuning;
-    None: EPOCHS for each view. work: folder for the blocks, which are removed at the end; None: beside the output. block: Gaussians of a block, at most.
-    Returns the JSON result. Raises SplatError, and what `told` raises.
+    views: gives the views that are scored and tuned on, and those on which the result is measured; it is called after the outputs are checked. wanted: how many
+    Gaussians stay of so many. steps: of fine-tuning; None: EPOCHS for each view. work: folder for the blocks, which are removed at the end; None:
+    beside the output. block: Gaussians of a block, at most. Returns the JSON result. Raises SplatError, and what `told` raises.
     """
     work = work or out.with_name(out.name + ".blocks")
     check_out(out, source)
     with reserved(out):
         refuse_foreign(work)
         try:
-            prepare(work, *views)
+            prepare(work, *views())
             divided, scored = divide(source.absolute(), work, block, told("divide")), scored_views(work)
             score(divided, scored, 0, 1, told("score"))
             reduce(divided, scored)
