@@ -162,7 +162,7 @@ def test_lack_of_memory_in_the_middle_is_one_sentence(svrgs, tiny, monkeypatch, 
     def fail(*_):
         raise error
 
-    monkeypatch.setattr(commands.registry, "load_scene", fail)
+    monkeypatch.setattr("svrgs_addon.large.opened.load_scene", fail)
     done = svrgs("eval", tiny.splat, "--colmap", tiny.folder)
     assert done.status == 1 and done.err.startswith(f"svrgs: {sentence}") and done.err.count("\n") == 1, done.err
 

@@ -6,6 +6,7 @@ A command imports its modules itself, so that `svrgs info` starts at once.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -103,30 +104,31 @@ def rig(words: Words) -> int:
 
 def evaluate(words: Words) -> int:
     from ..jobs.run_job import dataset_of
+    from ..large.opened import opened
     from ..metrics import load_lpips
     from ..metrics.evaluate import evaluate as measure
     from ..metrics.evaluate import refuse_unseen, split_indices
-    from ..native import Rasterizer
 
     _set_threads(words)
-    scene = registry.load_scene(words.scene).scene
+    registry.check_readable(words.scene)
     dataset = dataset_of(options_from(DatasetOptions, words, image_memory=0.0))  # each photograph is read once
-    refuse_unseen(scene, dataset.cameras, str(words.scene))
     lpips, reason = load_lpips(words.lpips_weights)
     views = split_indices(dataset, words.split)
-    cameras = [dataset.cameras[i] for i in views]
-    memory.refuse_excess(f"{words.scene}: measuring it", memory.measuring(scene.count, cameras, dataset.memory_budget, lpips is not None))
-    result = measure(scene, dataset, views, Rasterizer(), lpips)
+    needed = functools.partial(memory.measuring, cameras=[dataset.cameras[i] for i in views], kept_photographs=0, lpips=lpips is not None)
+    with opened(words.scene, "measuring", needed) as (scene, rasterizer):
+        refuse_unseen(scene, dataset.cameras, str(words.scene))
+        result = measure(scene, dataset, views, rasterizer, lpips)
     result |= {"bytes": registry.size_on_disk(words.scene), "notes": list(dataset.notes)}
     return _print(result, words, _figures(result, reason))
 
 
 def compare(words: Words) -> int:
     from ..jobs.run_job import dataset_of
+    from ..large.opened import opened
     from ..report.compare import compare as run
 
     _set_threads(words)
-    result = run(words.a, words.b, dataset_of(options_from(DatasetOptions, words)), words.out, words.lpips_weights)
+    result = run(words.a, words.b, dataset_of(options_from(DatasetOptions, words)), words.out, opened, words.lpips_weights)
     return _print(result, words, "\n".join(f"{name}: {_figures(result[name])}" for name in ("a", "b")) + f"\n{result['report']}")
 
 

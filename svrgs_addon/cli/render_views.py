@@ -12,9 +12,8 @@ from ..camera import Camera, refuse_same_stems, view_stem
 from ..errors import SceneError
 from ..files.atomic import atomic_write, check_writable
 from ..files.images import write_image
-from ..files.registry import load_scene
+from ..large.opened import opened
 from ..metrics.evaluate import render_options
-from ..native import Rasterizer
 from ..outputs import OUTPUTS, PICTURES
 from ..photographs.camera_files import load_cameras
 from ..photographs.dataset import HOLDOUT, load_dataset
@@ -27,18 +26,16 @@ def render_views(options: argparse.Namespace) -> list[Path]:
     """Renders options.outputs of options.views and returns the files. All masks are 1, and F counts every hit of a ray. Raises SplatError."""
     outputs = _outputs(options.outputs)
     check_writable(options.out / "view.png")
-    scene = load_scene(options.scene).scene
     chosen = choose(_cameras(options), options.views)
     refuse_same_stems(chosen, "render them one at a time, into separate folders")
     largest = max(chosen, key=lambda camera: camera.width * camera.height)
-    memory.refuse_excess(f"{options.scene}: rendering it", memory.rendering(scene.count, largest.width, largest.height))
-    rasterizer = Rasterizer()
-    settings = render_options(scene, options.background, "svr" if "mask" in outputs else "none")
-    saved = []
-    for camera in chosen:
-        images = rasterizer.forward(scene, camera, settings, outputs=outputs)
-        saved += [_save(options.out, camera, name, images[name], options.format) for name in outputs]
-    return saved
+    with opened(options.scene, "rendering", lambda count: memory.rendering(count, largest.width, largest.height)) as (scene, rasterizer):
+        settings = render_options(scene, options.background, "svr" if "mask" in outputs else "none")
+        saved = []
+        for camera in chosen:
+            images = rasterizer.forward(scene, camera, settings, outputs=outputs)
+            saved += [_save(options.out, camera, name, images[name], options.format) for name in outputs]
+        return saved
 
 
 def _outputs(text: str) -> tuple[str, ...]:

@@ -91,7 +91,7 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         room.hold_for(source, source.count, plan.averaged_count(source.count))
     with clock.phase("evaluate before"):
         before = facts_before(source, dataset, job, scene_path)
-        pictures = report_pictures(source, dataset) if job.report else []
+        pictures = report_pictures(source, dataset, Rasterizer()) if job.report else []
     with clock.phase("first cut"):
         held = psnr_to_hold(source, dataset, plan)
         plan = without_format_loss(source, dataset, plan, job.out)

@@ -17,7 +17,6 @@ import json
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from ..scene import Scene
 
 SCHEMA, INDEX, LARGEST_INDEX = 1, "blocks.json", 1 << 24
 MOST = 2_000_000  # Gaussians of a block
+SPREAD = 100_000  # Gaussians that stand for all of a scene
 GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
 OWN = (
@@ -46,7 +46,7 @@ Tell = Callable[[str, float], None]  # what is done now, and the share of the wo
 
 @dataclass(frozen=True)
 class Block:
-    """The Gaussians of one block; its arrays are files that the system maps into memory."""
+    """The Gaussians of one block. Its arrays are files that the system maps into memory anew each time: Windows does not delete what is mapped."""
 
     folder: Path
     number: int
@@ -55,12 +55,12 @@ class Block:
     high: np.ndarray
     largest: float  # the largest log-scale
 
-    @cached_property
+    @property
     def geometry(self) -> np.ndarray:
         """(n, 11) float32."""
         return self._mapped("geometry", np.float32, (self.count, WIDTH))
 
-    @cached_property
+    @property
     def rows(self) -> np.ndarray:
         """(n,) uint32: the rows in the file that was divided."""
         return self._mapped("rows", np.uint32, (self.count,))
@@ -112,6 +112,12 @@ class Divided:
             "schema": SCHEMA, "source": str(self.source), "source_bytes": self.source_bytes, "count": self.count, "coefficients": self.coefficients,
             "antialiased": self.antialiased, "blocks": blocks,
         }  # fmt: skip
+
+    @property
+    def means(self) -> np.ndarray:
+        """(n, 3) of Gaussians evenly spread over the blocks, about SPREAD of many."""
+        step = max(1, self.count // SPREAD)
+        return np.concatenate([block.geometry[::step, :3] for block in self.blocks])
 
     @property
     def digest(self) -> str:

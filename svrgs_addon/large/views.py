@@ -31,18 +31,20 @@ REACH = 32.0  # pixels; what reaches farther is not tested in parts, at whose bo
 class Shown:
     """The Gaussians that a view blends into a pixel, and perhaps a few others."""
 
-    blocks: list[Block]  # that have some
+    blocks: list[Block]  # that may have some
     places: list[np.ndarray]  # of each block, the places of the Gaussians in it, ascending
     rows: np.ndarray  # (n,) rows in the file, ascending
     order: np.ndarray  # (n,) of all, block after block, those in the order of the file
     scene: Scene  # in the order of the file, without colours (SH degree 0)
 
 
-def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> Shown:
-    """What a view shows. Raises SplatError."""
+def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer, behind: bool = False) -> Shown:
+    """What a view shows. behind: with what it may show behind others, as F counts it. Raises SplatError."""
     near = [block for block in divided.blocks if may_show(block, camera)]
     with ThreadPoolExecutor(threads()) as pool:
         places = list(pool.map(lambda block: places_in(block, camera), near))
+    if behind:
+        return Shown(near, places, *_read(divided, near, places, camera))
     blended = [np.zeros(block.count, bool) for block in near]
     for window, some in _parts(near, places, camera, Window.of(camera)):
         for marked, part, found in zip(blended, some, _blended(divided, near, some, camera, window, rasterizer), strict=True):
@@ -52,10 +54,10 @@ def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> Shown:
     return Shown(blocks, places, *_read(divided, blocks, places, camera))
 
 
-def seen(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> tuple[Scene, np.ndarray]:
+def seen(divided: Divided, camera: Camera, rasterizer: Rasterizer, behind: bool = False) -> tuple[Scene, np.ndarray]:
     """The Gaussians that a view blends, and perhaps a few others, in the order of the file, in colours as it sees them (SH degree 0), and their rows in the
-    file (n,). Raises SplatError."""
-    found = shown(divided, camera, rasterizer)
+    file (n,). behind: as for shown(). Raises SplatError."""
+    found = shown(divided, camera, rasterizer, behind)
     with ThreadPoolExecutor(threads()) as pool:
         sh = _joined(list(pool.map(lambda block, some: _colors(block, some, divided, camera), found.blocks, found.places)), (1, 3))
     return replace(found.scene, sh=sh[found.order]), found.rows

@@ -6,6 +6,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from ..errors import SceneError
 from ..files.images import to_float
 from ..native import Rasterizer, RenderOptions, thresholds
 from ..photographs.dataset import Dataset
-from ..scene import Scene
 from . import flip, psnr, ssim
 from .psnr import with_error
 
@@ -22,6 +22,27 @@ from .psnr import with_error
 VISIBLE_CAMERAS = 32  # approximate number of cameras that are checked, evenly spaced in the list
 VISIBLE_POINTS = 100_000  # approximate number of Gaussians that are checked
 VISIBLE_REACH = 100.0  # largest z, as a multiple of the largest distance of a camera from the mean of the cameras
+
+
+class Rendered(Protocol):
+    """A scene: in memory (scene.Scene), or larger than that (large.blocks.Divided)."""
+
+    @property
+    def count(self) -> int: ...
+
+    @property
+    def antialiased(self) -> bool: ...
+
+    @property
+    def means(self) -> np.ndarray:
+        """(n, 3), of all its Gaussians or of some all over it."""
+
+
+class Renders(Protocol):
+    """Renders a scene: native.Rasterizer, or large.opened.BlockRasterizer for a divided one."""
+
+    @property
+    def forward(self) -> Callable[..., dict[str, Any]]: ...
 
 
 def rounded_to_8_bits(rgb: np.ndarray) -> np.ndarray:
@@ -36,7 +57,7 @@ def rounded_to_8_bits(rgb: np.ndarray) -> np.ndarray:
     return image
 
 
-def render_options(scene: Scene, background=(0.0, 0.0, 0.0), mask_kind: str = "none") -> RenderOptions:
+def render_options(scene: Rendered, background=(0.0, 0.0, 0.0), mask_kind: str = "none") -> RenderOptions:
     """Options to render the scene as it was trained. background: display sRGB 0..1. mask_kind: form of F, see RenderOptions."""
     return RenderOptions(antialiased=scene.antialiased, background=background, mask_kind=mask_kind)
 
@@ -59,11 +80,11 @@ def mean_psnr(model, dataset: Dataset, indices: Sequence[int], rasterizer: Raste
     return statistics.fmean(values)
 
 
-def evaluate(scene: Scene, dataset: Dataset, indices: Sequence[int], rasterizer: Rasterizer, lpips: Callable | None = None) -> dict:
+def evaluate(scene: Rendered, dataset: Dataset, indices: Sequence[int], rasterizer: Renders, lpips: Callable | None = None) -> dict:
     """Renders the views and compares them with the photographs.
 
     Returns means over the views: psnr (dB), ssim, flip, lpips (None without `lpips`); and count (Gaussians), ms_per_frame (median
-    duration of a forward pass in milliseconds).
+    duration of a forward pass in milliseconds; None for a divided scene, which is read for each view).
     """
     options = render_options(scene, dataset.background)
     rows, seconds = [], []
@@ -81,11 +102,11 @@ def evaluate(scene: Scene, dataset: Dataset, indices: Sequence[int], rasterizer:
         "lpips": float(means[2]) if lpips else None,
         "flip": float(means[3]),
         "count": scene.count,
-        "ms_per_frame": 1e3 * statistics.median(seconds),
+        "ms_per_frame": 1e3 * statistics.median(seconds) if isinstance(rasterizer, Rasterizer) else None,
     }
 
 
-def refuse_unseen(scene: Scene, cameras: Sequence[Camera], name: str):
+def refuse_unseen(scene: Rendered, cameras: Sequence[Camera], name: str):
     """Raises SceneError if no camera sees the centre of a Gaussian within VISIBLE_REACH: scene and cameras do not belong together.
 
     name: name of the scene's file, for the message.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -10,36 +13,38 @@ from .. import __version__, memory
 from ..camera import refuse_same_stems, view_stem
 from ..files.atomic import check_writable
 from ..files.images import write_image
-from ..files.registry import load_scene
+from ..files.registry import size_on_disk
 from ..metrics import load_lpips
-from ..metrics.evaluate import evaluate, refuse_unseen
-from ..native import Rasterizer
+from ..metrics.evaluate import Rendered, Renders, evaluate, refuse_unseen
 from ..photographs.dataset import Dataset
 from .page import MASK_PERCENTILE, Report, View, write_report
 from .pictures import difference_image, mask_to_rgb, to_uint8
 from .prune_report import report_indices, report_pictures, report_views
 
+Opens = Callable[[Path, str, Callable[[int], int]], AbstractContextManager[tuple[Rendered, Renders]]]
 
-def compare(a: Path, b: Path, dataset: Dataset, out: Path, lpips_weights: Path | None = None) -> dict:
+
+def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_weights: Path | None = None) -> dict:
     """Writes index.html and, for each of a few test views, one PNG: A | B | difference | spatial mask of A | spatial mask of B.
 
-    Returns the JSON result: 'a' and 'b' with the figures of `svrgs eval`, 'report' (the page), 'pictures' (the files), 'notes' of the
-    dataset. Raises SplatError.
+    opened: opens a scene to render it, as large.opened.opened() does. Returns the JSON result: 'a' and 'b' with the figures of `svrgs eval`, 'report' (the
+    page), 'pictures' (the files), 'notes' of the dataset. Raises SplatError.
     """
     check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)
     views, shown = dataset.test_indices or dataset.train_indices, [dataset.cameras[i] for i in report_indices(dataset)]
     refuse_same_stems(shown, "give one of the photographs another name, in the COLMAP model too")
-    scenes = [load_scene(path).scene for path in (a, b)]
-    for path, scene in zip((a, b), scenes, strict=True):
-        refuse_unseen(scene, dataset.cameras, str(path))
-    cameras, largest = [dataset.cameras[i] for i in views], max(scene.count for scene in scenes)
-    needed = memory.comparing(largest, cameras, shown, dataset.memory_budget, lpips is not None)
-    memory.refuse_excess(f"{a} and {b}: comparing them", needed)
-    figures = []
-    for path, scene in zip((a, b), scenes, strict=True):
-        figures.append({**evaluate(scene, dataset, views, Rasterizer(), lpips), "bytes": path.stat().st_size})
-    before, after = (report_pictures(scene, dataset) for scene in scenes)
+    cameras = [dataset.cameras[i] for i in views]
+    needed = functools.partial(memory.comparing, cameras=cameras, shown=shown, kept_photographs=dataset.memory_budget, lpips=lpips is not None)
+    figures, renders = [], []
+    with opened(a, "comparing", needed) as first, opened(b, "comparing", needed) as second:
+        opened_scenes = ((a, *first), (b, *second))
+        for path, scene, _ in opened_scenes:
+            refuse_unseen(scene, dataset.cameras, str(path))
+        for path, scene, rasterizer in opened_scenes:
+            figures.append({**evaluate(scene, dataset, views, rasterizer, lpips), "bytes": size_on_disk(path)})
+            renders.append(report_pictures(scene, dataset, rasterizer))
+    before, after = renders
     pictures = list(report_views(before, after, dataset))
     files = [_save(out, view) for view in pictures]
     page = Report(

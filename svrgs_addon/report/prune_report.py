@@ -12,7 +12,7 @@ from .. import __version__
 from ..files.images import to_float
 from ..finetune.run import Run
 from ..metrics import psnr
-from ..metrics.evaluate import render_options, rounded_to_8_bits
+from ..metrics.evaluate import Rendered, Renders, render_options, rounded_to_8_bits
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..photographs.rendered import RenderedDataset
@@ -41,7 +41,7 @@ def write_prune_report(folder: Path, name: str, before: list, after: Scene, data
         seed=result["seed"],
         versions={"SVR-GS": __version__, "Python": platform.python_version(), "NumPy": np.__version__, "SIMD": Rasterizer().level},
         curves=_series(run),
-        views=tuple(report_views(before, report_pictures(after, dataset), dataset)),
+        views=tuple(report_views(before, report_pictures(after, dataset, Rasterizer()), dataset)),
     )
     write_report(folder, page)
 
@@ -69,9 +69,9 @@ def report_indices(dataset: Dataset, count: int = REPORT_VIEWS) -> list[int]:
     return views[:: max(1, len(views) // count)][:count]
 
 
-def report_pictures(scene: Scene, dataset: Dataset) -> list[tuple[np.ndarray, np.ndarray]]:
+def report_pictures(scene: Rendered, dataset: Dataset, rasterizer: Renders) -> list[tuple[np.ndarray, np.ndarray]]:
     """Colours (H, W, 3), clamped to 0..1 and rounded to 8 bits, and spatial mask (H, W) of each view of the report."""
-    rasterizer, options = Rasterizer(), render_options(scene, dataset.background, "svr")
+    options = render_options(scene, dataset.background, "svr")
     renders = [rasterizer.forward(scene, dataset.cameras[i], options, outputs=("rgb", "mask")) for i in report_indices(dataset)]
     return [(rounded_to_8_bits(images["rgb"]), images["mask"]) for images in renders]
 

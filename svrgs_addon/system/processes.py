@@ -10,7 +10,7 @@ import contextlib
 import os
 import signal
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from . import here, windows
@@ -65,6 +65,17 @@ def stop_signals() -> tuple[int, ...]:
     hangup, ctrl_break = names.get("SIGHUP"), names.get("SIGBREAK")  # each system has one of them
     heard = hangup is not None and signal.getsignal(hangup) != signal.SIG_IGN
     return (signal.SIGINT, signal.SIGTERM, *((hangup,) if heard else ()), *((ctrl_break,) if ctrl_break is not None else ()))
+
+
+@contextlib.contextmanager
+def interrupting() -> Iterator[None]:
+    """Within its block, each of the stop_signals() raises KeyboardInterrupt, as Ctrl-C does: what was begun is tidied up."""
+    old = {number: signal.signal(number, signal.default_int_handler) for number in stop_signals()}
+    try:
+        yield
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
 
 
 def _flags(number: int) -> dict[str, Any]:

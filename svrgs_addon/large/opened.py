@@ -1,0 +1,62 @@
+"""Scenes to render, whether memory holds them or not: as a whole, or divided on the disk for as long as they are needed."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from .. import memory
+from ..camera import Camera
+from ..errors import MemoryShort, TooMany
+from ..files.registry import load_scene
+from ..metrics.evaluate import Rendered, Renders
+from ..native import Rasterizer, RenderOptions
+from ..scene import Scene
+from ..system.processes import interrupting
+from .blocks import Divided, divide
+from .views import seen
+
+
+class BlockRasterizer:
+    """Renders a divided scene as Rasterizer renders one in memory."""
+
+    def __init__(self):
+        self._rasterizer = Rasterizer()
+
+    def forward(self, divided: Divided, camera: Camera, options: RenderOptions = RenderOptions(), outputs=("rgb",)) -> dict[str, np.ndarray]:
+        """As Rasterizer.forward(). Raises SplatError, also if memory does not hold what the view shows. F counts Gaussians behind what is opaque too, so
+        with the output mask, memory must hold all that is in view."""
+        scene, _ = seen(divided, camera, self._rasterizer, behind="mask" in outputs)
+        return self._rasterizer.forward(scene, camera, options, outputs=outputs)
+
+
+@contextlib.contextmanager
+def opened(path: Path, doing: str, needed: Callable[[int], int]) -> Iterator[tuple[Rendered, Renders]]:
+    """A scene and what renders it. Where memory is too short for all of it, or the file holds too many Gaussians, it is divided in the folder for temporary
+    files, and the log says so.
+
+    doing: what is done with it, for messages, such as 'rendering'. needed: bytes of memory for that, beside so many Gaussians. Raises SplatError.
+    """
+    try:
+        scene = _whole(path, doing, needed)
+    except (MemoryShort, TooMany) as error:
+        if memory.shortage("", needed(0)):  # the pictures alone are too large
+            raise
+        reason = memory.without_advice(str(error))
+    else:
+        yield scene, Rasterizer()
+        return
+    logging.warning("%s; it is done by blocks, which takes longer", reason)
+    with interrupting(), tempfile.TemporaryDirectory(prefix="svrgs-blocks-", ignore_cleanup_errors=True) as folder:
+        yield divide(path, Path(folder)), BlockRasterizer()
+
+
+def _whole(path: Path, doing: str, needed: Callable[[int], int]) -> Scene:
+    scene = load_scene(path).scene
+    memory.refuse_excess(f"{path}: {doing} it", needed(scene.count))
+    return scene

@@ -1,0 +1,146 @@
+"""`svrgs render`, `eval` and `compare` of scenes that are too large for memory: they go over to blocks, say so, and give the same pictures and figures."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tiny_dataset
+from svrgs_addon import memory
+from svrgs_addon.bench.scenes import orbit_camera, room
+from svrgs_addon.files.registry import write_scene
+from svrgs_addon.large import blocks, folder, whole
+from svrgs_addon.outputs import PICTURES
+from svrgs_addon.photographs.cameras_json import write_cameras_json
+
+COUNT = 5_000
+SAID = "by blocks, which takes longer"
+mapped_files_are_listed = pytest.mark.skipif(not os.path.exists("/proc/self/maps"), reason="the system does not list what is mapped")
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    path = tmp_path_factory.mktemp("room") / "room.ply"
+    write_scene(path, room(COUNT, 2))
+    return path
+
+
+@pytest.fixture(scope="module")
+def cameras(source):
+    path = source.with_name("cameras.json")
+    write_cameras_json(path, [replace(orbit_camera(160, 120, turn), name=f"{turn}.png") for turn in (0.0, 0.3, 0.7)])
+    return path
+
+
+@pytest.fixture
+def short(monkeypatch, tmp_path):
+    """As if memory sufficed for no scene as a whole. Returns the folder for temporary files."""
+    place = tmp_path / "temporary"
+    place.mkdir()
+    monkeypatch.setattr(memory, "reading", lambda _: 10**15)
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    monkeypatch.setattr(blocks.divide, "__defaults__", (COUNT // 6, *blocks.divide.__defaults__[1:]))
+    return place
+
+
+def rendered(svrgs, source, cameras, out, outputs=",".join(PICTURES)):
+    done = svrgs("render", source, "--cameras", cameras, "--outputs", outputs, "--format", "npy", "--background", "0.2,0.5,0.1", "--out", out)
+    assert done.status == 0, done.err
+    return {path.name: np.load(path) for path in sorted(out.iterdir())}
+
+
+def test_pictures_are_those_of_the_scene_in_memory(svrgs, monkeypatch, source, cameras, tmp_path, request, caplog):
+    in_memory = rendered(svrgs, source, cameras, tmp_path / "whole")
+    assert SAID not in caplog.text
+    place = request.getfixturevalue("short")
+    in_blocks = rendered(svrgs, source, cameras, tmp_path / "blocks")
+    assert SAID in caplog.text and "svrgs convert" not in caplog.text and not any(place.iterdir())
+    assert in_memory.keys() == in_blocks.keys() and len(in_memory) == 3 * len(PICTURES)
+    for name, picture in in_memory.items():
+        assert np.ptp(picture) > 0.1 and np.abs(in_blocks[name] - picture).max() < 2e-5 * np.abs(picture).max(), name
+
+
+def test_without_the_spatial_mask_only_what_is_blended_is_read(svrgs, short, source, cameras, tmp_path, monkeypatch):
+    from svrgs_addon.large import opened
+
+    counts, seen = {}, opened.seen
+    for outputs in ("rgb", "rgb,mask"):
+        counts[outputs] = []
+        monkeypatch.setattr(opened, "seen", lambda *a, n=counts[outputs], **k: (n.append(len((found := seen(*a, **k))[1])), found)[1])
+        rendered(svrgs, source, cameras, tmp_path / outputs, outputs)
+    assert all(0 < few < many for few, many in zip(*counts.values(), strict=True))
+
+
+def test_figures_are_those_of_the_scene_in_memory(svrgs, tiny, tmp_path, request, caplog):
+    in_memory = svrgs("eval", tiny.splat, "--colmap", tiny.folder, "--json").json
+    place = request.getfixturevalue("short")
+    in_blocks = svrgs("eval", tiny.splat, "--colmap", tiny.folder, "--json").json
+    assert SAID in caplog.text and not any(place.iterdir())
+    assert in_memory.pop("ms_per_frame") > 0 and in_blocks.pop("ms_per_frame") is None
+    assert in_blocks == pytest.approx(in_memory, abs=1e-4) and in_blocks["count"] == tiny_dataset.COUNT
+
+
+def test_scenes_are_compared_by_blocks(svrgs, tiny, tmp_path, request, caplog):
+    words = ["compare", tiny.splat, tiny.splat, "--colmap", tiny.folder, "--json"]
+    in_memory = svrgs(*words, "--out", tmp_path / "whole").json
+    request.getfixturevalue("short")
+    found = svrgs(*words, "--out", tmp_path / "blocks").json
+    assert caplog.text.count(SAID) == 2 and found["a"]["psnr"] == pytest.approx(in_memory["a"]["psnr"], abs=1e-4)
+    assert sorted(path.name for path in (tmp_path / "blocks").iterdir()) == sorted(path.name for path in (tmp_path / "whole").iterdir())
+    assert 'Time per frame</th><td class="soft" colspan="3">not measured' in (tmp_path / "blocks/index.html").read_text()
+
+
+def test_other_cameras_are_refused(svrgs, short, tiny, tmp_path):
+    far = tmp_path / "far.ply"
+    scene = room(300, 0)
+    scene.means[:] += 1e6
+    write_scene(far, scene)
+    said = svrgs("eval", far, "--colmap", tiny.folder)
+    assert said.status == 2 and "none of its Gaussians is near a camera" in said.err and not any(short.iterdir())
+
+
+def test_pictures_that_are_too_large_are_refused_at_once(svrgs, short, monkeypatch, source, cameras, tmp_path):
+    monkeypatch.setattr("svrgs_addon.large.opened.divide", lambda *_: pytest.fail("the scene was divided"))
+    monkeypatch.setattr(memory, "available", lambda: 100_000)
+    said = svrgs("render", source, "--cameras", cameras, "--out", tmp_path / "out")
+    assert said.status == 2 and "of memory" in said.err and not (tmp_path / "out").exists()
+
+
+@mapped_files_are_listed
+def test_no_block_is_mapped_where_it_is_removed(svrgs, short, monkeypatch, source, cameras, tmp_path):
+    """Windows removes no file that is."""
+    mapped, cleanup = [], tempfile.TemporaryDirectory.cleanup
+    monkeypatch.setattr(tempfile.TemporaryDirectory, "cleanup", lambda self: (mapped.append(all_mapped()), cleanup(self)))
+    rendered(svrgs, source, cameras, tmp_path / "out")
+    assert len(mapped) == 1 and "svrgs-blocks-" not in mapped[0]
+    monkeypatch.setattr(whole, "remove", lambda work: (mapped.append(all_mapped()), folder.remove(work)))
+    done = svrgs("large", "prune", source, "--cameras", cameras, "--target", 0.5, "--out", tmp_path / "pruned.ply", "--block", COUNT // 3)
+    assert done.status == 0 and len(mapped) == 2 and "pruned.ply.blocks" not in mapped[1]
+
+
+def all_mapped() -> str:
+    return Path("/proc/self/maps").read_text()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGTERM for other processes")
+def test_a_stop_leaves_no_blocks_behind(source, cameras, tmp_path):
+    (tmp_path / "temporary").mkdir()
+    code = "from svrgs_addon import memory; from svrgs_addon.cli.main import main; memory.reading = lambda _: 10**15; "
+    code += "import svrgs_addon.large.opened as o, time, sys; o.seen = lambda *a, **k: time.sleep(60); sys.exit(main(sys.argv[1:]))"
+    words = [sys.executable, "-c", code, "render", str(source), "--cameras", str(cameras), "--out", str(tmp_path / "out")]
+    process = subprocess.Popen(words, env={**os.environ, "TMPDIR": str(tmp_path / "temporary")}, stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 50
+    while not list((tmp_path / "temporary").glob("*/blocks.json")) and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGTERM)
+    assert "interrupted" in process.communicate(timeout=30)[1] and process.returncode == 130
+    assert not any((tmp_path / "temporary").iterdir())
