@@ -12,7 +12,10 @@ pytest.importorskip("OpenImageIO")
 
 import scenes
 from command_checks import files, refused
+from svrgs_addon import memory
 from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.files.registry import read_parts, write_scene
+from svrgs_addon.selection.criteria import sizes
 
 
 @pytest.fixture
@@ -40,6 +43,20 @@ def test_criteria_are_combined_and_inverted(svrgs, splat):
     assert both <= opaque and both <= count(*box)
     assert svrgs("select", splat, "--opacity", "0.5,", "--invert", "--out", splat.with_name("rest.ply")).status == 0
     assert read_ply(splat.with_name("rest.ply")).count == 200 - opaque
+
+
+def test_criteria_of_single_gaussians_need_no_memory_for_the_scene(svrgs, tmp_path, monkeypatch):
+    scene = scenes.random_scene(30_000)
+    scene.means[7] = np.nan
+    write_scene(tmp_path / "s.ply", scene)
+    parts = [part.count for part in read_parts(tmp_path / "s.ply")]
+    kept = (np.linalg.norm(scene.means.astype(np.float64), axis=1) <= 1.5) & (sizes(scene) >= 0.05)
+    monkeypatch.setattr(memory, "reading", lambda _: 10**15)
+    found = svrgs("select", tmp_path / "s.ply", "--size", "0.05,", "--sphere", "0,0,0,1.5", "--out", tmp_path / "o.ply", "--json").json
+    assert len(parts) > 2 and (found["count"], found["selected"], found["unusable"]) == (30_000, kept.sum(), 1) and 0 < kept.sum() < 30_000
+    assert (read_ply(tmp_path / "o.ply").sh == scene.sh[kept]).all()
+    assert svrgs("select", tmp_path / "s.ply", "--sphere", "0,0,0,1.5", "--invert", "--json").json["selected"] > 0
+    refused(svrgs("select", tmp_path / "s.ply", "--floaters"), "of memory")
 
 
 def test_without_an_output_nothing_is_written(svrgs, splat):

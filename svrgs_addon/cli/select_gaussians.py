@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import collections
 import logging
+from collections.abc import Iterator
+from pathlib import Path
 
 from .. import memory
 from ..camera import Camera
 from ..errors import SceneError
 from ..files.atomic import check_writable
-from ..files.registry import format_to_write, read_scene, refuse_input, write_scene
+from ..files.registry import format_to_write, read_parts, read_scene, refuse_input, write_scene
 from ..files.repair import unusable
+from ..files.spooled import spooled
 from ..photographs.camera_files import load_cameras
 from ..photographs.dataset import load_dataset
 from ..scene import Scene
-from ..selection.options import OF_VIEWS, SelectOptions
+from ..selection.options import OF_ONE, OF_VIEWS, SelectOptions
 from ..selection.select import selected
 from .arguments import options_from
 from .render_views import choose
@@ -27,27 +31,47 @@ def select_gaussians(words: argparse.Namespace) -> dict:
     """
     options = options_from(SelectOptions, words)
     _refuse_outputs(words.scene, options)
-    scene = read_scene(words.scene)
-    bad = unusable(scene)
-    if bad.any():
-        logging.warning("%s: %d Gaussians with values that are not finite are not selected", words.scene, bad.sum())
     needs_views = any(name in OF_VIEWS for name in options.given())
-    cameras = views_of(words, scene) if needs_views or options.colmap or options.cameras else []
-    if cameras:
-        largest = max(cameras, key=lambda camera: camera.width * camera.height)
-        memory.refuse_excess(f"{words.scene}: rendering it", memory.rendering(scene.count, largest.width, largest.height))
-    mask = selected(scene, options, lambda named: choose(cameras, named) if named else cameras)
-    if options.invert:
-        mask = ~mask & ~bad
-    result = {"count": scene.count, "selected": int(mask.sum()), "unusable": int(bad.sum()), "out": options.out and str(options.out)}
+    cameras = views_of(words) if needs_views or options.colmap or options.cameras else []
+    result = {"count": 0, "selected": 0, "unusable": 0, "out": options.out and str(options.out)}
+    some = _selected(_parts(words.scene, options, cameras), options, cameras, result)
     if options.out:
-        if not mask.any():
-            raise SceneError(f"{words.scene}: no Gaussian fulfils the criteria, so no file was written; leave out --out to see counts only")
-        write_scene(options.out, scene.select(mask))
+        with spooled(some, options.out) as scene:
+            if not scene.count:
+                raise SceneError(f"{words.scene}: no Gaussian fulfils the criteria, so no file was written; leave out --out to see counts only")
+            write_scene(options.out, scene)
+    else:
+        collections.deque(some, maxlen=0)
+    if result["unusable"]:
+        logging.warning("%s: %d Gaussians with values that are not finite are not selected", words.scene, result["unusable"])
     return result
 
 
-def views_of(words: argparse.Namespace, scene: Scene) -> list[Camera]:
+def _parts(path: Path, options: SelectOptions, cameras: list[Camera]) -> Iterator[Scene]:
+    """The scene as stored: in parts if each Gaussian is judged by itself, else as a whole."""
+    if all(name in OF_ONE for name in options.given()):
+        yield from read_parts(path)
+        return
+    scene = read_scene(path)
+    if cameras:
+        largest = max(cameras, key=lambda camera: camera.width * camera.height)
+        memory.refuse_excess(f"{path}: rendering it", memory.rendering(scene.count, largest.width, largest.height))
+    yield scene
+
+
+def _selected(parts: Iterator[Scene], options: SelectOptions, cameras: list[Camera], result: dict) -> Iterator[Scene]:
+    """The selected Gaussians of each part. Adds to the counts of the result."""
+    for part in parts:
+        bad = unusable(part)
+        mask = selected(part, options, lambda named: choose(cameras, named) if named else cameras)
+        if options.invert:
+            mask = ~mask & ~bad
+        result["count"], result["unusable"] = result["count"] + part.count, result["unusable"] + int(bad.sum())
+        result["selected"] += int(mask.sum())
+        yield part.select(mask) if options.out else part
+
+
+def views_of(words: argparse.Namespace) -> list[Camera]:
     """The views that criteria are measured in: those of --colmap or --cameras. Raises SceneError if neither is given."""
     if words.cameras:
         return load_cameras(words.cameras)

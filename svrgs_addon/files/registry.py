@@ -140,9 +140,14 @@ def read_scene(path: str | Path) -> Scene:
     return splat_format.whole(extended(path))
 
 
+def read_parts(path: str | Path) -> Iterator[Scene]:
+    """As read_scene(), in parts in the order of the file; each may overwrite the arrays of the previous one."""
+    yield from format_to_read(path).read_parts(extended(path), MAX_IN_PARTS)
+
+
 def check_readable(path: str | Path):
     """Checks a file by reading its header and at most a few thousand Gaussians. Raises FormatError, SceneError."""
-    next(format_to_read(path).read_parts(extended(path), MAX_IN_PARTS))
+    next(read_parts(path))
 
 
 def load_scene(path: str | Path) -> Loaded:
@@ -162,7 +167,7 @@ def load_parts(path: str | Path) -> Iterator[Scene]:
     """As load_scene(), in parts in the order of the file; each may overwrite the arrays of the previous one. What was repaired is logged at the end."""
     count = dropped = clamped = 0
     filtered = False
-    for part in format_to_read(path).read_parts(extended(path), MAX_IN_PARTS):
+    for part in read_parts(path):
         loaded, baked = _repaired(part)
         count, dropped, clamped, filtered = count + loaded.scene.count, dropped + loaded.dropped, clamped + loaded.clamped, filtered or baked
         yield loaded.scene
@@ -270,7 +275,7 @@ def describe(path: str | Path) -> dict:
     count = faint = bad = 0
     corners = []
     splat_format = format_to_read(path)
-    for part in splat_format.read_parts(extended(path), MAX_IN_PARTS):
+    for part in read_parts(path):
         good = ~unusable(part)
         means = np.ascontiguousarray(part.means[good].T)
         if means.size:

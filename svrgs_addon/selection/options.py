@@ -8,6 +8,7 @@ from pathlib import Path
 from ..option_kinds import BOX, COUNT, FLAG, PATH, RANGE, SHARE, SPHERE, TEXT, option
 
 OF_VIEWS = ("contribution", "lowest_contribution", "removal_error", "lowest_removal_error", "seen_by")  # criteria that need views
+OF_ONE = ("box", "sphere", "opacity", "size")  # criteria that judge each Gaussian by itself
 
 
 @dataclass(frozen=True, kw_only=True)
