@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from svrgs_addon.errors import FormatError, SceneError
+from svrgs_addon.errors import FormatError, SceneError, TooMany
 from svrgs_addon.files import sog, streamed_sog
+from svrgs_addon.files.opened import MAX_COUNT
 from svrgs_addon.files.registry import describe, read_scene, size_on_disk, split_name, write_scene
 from svrgs_addon.files.splat_format import joined
 from svrgs_addon.files.streamed_sog import read_level, write_levels
@@ -30,6 +31,19 @@ def town(tmp_path, monkeypatch) -> Path:
     monkeypatch.setattr(streamed_sog, "CHUNK", 1000)
     write_levels(tmp_path / "town" / "lod-meta.json", levels_of())
     return tmp_path / "town" / "lod-meta.json"
+
+
+def test_more_than_are_read_as_a_whole_are_read_in_parts(town):
+    with pytest.raises(TooMany, match="holds 6000 Gaussians, more than the limit of 5000"):
+        list(read_level(town, 0, 5000))
+    assert sum(part.count for part in read_level(town, 0, 6000)) == 6000
+    meta = json.loads(town.read_text())
+    first = leaves(meta["tree"])[0]["lods"]["0"]
+    first["count"] += MAX_COUNT
+    town.write_text(json.dumps(meta))
+    assert describe(town)["count"] == 6000
+    with pytest.raises(TooMany, match="more than the limit"):
+        read_scene(town)
 
 
 def leaves(node: dict) -> list[dict]:

@@ -27,7 +27,7 @@ from ..geometry.rotations import rotation_matrices
 from ..scene import SH_COEFFICIENTS, Scene
 from . import sog
 from .atomic import atomic_write, check_space
-from .opened import MAX_COUNT, json_object, opened, refuse_many
+from .opened import MAX_COUNT, MAX_IN_PARTS, json_object, opened, refuse_many
 from .sog_layout import META, files_of
 from .sog_writer import BYTES, limits, write_in_order
 from .splat_format import SplatFormat
@@ -50,8 +50,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
 def read_level(path: Path, level: int, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians of a level of detail, in parts. Raises FormatError, which names the file."""
     with opened(path):
-        meta = _checked(path)
-        units = _units_of(meta, level)
+        units = _units_of(_checked(path), level, max_count)
     files = [path.parent / name for name in units]
     most, left = max(map(sog.degree_of, files), default=0), max_count
     for file in files:
@@ -82,7 +81,7 @@ def parts(path: Path) -> list[Path]:
 def level_bytes(path: Path, level: int) -> int:
     """Bytes of the files with Gaussians of the level. Raises FormatError, which names the file."""
     with opened(path):
-        units = _units_of(_checked(path), level)
+        units = _units_of(_checked(path), level, MAX_IN_PARTS)
     return sum(file.stat().st_size for unit in units for file in files_of(path.parent / unit))
 
 
@@ -184,8 +183,8 @@ def _names(meta: dict[str, Any]) -> list[Any]:
     return [*meta["filenames"], *([meta["environment"]] if "environment" in meta else [])]
 
 
-def _units_of(meta: dict[str, Any], level: int) -> list[str]:
-    """The names of the files with Gaussians of the level, and of the environment."""
+def _units_of(meta: dict[str, Any], level: int, most: int) -> list[str]:
+    """The names of the files with Gaussians of the level, at most so many, and of the environment."""
     names, found, nodes, counted = meta["filenames"], set(), [meta.get("tree")], 0
     while nodes:
         node = nodes.pop()
@@ -202,7 +201,7 @@ def _units_of(meta: dict[str, Any], level: int) -> list[str]:
             raise FormatError(f"has a leaf that names no file{BROKEN}")
         found.add(number)
         counted += count
-    refuse_many(counted)
+    refuse_many(counted, most)
     return list(dict.fromkeys([names[number] for number in sorted(found)] + ([meta["environment"]] if "environment" in meta else [])))
 
 
