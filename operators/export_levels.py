@@ -11,8 +11,8 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.errors import SceneError
+from ..svrgs_addon.files.level_files import level_files
 from ..svrgs_addon.files.registry import FORMATS, size_on_disk, write_scene
-from ..svrgs_addon.jobs.level_files import level_files
 from ..svrgs_addon.memory import size_text
 from .child_work import ChildWork
 from .export_space import KINDS, WHAT_FOR, ExportSpace, selected_splats

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from svrgs_addon.bench.scenes import room
 from svrgs_addon.decimate.order import hidden, looks
 from svrgs_addon.errors import SceneError
 from svrgs_addon.files import ply
-from svrgs_addon.files.registry import load_scene, read_scene, write_scene
+from svrgs_addon.files.registry import load_scene, read_scene, size_on_disk, write_scene
+from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.jobs import by_blocks, run_job
 from svrgs_addon.jobs.options import PruneOptions
@@ -99,7 +101,45 @@ def test_the_cameras_of_a_dataset_are_taken_for_a_quick_job(svrgs, short, tiny, 
     assert result["count"] == round(result["before"]["count"] / 2) and result["views"] < by_blocks.QUICK_VIEWS and len(result["notes"]) == 1
 
 
-@pytest.mark.parametrize("words", [["--quick", "--max-drop", 0.5], ["--quick", "--target", 0.5, "--levels", "0.5"], ["--target", 0.5, "--method", "opacity"]])
+@pytest.mark.parametrize("suffix", [".ply", ".spz"])
+def test_a_drop_is_held(svrgs, short, source, tmp_path, suffix):
+    out = tmp_path / f"o{suffix}"
+    result = svrgs("prune", source, "--quick", "--max-drop", 0.4, "--out", out, "--json").json
+    assert 0 < result["drop"] <= 0.4 and COUNT / 20 <= result["count"] < COUNT and read_scene(out).count == result["count"]
+    assert "pruned by blocks" in result["notes"][0] and [path.name for path in tmp_path.iterdir()] == [out.name]
+    wide = svrgs("prune", source, "--quick", "--max-drop", 1.5, "--out", tmp_path / f"wide{suffix}", "--json").json
+    assert wide["count"] < result["count"] and result["drop"] < wide["drop"] <= 1.5
+
+
+def test_a_drop_that_the_format_alone_exceeds_is_refused(svrgs, short, source, tmp_path):
+    done = svrgs("prune", source, "--quick", "--max-drop", 1e-4, "--out", tmp_path / "o.spz")
+    assert done.status == 2 and "the format alone loses" in done.err and not any(tmp_path.iterdir())
+
+
+def test_levels_are_files_of_their_own(svrgs, short, source, tmp_path):
+    result = svrgs("prune", source, "--quick", "--target", 0.5, "--levels", "0.5,0.2", "--out", tmp_path / "o.spz", "--json").json
+    assert result["count"] == COUNT // 2 and [level["count"] for level in result["levels"]] == [COUNT // 4, COUNT // 10]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["o.spz", "o_20.spz", "o_50.spz"]
+    for level in result["levels"]:
+        path = Path(level["out"])
+        assert read_scene(path).count == level["count"] and level["bytes"] == path.stat().st_size and 15 < level["psnr"] < result["psnr"]
+
+
+def test_levels_of_a_streamed_sog_are_in_it(svrgs, short, source, tmp_path):
+    out = tmp_path / "web/lod-meta.json"
+    result = svrgs("prune", source, "--quick", "--target", 0.5, "--levels", "0.2", "--out", out, "--json").json
+    assert [sum(part.count for part in read_level(out, level)) for level in range(2)] == [COUNT // 2, COUNT // 10] and not any(out.parent.glob("*.blocks"))
+    assert result["out"] == result["levels"][0]["out"] == str(out) and result["levels"][0]["count"] == COUNT // 10
+    assert result["bytes"] + result["levels"][0]["bytes"] + out.stat().st_size == size_on_disk(out) and result["psnr"] > result["levels"][0]["psnr"]
+
+
+def test_a_level_that_is_the_input_is_refused(svrgs, short, source, tmp_path):
+    (tmp_path / "o_50.ply").write_bytes(source.read_bytes())
+    done = svrgs("large", "prune", tmp_path / "o_50.ply", "--target", 0.5, "--levels", "0.5", "--out", tmp_path / "o.ply")
+    assert done.status == 2 and "is the input itself" in done.err and [path.name for path in tmp_path.iterdir()] == ["o_50.ply"]
+
+
+@pytest.mark.parametrize("words", [["--max-drop", 0.5], ["--target", 0.5, "--method", "opacity"]])
 def test_what_blocks_cannot_do_is_refused_as_before(svrgs, monkeypatch, short, source, tmp_path, words):
     monkeypatch.setattr(memory, "tuning", lambda *_: 10**15)
     done = svrgs("prune", source, *words, "--out", tmp_path / "o.ply")
@@ -166,8 +206,10 @@ def test_only_jobs_that_merge_to_a_number_can_be_done_by_blocks(tmp_path):
         return by_blocks.possible(PruneOptions(scene=tmp_path / "a.ply", out=tmp_path / "b.ply", **given))
 
     assert possible(quick=True, target=0.5) and possible(target_count=5) and possible(method="merge", target=0.5)
-    assert not possible(target=0.5, colmap=tmp_path) and not possible(quick=True, max_drop=0.1) and not possible(method="svr", target=0.5)
-    assert not possible(target=0.5, recovery=10) and not possible(quick=True, target=0.5, levels=(0.5,)) and not possible()
+    assert possible(quick=True, max_drop=0.1) and possible(quick=True, target=0.5, levels=(0.5,))
+    assert not possible(target=0.5, colmap=tmp_path) and not possible(max_drop=0.1) and not possible(method="svr", target=0.5)
+    assert not possible(target=0.5, levels=(0.5,)) and not possible(method="merge", max_drop=0.1)
+    assert not possible(target=0.5, recovery=10) and not possible()
     assert run_job.method_of(PruneOptions(target=0.5)).merges
 
 

@@ -20,8 +20,9 @@ from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune.refit import Look, middle_scale, pace_for, refit
 from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.large.blocks import Divided, divide, scene_of
+from svrgs_addon.large.likeness import Likeness
 from svrgs_addon.large.merging import LEAST, counts, merge, merged, reduce
-from svrgs_addon.large.pruning import likeness, pictures_of, write_joined
+from svrgs_addon.large.pruning import write_joined
 from svrgs_addon.large.scoring import UNITS, picture_path, score, total, visibility
 from svrgs_addon.large.tuning import best_share, cut, mixed, tune, tuned_blocks
 from svrgs_addon.large.views import seen
@@ -170,20 +171,20 @@ def test_orders_of_other_cells_are_refused(source, cameras, tmp_path, monkeypatc
 
 
 def test_blocks_and_formats_change_the_result_little(ordered, source, cameras, tmp_path):
-    originals, left = list(pictures_of(ordered, cameras)), cut(ordered, cameras, COUNT // 4)
+    likeness, left = Likeness(ordered, cameras), cut(ordered, cameras, COUNT // 4)
 
     def psnr_of(name: str) -> float:
         write_joined(left, tmp_path / name)
         assert read_scene(tmp_path / name).count == left.count == COUNT // 4
-        return likeness(divide(tmp_path / name, tmp_path / f"{name}.blocks"), cameras, originals)
+        return likeness.psnr(divide(tmp_path / name, tmp_path / f"{name}.blocks"))
 
     scene = read_scene(source)
     sums, _ = looks(scene, reduced(cameras), Rasterizer(), render_options(scene), pictures=False)
     write_scene(tmp_path / "memory.ply", order_of(scene, sums, COUNT // 4).at(COUNT // 4))
-    undivided = likeness(divide(tmp_path / "memory.ply", tmp_path / "memory"), cameras, originals)
+    undivided = likeness.psnr(divide(tmp_path / "memory.ply", tmp_path / "memory"))
     exact, packed = psnr_of("a.ply"), psnr_of("a.spz")
     assert undivided > 50 and abs(exact - undivided) < (0.2 if len(ordered.blocks) == 1 else 1) and 40 < packed < exact
-    assert likeness(ordered, cameras, originals) == 100 and abs(likeness(left, cameras, originals) - exact) < 0.01
+    assert likeness.psnr(ordered) == 100 and abs(likeness.psnr(left) - exact) < 0.01
 
 
 def test_one_block_is_tuned_as_the_scene_in_memory(ordered, source, cameras):
@@ -209,7 +210,7 @@ def test_one_block_is_tuned_as_the_scene_in_memory(ordered, source, cameras):
 
 
 def test_tuned_blocks_are_as_good_as_the_tuned_whole_in_any_order(ordered, cameras):
-    originals, left = list(pictures_of(ordered, cameras)), cut(ordered, cameras, FEW)
+    likeness, left = Likeness(ordered, cameras), cut(ordered, cameras, FEW)
     with pytest.raises(SceneError, match="the block 0 is missing; tune it first") if len(left.blocks) > 1 else contextlib.nullcontext():
         tune(ordered, len(left.blocks) - 1, cameras, 60)
         tuned_blocks(ordered)
@@ -217,7 +218,7 @@ def test_tuned_blocks_are_as_good_as_the_tuned_whole_in_any_order(ordered, camer
         tune(ordered, number, cameras, 60)
     tuned = tuned_blocks(ordered)
     assert [one.count for one in tuned.blocks] == [one.count for one in left.blocks] and tuned.count == FEW
-    before, after = (likeness(one, cameras, originals) for one in (left, tuned))
+    before, after = (likeness.psnr(one) for one in (left, tuned))
     assert after > before + 5
     first = (tuned.folder / "0.geometry").read_bytes()
     tune(ordered, 0, cameras, 60)

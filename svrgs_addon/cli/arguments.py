@@ -19,7 +19,7 @@ from ..errors import SceneError
 from ..exit_status import printable
 from ..farm.engine_messages import KINDS as MESSAGES
 from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions, refuse_time_and_steps
-from ..option_kinds import COLOUR, COUNT, POSITIVE, SHARE, SHARES, Kind, Option, default_of, options_of
+from ..option_kinds import COLOUR, COUNT, DECIBELS, POSITIVE, SHARE, SHARES, Kind, Option, default_of, options_of
 from ..outputs import PICTURES
 from ..selection.options import SelectOptions
 from ..system.file_names import extended
@@ -287,6 +287,9 @@ def _large(commands):
             size = command.add_mutually_exclusive_group(required=True)
             size.add_argument("--target", type=_reader(SHARE), metavar="SHARE", help="share of the Gaussians to keep, up to 1")
             size.add_argument("--target-count", type=_reader(POSITIVE), metavar="N", help="number of Gaussians to keep")
+        if name == "prune":
+            size.add_argument("--max-drop", type=_reader(DECIBELS), metavar="DB", help="keep as few as lose so many dB at most, as svrgs prune --quick does")
+            command.add_argument("--levels", type=_reader(SHARES), default=(), metavar="SHARES", help="levels of detail, as of svrgs prune")
         if name in ("prune", "finish"):
             command.add_argument("--out", type=extended, required=True, metavar="FILE", help="splat file to write")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..errors import SceneError
 from ..files import registry
-from ..jobs.level_files import level_files
+from ..files.level_files import level_files
 from ..system.file_names import real
 
 PRUNED = "_pruned"  # end of the default name of an output, before its suffix

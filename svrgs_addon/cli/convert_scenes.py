@@ -15,10 +15,10 @@ from .. import memory
 from ..errors import MemoryShort, SceneError, SplatError, TooMany
 from ..files import registry
 from ..files.atomic import check_writable
+from ..files.level_files import holds_levels
 from ..files.spooled import spooled
 from ..files.streamed_sog import write_levels
 from ..geometry.affine import scaled, transformed
-from ..jobs.level_files import holds_levels
 from ..scene import SH_COEFFICIENTS, Scene
 from ..selection.criteria import in_box
 from ..system.file_names import extended, real

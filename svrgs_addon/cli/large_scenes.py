@@ -15,12 +15,13 @@ from ..farm.engine_messages import Messages
 from ..files.registry import format_to_read
 from ..large.blocks import Divided, clear, divide
 from ..large.folder import measured_views, prepare, refuse_foreign, scored_views
+from ..large.likeness import Likeness
 from ..large.merging import merge, reduce
 from ..large.pruning import finish
 from ..large.sample import finer, refuse_hidden, sample_of
 from ..large.scoring import score
 from ..large.tuning import EPOCHS, TUNED, cut, tune
-from ..large.whole import check_out, prune_by_blocks
+from ..large.whole import Goal, check_out, prune_by_blocks
 from ..photographs.camera_files import load_cameras
 from ..photographs.dataset import HOLDOUT, load_dataset
 from ..rig import place_rig
@@ -49,13 +50,8 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
 def _prune(words: argparse.Namespace) -> dict[str, Any]:
     format_to_read(words.scene)
     told = functools.partial(_told, words)
-    views, wanted = functools.partial(_views, words), functools.partial(_wanted, words)
-    return prune_by_blocks(words.scene, words.out, views, wanted, words.steps, told, words.work, words.block)
-
-
-def _wanted(words: argparse.Namespace, count: int) -> int:
-    """The number of Gaussians that stay of so many."""
-    return words.target_count or max(1, round(words.target * count))
+    goal = Goal(words.target_count or 0, words.target or 0.0, words.max_drop or 0.0, words.levels)
+    return prune_by_blocks(words.scene, words.out, functools.partial(_views, words), goal, words.steps, told, words.work, words.block)
 
 
 def _divide(words: argparse.Namespace) -> dict[str, Any]:
@@ -89,7 +85,8 @@ def _merge(words: argparse.Namespace) -> dict[str, Any]:
 
 def _cut(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
-    left = cut(divided, scored_views(words.work), _wanted(words, divided.count), _told(words, "cut"))
+    goal = Goal(words.target_count or 0, words.target or 0.0)
+    left = cut(divided, scored_views(words.work), goal.number(divided.count), _told(words, "cut"))
     return {"work": str(words.work), "blocks": len(left.blocks), "count": left.count}
 
 
@@ -107,7 +104,8 @@ def _tune(words: argparse.Namespace) -> dict[str, Any]:
 def _finish(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
     check_out(words.out, divided.source)
-    return finish(divided, measured_views(words.work), words.out, functools.partial(_told, words))
+    told = functools.partial(_told, words)
+    return finish(divided, Likeness(divided, measured_views(words.work), told), words.out, told)
 
 
 def _views(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:

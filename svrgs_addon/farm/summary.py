@@ -12,8 +12,8 @@ from typing import Any
 from .. import __version__
 from ..errors import SceneError
 from ..files.atomic import atomic_write
-from ..jobs.smallest_file import ASSUMED
 from ..memory import size_text
+from ..metrics.format_loss import ASSUMED
 from ..metrics.psnr import with_error
 from ..photographs.rendered import PHOTOGRAPHED
 from ..report.point_chart import Axis, Point, chart, front

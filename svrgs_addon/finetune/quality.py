@@ -12,6 +12,7 @@ photographs less closely, is left out. benchmarks/forecast.py fits and tests it;
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,13 +38,17 @@ def quality_views(dataset: Dataset) -> list[int]:
 
 def fewest_within(run: RunView, score: np.ndarray, floor: float) -> np.ndarray:
     """(N,) bool: the Gaussians of highest score, as few as have a PSNR of at least `floor` dB, but at least LEAST of those at the start.
-    score (N,). Bisection to 0.1 % of N."""
-    few, enough = min(math.ceil(LEAST * run.initial_count) - 1, run.model.count), run.model.count
-    while enough - few > max(1, run.model.count // 1_000):
+    score (N,). To 0.1 % of N."""
+    few, count = min(math.ceil(LEAST * run.initial_count) - 1, run.model.count), run.model.count
+    return top(score, bisected(few, count, count // 1_000, lambda middle: run.psnr(top(score, middle)) >= floor))
+
+
+def bisected(few: int, enough: int, step: int, within: Callable[[int], bool]) -> int:
+    """The smallest number above `few` for which within() holds, or up to `step` more. It holds for `enough`, and for more than any for which it does."""
+    while enough - few > max(1, step):
         middle = (few + enough) // 2
-        within = run.psnr(top(score, middle)) >= floor
-        few, enough = (few, middle) if within else (middle, enough)
-    return top(score, enough)
+        few, enough = (few, middle) if within(middle) else (middle, enough)
+    return enough
 
 
 def psnr_after(before: float, removed: float, steps: int, halved: float) -> float:

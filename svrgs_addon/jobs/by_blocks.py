@@ -13,7 +13,7 @@ from ..errors import Cancelled, SceneError
 from ..large.blocks import Tell
 from ..large.sample import finer, refuse_hidden, sample_of
 from ..large.tuning import EPOCHS
-from ..large.whole import prune_by_blocks
+from ..large.whole import Goal, prune_by_blocks
 from ..metrics.evaluate import refuse_unseen
 from ..option_kinds import default_of
 from ..photographs.dataset import load_dataset
@@ -27,14 +27,16 @@ TAKES = (  # options; with others, the scene must be read as a whole
     "colmap", "images", "holdout", "cameras", "seen_from_only", "threads", "seed", "target", "target_count", "quiet", "quick", "method", "scene", "out",
 )  # fmt: skip
 QUICK_VIEWS = 64  # that are placed for a quick job
+OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
 NOT_FINISHED = "stopped; nothing was written: start it again, or use the steps of svrgs large, each of which can be continued"
 
 
 def possible(options: PruneOptions) -> bool:
     """Whether a job can be done by blocks: a quick one, or one that merges without photographs, to a number."""
     merges = options.quick or (options.colmap is None and options.method in ("", "merge"))
-    other = [name for name in PruneOptions.__dataclass_fields__ if name not in TAKES and getattr(options, name) != default_of(PruneOptions, name)]
-    return merges and bool(options.target or options.target_count) and not other
+    takes = {*TAKES, *(OF_QUICK if options.quick else ())}
+    other = [name for name in PruneOptions.__dataclass_fields__ if name not in takes and getattr(options, name) != default_of(PruneOptions, name)]
+    return merges and bool(options.quick or options.target or options.target_count) and not other
 
 
 def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str, Any]:
@@ -45,9 +47,8 @@ def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str
     logging.warning("%s; it is pruned by blocks, which takes longer", reason)
     notes = [f"{reason}; so it was pruned by blocks, and fine-tuned in {EPOCHS} steps for each view"]
     train, test, more = _views(options, *sample_of(options.scene))
-    share = options.target or 1.0
-    wanted = lambda count: options.target_count or max(1, round(share * count))  # noqa: E731
-    result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), wanted, None, lambda step: _told(step, reporter, job.stop))
+    goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
+    result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, lambda step: _told(step, reporter, job.stop))
     after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
     return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more]}
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ..files.level_files import level_files
 from ..finetune.loop import Progress
 from ..finetune.run import Run
-from .level_files import level_files
 from .time_plan import TimePlan
 
 PROCESS = 0.5  # seconds of starting and ending the program

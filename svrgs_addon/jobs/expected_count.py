@@ -14,7 +14,7 @@ from ..camera import Camera
 from ..finetune import scores
 from ..finetune.methods.removal import Removal, floor_of_drop
 from ..finetune.plan import Plan
-from ..finetune.quality import LEAST, quality_views
+from ..finetune.quality import LEAST, bisected, quality_views
 from ..finetune.saliency import saliency
 from ..finetune.views import as_real
 from ..metrics.evaluate import render_options, rounded_to_8_bits
@@ -101,12 +101,9 @@ def _fewest_within(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan
     """(N,) bool: the fewest Gaussians that are highest in `order` (N,) and hold the allowed drop on some views: without learning, or for `removal`
     and `saliency` by the law of finetune/quality.py. A job keeps fewer."""
     before, psnr_of = _psnr_on_some(scene, dataset)
-    few, enough = math.ceil(LEAST * scene.count) - 1, scene.count
     floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_drop
-    while enough - few > max(1, scene.count // 100):
-        middle = (few + enough) // 2
-        few, enough = (few, middle) if psnr_of(scores.top(order, middle).astype(np.uint8)) >= floor else (middle, enough)
-    return scores.top(order, enough)
+    within = lambda count: psnr_of(scores.top(order, count).astype(np.uint8)) >= floor  # noqa: E731
+    return scores.top(order, bisected(math.ceil(LEAST * scene.count) - 1, scene.count, scene.count // 100, within))
 
 
 def _psnr_on_some(scene: Scene, dataset: Dataset) -> tuple[float, Callable[[np.ndarray | None], float]]:

@@ -24,12 +24,14 @@ from ..decimate.order import MOST_HIDDEN, Order, hidden, looks, lost_columns, or
 from ..decimate.saved_order import write_order
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
+from ..files.level_files import level_files, write_with_levels
 from ..files.registry import format_to_write, invisible, load_scene, refuse_input, size_on_disk
 from ..finetune.quality import LEAST
 from ..finetune.refit import SHARES, USUAL, Look, interpolated, middle_scale, pace_at, refit
 from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
+from ..metrics.format_loss import ASSUMED
 from ..metrics.psnr import with_error
 from ..native import Rasterizer, thresholds
 from ..option_kinds import default_of
@@ -39,9 +41,8 @@ from ..rig.around import DISTANCE, cameras_around, middle_and_radius
 from ..rig.place import quick_rig
 from ..scene import Scene
 from .context import JobContext
-from .level_files import level_files, write_with_levels
 from .options import PruneOptions
-from .smallest_file import ASSUMED, smallest_file
+from .smallest_file import smallest_file
 
 SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop

@@ -8,13 +8,11 @@ from pathlib import Path
 
 from ..decimate.order import Order
 from ..files.registry import format_to_write, tried
+from ..finetune.quality import bisected
 from ..geometry.affine import scaled
-from ..metrics.psnr import with_error
-from ..photographs.rendered import PHOTOGRAPHED
+from ..metrics.format_loss import ASSUMED, refuse_loss
 from ..scene import Scene
-from .format_loss import refuse_loss
 
-ASSUMED = with_error(math.inf, PHOTOGRAPHED)  # PSNR of the original in dB, if a drop is allowed
 FACTORS = (1.0, 2.0, 4.0)  # on the error in SH, for formats that take one
 
 
@@ -47,9 +45,5 @@ def smallest_file(order: Order, least: int, psnr_of: Callable[[Scene], float], o
 
 
 def fewest_within(order: Order, least: int, psnr_of: Callable[[int], float], floor: float) -> int:
-    """The fewest Gaussians, at least `least`, with at least `floor` dB. Bisection to 1 % of N. psnr_of: of a number of Gaussians."""
-    few, enough = least - 1, order.scene.count
-    while enough - few > max(1, order.scene.count // 100):
-        middle = (few + enough) // 2
-        few, enough = (few, middle) if psnr_of(middle) >= floor else (middle, enough)
-    return enough
+    """The fewest Gaussians, at least `least`, with at least `floor` dB. To 1 % of N. psnr_of: of a number of Gaussians."""
+    return bisected(least - 1, order.scene.count, order.scene.count // 100, lambda count: psnr_of(count) >= floor)

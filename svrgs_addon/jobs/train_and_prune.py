@@ -25,6 +25,7 @@ from ..finetune.run import Run
 from ..finetune.settings import Densify
 from ..metrics.evaluate import any_in_view, evaluate, mean_psnr, refuse_unseen, render_options
 from ..metrics.explained import mismatch_of
+from ..metrics.format_loss import format_loss
 from ..native import Rasterizer, RenderOptions, thresholds
 from ..photographs.dataset import Dataset
 from ..photographs.rendered import RenderedDataset
@@ -33,7 +34,6 @@ from ..scene import Scene
 from ..system.memory import peak
 from .context import JobContext
 from .disk_room import DiskRoom
-from .format_loss import format_loss
 from .job_folder import ROW
 
 CURVE_VIEWS = 4  # test views on which the PSNR of the curves is measured

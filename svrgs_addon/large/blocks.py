@@ -136,12 +136,12 @@ def scene_of(divided: Divided, block: Block) -> Scene:
     return Scene(**arrays_of(block.geometry), sh=np.array(block.sh(divided.coefficients)), antialiased=divided.antialiased)
 
 
-def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_: None) -> Divided:
-    """Divides the scene of a file. A divided scene that is in the folder is replaced. Raises SplatError."""
+def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_: None, read: Callable[[Path], Iterator[Scene]] = load_parts) -> Divided:
+    """Divides the scene of a file. A divided scene that is in the folder is replaced. read: reads the file, in parts. Raises SplatError."""
     folder.mkdir(parents=True, exist_ok=True)
     clear(folder)
     tell("reads the means", 0.0)
-    means, coefficients, antialiased = _means(source)
+    means, coefficients, antialiased = _means(source, read)
     check_space(folder / INDEX, len(means) * 4 * (WIDTH + 3 * coefficients + 1))
     parts = list(leaves(means, np.arange(len(means), dtype=np.uint32), most))
     block_of = np.empty(len(means), np.uint32)
@@ -151,7 +151,7 @@ def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_:
     del means, parts
     largest = np.full(len(boxes), -np.inf)
     start = 0
-    for part in load_parts(source):
+    for part in read(source):
         _append(part, block_of[start : start + part.count], start, folder, largest)
         start += part.count
         tell("writes the blocks", start / len(block_of))
@@ -194,10 +194,10 @@ def clear(folder: Path):
         path.unlink(missing_ok=True)
 
 
-def _means(source: Path) -> tuple[np.ndarray, int, bool]:
+def _means(source: Path, read: Callable[[Path], Iterator[Scene]]) -> tuple[np.ndarray, int, bool]:
     """The means (N, 3) of a file, its SH coefficients per channel, and whether it is antialiased."""
     parts, part = [], None
-    for part in load_parts(source):
+    for part in read(source):
         parts.append(part.means.copy())
     assert part is not None
     if columns := sorted(part.attributes.keys() - set(NORMALS)):

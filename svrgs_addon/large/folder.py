@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from ..photographs.cameras_json import write_cameras_json
 from .blocks import clear
 from .tuning import CUT, MIXED, TUNED
 
-SCORED, MEASURED, RESULT = "scored_views.json", "measured_views.json", "result"
+SCORED, MEASURED, RESULT, LEVEL, HELD = "scored_views.json", "measured_views.json", "result", "level_{}.ply", "held"
 
 
 def prepare(work: Path, scored: Sequence[Camera], measured: Sequence[Camera]):
@@ -44,7 +45,8 @@ def remove(work: Path):
     """Removes what was written into the folder, and the folder, if nothing else is in it."""
     for folder in (work / RESULT, work / CUT, work / TUNED, work / MIXED, work):
         clear(folder)
-        for name in (SCORED, MEASURED):
-            (folder / name).unlink(missing_ok=True)
+        shutil.rmtree(folder / HELD, ignore_errors=True)
+        for path in (folder / SCORED, folder / MEASURED, *folder.glob(LEVEL.format("[0-9]*"))):
+            path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             folder.rmdir()

@@ -2,21 +2,40 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..camera import Camera
 from ..files.atomic import check_writable, reserved
+from ..files.level_files import holds_levels, level_files
 from ..files.registry import format_to_write, refuse_input
-from .blocks import MOST, Tell, divide
-from .folder import measured_views, prepare, refuse_foreign, remove, scored_views
+from .allowed_drop import drop, fewest_within
+from .blocks import MOST, Divided, Tell, divide
+from .folder import LEVEL, measured_views, prepare, refuse_foreign, remove, scored_views
+from .likeness import Likeness
 from .merging import merge, reduce
-from .pruning import finish
+from .pruning import finish, join_levels
 from .scoring import score
 from .tuning import EPOCHS, cut, tune
 
 Told = Callable[[str], Tell]  # of the name of a step
+
+
+@dataclass(frozen=True)
+class Goal:
+    """How many Gaussians stay: a number, a share, or as few as an allowed drop in dB leaves; and of levels of detail, shares of that."""
+
+    count: int = 0
+    share: float = 0.0
+    max_drop: float = 0.0
+    levels: tuple[float, ...] = ()
+
+    def number(self, count: int) -> int:
+        """The Gaussians that stay of so many, if no drop is allowed."""
+        return self.count or max(1, round((self.share or 1.0) * count))
 
 
 def check_out(out: Path, source: Path):
@@ -27,18 +46,22 @@ def check_out(out: Path, source: Path):
 
 
 def prune_by_blocks(
-    source: Path, out: Path, views: Callable[[], tuple[Sequence[Camera], Sequence[Camera]]], wanted: Callable[[int], int], steps: int | None, told: Told,
+    source: Path, out: Path, views: Callable[[], tuple[Sequence[Camera], Sequence[Camera]]], goal: Goal, steps: int | None, told: Told,
     work: Path | None = None, block: int = MOST,
 ) -> dict[str, Any]:  # fmt: skip
     """Removes and merges Gaussians, fine-tunes what is left, writes and measures it.
 
-    views: gives the views that are scored and tuned on, and those on which the result is measured; it is called after the outputs are checked. wanted: how many
-    Gaussians stay of so many. steps: of fine-tuning; None: EPOCHS for each view. work: folder for the blocks, which are removed at the end; None:
-    beside the output. block: Gaussians of a block, at most. Returns the JSON result. Raises SplatError, and what `told` raises.
+    views: gives the views that are scored and tuned on, and those on which the result is measured; it is called after the outputs are checked.
+    steps: of fine-tuning; None: EPOCHS for each view. work: folder for the blocks, which are removed at the end; None: beside the output. block: Gaussians of
+    a block, at most. Returns the JSON result. Raises SplatError, and what `told` raises.
     """
     work = work or out.with_name(out.name + ".blocks")
-    check_out(out, source)
-    with reserved(out):
+    outs = [out, *level_files(out, goal.levels).values()]
+    for path in outs:
+        check_out(path, source)
+    with contextlib.ExitStack() as stack:
+        for path in outs:
+            stack.enter_context(reserved(path))
         refuse_foreign(work)
         try:
             prepare(work, *views())
@@ -48,10 +71,32 @@ def prune_by_blocks(
             for number in range(len(divided.blocks)):
                 told("merge")(f"block {number}", number / len(divided.blocks))
                 merge(divided, number)
-            left = cut(divided, scored, wanted(divided.count), told("cut"))
-            steps = EPOCHS * len(scored) if steps is None else steps
-            for number in range(len(left.blocks) if steps else 0):
-                tune(divided, number, scored, steps, told("tune"))
-            return finish(divided, measured_views(work), out, told)
+            likeness = Likeness(divided, measured_views(work), told)
+            count = fewest_within(divided, scored, likeness, goal.max_drop, out, told) if goal.max_drop else goal.number(divided.count)
+            return _results(divided, scored, likeness, count, goal, steps, outs, told)
         finally:
             remove(work)
+
+
+def _results(
+    divided: Divided, scored: Sequence[Camera], likeness: Likeness, count: int, goal: Goal, steps: int | None, outs: Sequence[Path], told: Told
+) -> dict[str, Any]:
+    """The results with `count` Gaussians and of the levels of detail. steps, told: as for prune_by_blocks()."""
+    shares, streamed = (1.0, *goal.levels), bool(goal.levels) and holds_levels(outs[0])
+    files = [divided.folder / LEVEL.format(level) for level in range(len(shares))] if streamed else outs
+    results = []
+    for share, path in zip(shares, files, strict=True):
+        left = cut(divided, scored, max(1, round(share * count)), told("cut"))
+        wanted = EPOCHS * len(scored) if steps is None else steps
+        for number in range(len(left.blocks) if wanted else 0):
+            tune(divided, number, scored, wanted, told("tune"))
+        results.append(finish(divided, likeness, path, told))
+    if streamed:
+        results = [result | new for result, new in zip(results, join_levels(divided, likeness, files, outs[0], told), strict=True)]
+    levels = [{"share": share, **_figures(result)} for share, result in zip(goal.levels, results[1:], strict=True)]
+    return {**results[0], "levels": levels, "drop": drop(results[0]["psnr"]) if goal.max_drop else None}
+
+
+def _figures(result: dict[str, Any]) -> dict[str, Any]:
+    """Of a level, as `svrgs prune` has them."""
+    return {name: result[name] for name in ("out", "psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]

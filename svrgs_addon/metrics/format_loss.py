@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import SceneError
 from ..files.registry import as_held, format_to_write
+from ..photographs.rendered import PHOTOGRAPHED
 from ..scene import Scene
+from .psnr import with_error
+
+ASSUMED = with_error(math.inf, PHOTOGRAPHED)  # PSNR of a scene in dB, where a drop is allowed and there are no photographs
 
 
 def format_loss(out: Path, scene: Scene, psnr_of: Callable[[Scene], float], allowed: float) -> float:

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..files import streamed_sog
-from ..files.registry import size_on_disk, split_name, stored, write_scene
-from ..files.splat_format import joined
 from ..scene import Scene
+from . import streamed_sog
+from .registry import size_on_disk, split_name, stored, write_scene
+from .splat_format import joined
 
 
 def level_files(out: Path, shares: Iterable[float]) -> dict[float, Path]:
