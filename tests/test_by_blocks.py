@@ -133,6 +133,16 @@ def test_levels_of_a_streamed_sog_are_in_it(svrgs, short, source, tmp_path):
     assert result["bytes"] + result["levels"][0]["bytes"] + out.stat().st_size == size_on_disk(out) and result["psnr"] > result["levels"][0]["psnr"]
 
 
+def test_a_format_that_loses_more_than_pruning_is_told(svrgs, source, tmp_path):
+    scene = load_scene(source).scene
+    scene.sh[:] += np.random.default_rng(0).normal(0, 0.2, scene.sh.shape)
+    write_scene(tmp_path / "noise.ply", scene)
+    done = svrgs("large", "prune", tmp_path / "noise.ply", "--target", 0.9, "--out", tmp_path / "o.splat")
+    assert done.status == 0 and "the format of the output loses more than pruning" in done.out
+    result = svrgs("large", "prune", tmp_path / "noise.ply", "--target", 0.9, "--out", tmp_path / "o.ply", "--json").json
+    assert result["notes"] == [] and abs(result["psnr_values"] - result["psnr"]) < 0.01
+
+
 def test_a_level_that_is_the_input_is_refused(svrgs, short, source, tmp_path):
     (tmp_path / "o_50.ply").write_bytes(source.read_bytes())
     done = svrgs("large", "prune", tmp_path / "o_50.ply", "--target", 0.5, "--levels", "0.5", "--out", tmp_path / "o.ply")

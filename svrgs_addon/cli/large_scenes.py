@@ -44,7 +44,10 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
     before, after = result["before"], result["after"]
     merged = f" ({result['psnr_merged']:.2f} dB before fine-tuning)" if result["psnr_merged"] is not None else ""
     against = f"; PSNR {result['psnr']:.2f} dB against the original{merged}" if result["views"] else ""
-    return f"kept {after['count']:,} of {before['count']:,} Gaussians ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"
+    lines = [f"kept {after['count']:,} of {before['count']:,} Gaussians ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"]
+    for level in result.get("levels", ()):
+        lines.append(f"level {level['share']:g}: {level['count']:,} Gaussians, PSNR {level['psnr']:.2f} dB; saved {level['out']}")
+    return "\n".join([*lines, *result["notes"]])
 
 
 def _prune(words: argparse.Namespace) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
     result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, lambda step: _told(step, reporter, job.stop))
     after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
-    return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more]}
+    return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more, *result["notes"]]}
 
 
 def _told(step: str, reporter: Reporter, stop: Callable[[], bool]) -> Tell:

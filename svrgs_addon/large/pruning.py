@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,23 +18,39 @@ from .folder import RESULT
 from .likeness import Likeness
 from .tuning import CUT, best_share, mixed, tuned_blocks
 
+HALF = 3.01  # dB: half of the squared error
+
 
 def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
     """Writes what is left of a divided scene, tuned as far as that does good, and measures it. told: of the name of a step. Returns the JSON result. Raises
     SplatError."""
-    left, tuned = Divided.read(divided.folder / CUT), tuned_blocks(divided)
-    facts: dict[str, float | None] = {"psnr_merged": None, "tuned_share": 0.0}
-    if tuned:
-        share = best_share(divided, tuned, likeness.psnr) if likeness.views else 1.0
-        facts = {"psnr_merged": likeness.psnr(left), "tuned_share": share}
-        left = mixed(divided, tuned, share)
+    left, facts = _settled(divided, likeness)
     write_joined(left, out)
     written = divide(out, divided.folder / RESULT, tell=told("read"))
-    return {
+    result = {
         "scene": str(divided.source), "out": str(out), "method": "merge", "views": len(likeness.views), "blocks": len(divided.blocks), **facts,
         **likeness.measured(written), "before": {"count": divided.count, "bytes": divided.source_bytes},
         "after": {"count": written.count, "bytes": size_on_disk(out)},
     }  # fmt: skip
+    return result | {"notes": of_format(result)}
+
+
+def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, float | None]]:
+    """What is left, tuned as far as that does good; and its PSNR in dB: psnr_merged before it was tuned (None: it was not), psnr_values now."""
+    left, tuned = Divided.read(divided.folder / CUT), tuned_blocks(divided)
+    merged = likeness.psnr(left)
+    if not tuned:
+        return left, {"psnr_merged": None, "tuned_share": 0.0, "psnr_values": merged}
+    share, values = best_share(divided, tuned, likeness.psnr) if likeness.views else (1.0, math.nan)
+    return mixed(divided, tuned, share), {"psnr_merged": merged, "tuned_share": share, "psnr_values": values}
+
+
+def of_format(result: dict[str, Any]) -> list[str]:
+    """A sentence if the format of the output loses more of a result than pruning does."""
+    values, stored = result["psnr_values"], result["psnr"]
+    if not values - stored > HALF:
+        return []
+    return [f"the format of the output loses more than pruning: {values:.1f} dB before it was written, {stored:.1f} dB after; another one may lose less"]
 
 
 def write_joined(divided: Divided, out: Path):

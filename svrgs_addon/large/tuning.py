@@ -96,14 +96,14 @@ def _error_of(left: Divided) -> float:
         raise FormatError(f"{path}: is missing or damaged; cut the scene again") from None
 
 
-def best_share(divided: Divided, tuned: Divided, quality: Callable[[Divided], float]) -> float:
-    """The share of the tuned scene in the result, the rest is what was cut: less than 1 where fine-tuning does harm. Raises SplatError."""
+def best_share(divided: Divided, tuned: Divided, quality: Callable[[Divided], float]) -> tuple[float, float]:
+    """The share of the tuned scene in the result, the rest is what was cut: less than 1 where fine-tuning does harm; and its quality. Raises SplatError."""
     best, highest = 1.0, quality(tuned)
     for share in SHARES:
         if (found := quality(mixed(divided, tuned, share))) <= highest:
             break
         best, highest = share, found
-    return best
+    return best, highest
 
 
 def mixed(divided: Divided, tuned: Divided, share: float) -> Divided:

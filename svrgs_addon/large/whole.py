@@ -17,7 +17,7 @@ from .blocks import MOST, Divided, Tell, divide
 from .folder import LEVEL, measured_views, prepare, refuse_foreign, remove, scored_views
 from .likeness import Likeness
 from .merging import merge, reduce
-from .pruning import finish, join_levels
+from .pruning import finish, join_levels, of_format
 from .scoring import score
 from .tuning import EPOCHS, cut, tune
 
@@ -94,7 +94,7 @@ def _results(
     if streamed:
         results = [result | new for result, new in zip(results, join_levels(divided, likeness, files, outs[0], told), strict=True)]
     levels = [{"share": share, **_figures(result)} for share, result in zip(goal.levels, results[1:], strict=True)]
-    return {**results[0], "levels": levels, "drop": drop(results[0]["psnr"]) if goal.max_drop else None}
+    return {**results[0], "levels": levels, "drop": drop(results[0]["psnr"]) if goal.max_drop else None, "notes": of_format(results[0])}
 
 
 def _figures(result: dict[str, Any]) -> dict[str, Any]:
