@@ -21,6 +21,7 @@ from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.jobs import by_blocks, run_job
 from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.large.sample import MOST, finer, refuse_hidden, sample_of
+from svrgs_addon.large.tuning import tune
 from svrgs_addon.metrics.evaluate import render_options
 from svrgs_addon.native import Rasterizer
 from svrgs_addon.photographs.cameras_json import write_cameras_json
@@ -125,6 +126,13 @@ def test_levels_are_files_of_their_own(svrgs, short, source, tmp_path):
         assert read_scene(path).count == level["count"] and level["bytes"] == path.stat().st_size and 15 < level["psnr"] < result["psnr"]
 
 
+def test_without_a_number_the_result_is_the_whole_scene(svrgs, short, monkeypatch, source, tmp_path):
+    monkeypatch.setattr("svrgs_addon.large.whole.tune", lambda divided, *_: tuned.append(divided) or tune(divided, *_))
+    tuned = []
+    result = svrgs("prune", source, "--quick", "--levels", "0.3", "--out", tmp_path / "o.ply", "--json").json
+    assert result["count"] == COUNT and result["psnr"] > 60 and result["levels"][0]["count"] == round(0.3 * COUNT) and len(tuned) == 1
+
+
 def test_levels_of_a_streamed_sog_are_in_it(svrgs, short, source, tmp_path):
     out = tmp_path / "web/lod-meta.json"
     result = svrgs("prune", source, "--quick", "--target", 0.5, "--levels", "0.2", "--out", out, "--json").json
@@ -167,6 +175,20 @@ def test_a_stop_leaves_nothing_behind(svrgs, short, monkeypatch, source, tmp_pat
     monkeypatch.setattr(by_blocks.Reporter, "part", part)
     done = svrgs("prune", source, "--quick", "--target", 0.5, "--out", tmp_path / "o.ply")
     assert done.status == 130 and "nothing was written" in done.err and not any(tmp_path.iterdir())
+
+
+def test_a_stop_between_levels_leaves_the_first_one(svrgs, short, monkeypatch, source, tmp_path):
+    written = by_blocks.Reporter.part
+
+    def part(self, text: str, share: float):
+        written(self, text, share)
+        if text.startswith("measure"):
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(by_blocks.Reporter, "part", part)
+    done = svrgs("prune", source, "--quick", "--target", 0.5, "--levels", "0.5", "--out", tmp_path / "o.ply")
+    assert done.status == 130 and "the files that are there are complete" in done.err
+    assert [path.name for path in tmp_path.iterdir()] == ["o.ply"] and read_scene(tmp_path / "o.ply").count == COUNT // 2
 
 
 def test_a_room_whose_inside_no_placed_camera_sees_is_refused(source, tmp_path):

@@ -10,6 +10,7 @@ from typing import Any
 from .. import memory
 from ..camera import Camera, evenly
 from ..errors import Cancelled, SceneError
+from ..files.level_files import level_files
 from ..large.blocks import Tell
 from ..large.sample import finer, refuse_hidden, sample_of
 from ..large.tuning import EPOCHS
@@ -28,7 +29,7 @@ TAKES = (  # options; with others, the scene must be read as a whole
 )  # fmt: skip
 QUICK_VIEWS = 64  # that are placed for a quick job
 OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
-NOT_FINISHED = "stopped; nothing was written: start it again, or use the steps of svrgs large, each of which can be continued"
+NOT_FINISHED = "stopped; {}: start it again, or use the steps of svrgs large, each of which can be continued"
 
 
 def possible(options: PruneOptions) -> bool:
@@ -48,15 +49,18 @@ def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str
     notes = [f"{reason}; so it was pruned by blocks, and fine-tuned in {EPOCHS} steps for each view"]
     train, test, more = _views(options, *sample_of(options.scene))
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
-    result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, lambda step: _told(step, reporter, job.stop))
+    left = NOT_FINISHED.format("the files that are there are complete" if level_files(options.out, options.levels) else "nothing was written")
+    result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, lambda step: _told(step, reporter, job.stop, left))
     after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
     return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more, *result["notes"]]}
 
 
-def _told(step: str, reporter: Reporter, stop: Callable[[], bool]) -> Tell:
+def _told(step: str, reporter: Reporter, stop: Callable[[], bool], left: str) -> Tell:
+    """Reports progress. left: a sentence on what a stop leaves."""
+
     def tell(text: str, share: float):
         if stop():
-            raise Cancelled(NOT_FINISHED)
+            raise Cancelled(left)
         reporter.part(f"{step}: {text}", share)
 
     return tell

@@ -88,7 +88,7 @@ def _results(
     for share, path in zip(shares, files, strict=True):
         left = cut(divided, scored, max(1, round(share * count)), told("cut"))
         wanted = EPOCHS * len(scored) if steps is None else steps
-        for number in range(len(left.blocks) if wanted else 0):
+        for number in range(len(left.blocks) if wanted and left.count < divided.count else 0):
             tune(divided, number, scored, wanted, told("tune"))
         results.append(finish(divided, likeness, path, told))
     if streamed:
