@@ -161,7 +161,10 @@ def test_a_level_that_is_the_input_is_refused(svrgs, short, source, tmp_path):
 def test_what_blocks_cannot_do_is_refused_as_before(svrgs, monkeypatch, short, source, tmp_path, words):
     monkeypatch.setattr(memory, "tuning", lambda *_: 10**15)
     done = svrgs("prune", source, *words, "--out", tmp_path / "o.ply")
-    assert done.status == 2 and "svrgs large prunes it by blocks" in done.err and not any(tmp_path.iterdir())
+    assert done.status == 2 and done.err.count("svrgs large prunes it by blocks") == 1 and not any(tmp_path.iterdir())
+    monkeypatch.setattr(ply.read_ply, "__defaults__", (COUNT - 1,))
+    many = svrgs("prune", source, *words, "--out", tmp_path / "o.ply")
+    assert many.status == 2 and "more than the limit" in many.err and many.err.count("svrgs large prunes it by blocks") == 1
 
 
 def test_a_stop_leaves_nothing_behind(svrgs, short, monkeypatch, source, tmp_path):

@@ -9,7 +9,7 @@ from typing import Any
 
 from .. import memory
 from ..camera import Camera, evenly
-from ..errors import Cancelled, SceneError
+from ..errors import Cancelled, MemoryShort, SceneError, TooMany
 from ..files.level_files import level_files
 from ..large.blocks import Tell
 from ..large.sample import finer, refuse_hidden, sample_of
@@ -38,6 +38,12 @@ def possible(options: PruneOptions) -> bool:
     takes = {*TAKES, *(OF_QUICK if options.quick else ())}
     other = [name for name in PruneOptions.__dataclass_fields__ if name not in takes and getattr(options, name) != default_of(PruneOptions, name)]
     return merges and bool(options.quick or options.target or options.target_count) and not other
+
+
+def with_advice(error: MemoryShort | TooMany) -> MemoryShort | TooMany:
+    """The error of a job that cannot be done by blocks, with what can be."""
+    sentence = memory.without_advice(str(error))
+    return type(error)(f"{sentence}; {memory.BY_BLOCKS}")
 
 
 def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str, Any]:
