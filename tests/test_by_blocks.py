@@ -112,7 +112,8 @@ def test_a_drop_is_held(svrgs, short, source, tmp_path, suffix):
     assert wide["count"] < result["count"] and result["drop"] < wide["drop"] <= 1.5
 
 
-def test_a_drop_that_the_format_alone_exceeds_is_refused(svrgs, short, source, tmp_path):
+def test_a_drop_that_the_format_alone_exceeds_is_refused_before_views_are_scored(svrgs, short, monkeypatch, source, tmp_path):
+    monkeypatch.setattr("svrgs_addon.large.whole.score", lambda *_: pytest.fail("views were scored"))
     done = svrgs("prune", source, "--quick", "--max-drop", 1e-4, "--out", tmp_path / "o.spz")
     assert done.status == 2 and "the format alone loses" in done.err and not any(tmp_path.iterdir())
 

@@ -12,7 +12,7 @@ from ..camera import Camera
 from ..files.atomic import check_writable, reserved
 from ..files.level_files import holds_levels, level_files
 from ..files.registry import format_to_write, refuse_input
-from .allowed_drop import drop, fewest_within
+from .allowed_drop import drop, errors_of_format, fewest_within
 from .blocks import MOST, Divided, Tell, divide
 from .folder import LEVEL, measured_views, prepare, refuse_foreign, remove, scored_views
 from .likeness import Likeness
@@ -66,13 +66,14 @@ def prune_by_blocks(
         try:
             prepare(work, *views())
             divided, scored = divide(source.absolute(), work, block, told("divide")), scored_views(work)
+            likeness = Likeness(divided, measured_views(work), told)
+            errors = errors_of_format(divided, likeness, goal.max_drop, out, told) if goal.max_drop else []
             score(divided, scored, 0, 1, told("score"))
             reduce(divided, scored)
             for number in range(len(divided.blocks)):
                 told("merge")(f"block {number}", number / len(divided.blocks))
                 merge(divided, number)
-            likeness = Likeness(divided, measured_views(work), told)
-            count = fewest_within(divided, scored, likeness, goal.max_drop, out, told) if goal.max_drop else goal.number(divided.count)
+            count = fewest_within(divided, scored, likeness, goal.max_drop, errors, told) if goal.max_drop else goal.number(divided.count)
             return _results(divided, scored, likeness, count, goal, steps, outs, told)
         finally:
             remove(work)
