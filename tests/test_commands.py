@@ -17,6 +17,7 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
+import scenes
 import tiny_dataset
 from command_checks import MEASURES, TEST_VIEWS, files
 from svrgs_addon.cli import commands
@@ -25,6 +26,7 @@ from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import FORMATS, load_scene, size_on_disk
 from svrgs_addon.native import Rasterizer, RenderOptions
 from svrgs_addon.outputs import PICTURES
+from svrgs_addon.photographs.cameras_json import write_cameras_json
 
 
 def truth_file(tiny, folder: Path) -> Path:
@@ -200,6 +202,29 @@ def test_compare(tiny, svrgs, tmp_path):
     assert np.abs(b - read_image(tiny.folder / "images/00.png")).max() <= 1 / 255 + 1e-6
     page = (tmp_path / "out/index.html").read_text()
     assert "scene.ply" in page and "truth.ply" in page and "data:image/" in page
+
+
+def test_compare_without_photographs(tiny, svrgs, tmp_path):
+    """B against pictures of A."""
+    write_cameras_json(tmp_path / "cameras.json", tiny_dataset.views()[:5])
+    words = ["compare", tiny.splat, truth_file(tiny, tmp_path), "--cameras", tmp_path / "cameras.json", "--out"]
+    result = svrgs(*words, tmp_path / "out", "--json").json
+    assert result["a"].keys() == {"count", "bytes"} and result["b"].keys() == MEASURES and len(result["pictures"]) == 3
+    assert "truth.ply is measured against pictures of scene.ply, in 5 views from cameras.json" in result["notes"][0]
+    same = svrgs("compare", tiny.splat, tiny.splat, *words[3:], tmp_path / "same", "--json").json["b"]
+    assert same["psnr"] is None and same["flip"] == 0 and 15 < result["b"]["psnr"] < 40
+    assert "no photographs" in (tmp_path / "out/index.html").read_text()
+    said = svrgs(*words, tmp_path / "text").out
+    assert said.startswith(f"a: {tiny_dataset.COUNT} Gaussians, ") and "PSNR" in said.splitlines()[1] and "no photographs" in said
+
+
+def test_views_of_a_comparison_are_placed(tiny, svrgs, tmp_path):
+    write_ply(tmp_path / "ball.ply", scenes.ball(1_000))
+    write_ply(tmp_path / "half.ply", scenes.ball(500))
+    result = svrgs("compare", tmp_path / "ball.ply", tmp_path / "half.ply", "--out", tmp_path / "out", "--json").json
+    assert "views that were placed" in result["notes"][0] and 5 < result["b"]["psnr"] < 35
+    refused = svrgs("compare", tmp_path / "ball.ply", tmp_path / "half.ply", "--holdout", 4, "--out", tmp_path / "no")
+    assert refused.status == 2 and "give --colmap, or leave them out" in refused.err and not (tmp_path / "no").exists()
 
 
 # --- failures and help

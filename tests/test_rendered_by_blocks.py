@@ -99,6 +99,14 @@ def test_scenes_are_compared_by_blocks(svrgs, tiny, tmp_path, request, caplog):
     assert 'Time per frame</th><td class="soft" colspan="3">not measured' in (tmp_path / "blocks/index.html").read_text()
 
 
+def test_pictures_of_a_divided_scene_take_the_place_of_photographs(svrgs, source, cameras, tmp_path, request, caplog):
+    words = ["compare", source, source, "--cameras", cameras, "--json"]
+    assert svrgs(*words, "--out", tmp_path / "whole").json["b"]["psnr"] is None
+    request.getfixturevalue("short")
+    found = svrgs(*words, "--out", tmp_path / "blocks").json
+    assert caplog.text.count(SAID) == 2 and found["a"].keys() == {"count", "bytes"} and found["b"]["psnr"] is None and len(found["pictures"]) == 3
+
+
 def test_other_cameras_are_refused(svrgs, short, tiny, tmp_path):
     far = tmp_path / "far.ply"
     scene = room(300, 0)

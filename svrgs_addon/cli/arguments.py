@@ -230,7 +230,9 @@ def _compare(commands):
     command = _command(commands, "compare", "Compares two scenes: pictures, differences, spatial masks and figures of quality.")
     command.add_argument("a", type=extended, metavar="A", help="first splat file")
     command.add_argument("b", type=extended, metavar="B", help="second splat file")
-    _options(command, DatasetOptions)
+    _options(command, DatasetOptions, colmap=False)
+    help_ = "without --colmap: cameras.json of 3DGS, or transforms.json; B is measured against pictures of A (default: views that are placed)"
+    command.add_argument("--cameras", type=extended, metavar="JSON", help=help_)
     command.add_argument("--out", type=extended, required=True, metavar="DIR", help="folder to write the pictures and the HTML page to")
 
 

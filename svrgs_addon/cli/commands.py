@@ -123,13 +123,11 @@ def evaluate(words: Words) -> int:
 
 
 def compare(words: Words) -> int:
-    from ..jobs.run_job import dataset_of
-    from ..large.opened import opened
-    from ..report.compare import compare as run
+    from .compare_scenes import compare_scenes
 
     _set_threads(words)
-    result = run(words.a, words.b, dataset_of(options_from(DatasetOptions, words)), words.out, opened, words.lpips_weights)
-    return _print(result, words, "\n".join(f"{name}: {_figures(result[name])}" for name in ("a", "b")) + f"\n{result['report']}")
+    result = compare_scenes(words)
+    return _print(result, words, "\n".join([*(f"{name}: {_figures(result[name])}" for name in ("a", "b")), *result["notes"], result["report"]]))
 
 
 def farm(words: Words) -> int:
@@ -170,11 +168,13 @@ def _set_threads(words: Words):
 
 def _figures(result: dict, lpips_missing: str = "") -> str:
     """The figures of a result as text."""
-    parts = [f"{result['count']:,} Gaussians", f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
+    parts = [f"{result['count']:,} Gaussians"]
+    if "psnr" in result:  # not of a scene whose own pictures are the measure
+        parts += [f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
     if result.get("lpips") is not None:
         parts.append(f"LPIPS {result['lpips']:.4f}")
     parts.append(memory.size_text(result["bytes"]))
-    if result["ms_per_frame"] is not None:
+    if result.get("ms_per_frame") is not None:
         parts.append(f"{result['ms_per_frame']:.1f} ms per frame")
     before = result.get("before")
     measured = before if before and "psnr" in before else None  # the quick way measures against the original itself

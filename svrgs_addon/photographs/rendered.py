@@ -25,12 +25,12 @@ class RenderedDataset(Dataset):
 
     scene: Scene
     facts: dict = field(default_factory=dict)  # what a JSON result says about the cameras
-    _rasterizer: Rasterizer = field(default_factory=Rasterizer, repr=False)
+    rasterizer: Any = field(default_factory=Rasterizer, repr=False)  # what renders the scene
     _rendering: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @classmethod
-    def of(cls, scene: Scene, train: list[Camera], test: list[Camera], **more: Any) -> RenderedDataset:
-        """The dataset of some views to train on and others to test on. more: further fields."""
+    def of(cls, scene: Any, train: list[Camera], test: list[Camera], **more: Any) -> RenderedDataset:
+        """The dataset of some views to train on and others to test on. scene: a Scene, or what more["rasterizer"] renders. more: further fields."""
         none, views = (np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)), list(range(len(train) + len(test)))
         return cls(train + test, *none, views[: len(train)], views[len(train) :], scene=scene, **more)
 
@@ -49,5 +49,5 @@ class RenderedDataset(Dataset):
     def _pixels(self, index: int) -> np.ndarray:
         options = RenderOptions(antialiased=self.scene.antialiased, background=self.background)
         with self._rendering:
-            rgb = self._rasterizer.forward(self.scene, self.cameras[index], options)["rgb"]
+            rgb = self.rasterizer.forward(self.scene, self.cameras[index], options)["rgb"]
             return np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)

@@ -17,6 +17,7 @@ from ..files.registry import size_on_disk
 from ..metrics import load_lpips
 from ..metrics.evaluate import Rendered, Renders, evaluate, refuse_unseen
 from ..photographs.dataset import Dataset
+from ..photographs.rendered import RenderedDataset
 from .page import MASK_PERCENTILE, Report, View, write_report
 from .pictures import difference_image, mask_to_rgb, to_uint8
 from .prune_report import report_indices, report_pictures, report_views
@@ -27,6 +28,7 @@ Opens = Callable[[Path, str, Callable[[int], int]], AbstractContextManager[tuple
 def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_weights: Path | None = None) -> dict:
     """Writes index.html and, for each of a few test views, one PNG: A | B | difference | spatial mask of A | spatial mask of B.
 
+    dataset: without photographs, pictures of A take their place, and 'a' has no figures of quality.
     opened: opens a scene to render it, as large.opened.opened() does. Returns the JSON result: 'a' and 'b' with the figures of `svrgs eval`, 'report' (the
     page), 'pictures' (the files), 'notes' of the dataset. Raises SplatError.
     """
@@ -36,16 +38,18 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_
     refuse_same_stems(shown, "give one of the photographs another name, in the COLMAP model too")
     cameras = [dataset.cameras[i] for i in views]
     needed = functools.partial(memory.comparing, cameras=cameras, shown=shown, kept_photographs=dataset.memory_budget, lpips=lpips is not None)
-    figures, renders = [], []
+    figures, renders = list[dict](), []
     with opened(a, "comparing", needed) as first, opened(b, "comparing", needed) as second:
         opened_scenes = ((a, *first), (b, *second))
         for path, scene, _ in opened_scenes:
             refuse_unseen(scene, dataset.cameras, str(path))
+        dataset = dataset if dataset.photos else _of_pictures(dataset, *first)
+        own = isinstance(dataset, RenderedDataset)
         for path, scene, rasterizer in opened_scenes:
-            figures.append({**evaluate(scene, dataset, views, rasterizer, lpips), "bytes": size_on_disk(path)})
+            quality = {"count": scene.count} if own and not figures else evaluate(scene, dataset, views, rasterizer, lpips)
+            figures.append({**quality, "bytes": size_on_disk(path)})
             renders.append(report_pictures(scene, dataset, rasterizer))
-    before, after = renders
-    pictures = list(report_views(before, after, dataset))
+        pictures = list(report_views(renders[0], renders[1], dataset))
     files = [_save(out, view) for view in pictures]
     page = Report(
         scene=f"{a.name} and {b.name}", before=figures[0], after=figures[1], names=(a.name, b.name),
@@ -53,6 +57,12 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_
     )  # fmt: skip
     path = write_report(out, page)
     return {"a": figures[0], "b": figures[1], "report": str(path), "pictures": [str(file) for file in files], "notes": list(dataset.notes)}
+
+
+def _of_pictures(views: Dataset, scene: Rendered, rasterizer: Renders) -> RenderedDataset:
+    """The same views with pictures of the scene as photographs."""
+    train, test = ([views.cameras[k] for k in indices] for indices in (views.train_indices, views.test_indices))
+    return RenderedDataset.of(scene, train, test, background=views.background, memory_budget=views.memory_budget, notes=views.notes, rasterizer=rasterizer)
 
 
 def _save(out: Path, view: View) -> Path:

@@ -1,0 +1,46 @@
+"""`svrgs compare`: two scenes against photographs, or, without them, the second one against the pictures of the first."""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from ..camera import evenly
+from ..errors import SceneError
+from ..files.registry import check_readable
+from ..jobs.options import DatasetOptions
+from ..jobs.rendered_views import LONGEST
+from ..jobs.run_job import dataset_of
+from ..large.opened import opened
+from ..large.sample import sample_of
+from ..photographs.camera_files import load_cameras
+from ..photographs.dataset import HOLDOUT, Dataset
+from ..report.compare import compare
+from ..rig import place_rig
+from .arguments import options_from
+
+MOST = 32  # given views, evenly spread in the file
+
+
+def compare_scenes(words: argparse.Namespace) -> dict:
+    """Writes the report. Returns the result of report.compare.compare(). Raises SplatError."""
+    for path in (words.a, words.b):
+        check_readable(path)
+    dataset = dataset_of(options_from(DatasetOptions, words)) if words.colmap else _views_alone(words)
+    return compare(words.a, words.b, dataset, words.out, opened, words.lpips_weights)
+
+
+def _views_alone(words: argparse.Namespace) -> Dataset:
+    """Given or placed cameras, without photographs. Raises SplatError."""
+    if words.images or words.holdout != HOLDOUT:
+        raise SceneError("--images and --holdout are of photographs: give --colmap, or leave them out")
+    if words.cameras:
+        cameras, where = [camera.fitted(LONGEST) for camera in evenly(load_cameras(words.cameras), MOST)], f"from {words.cameras.name}"
+    else:
+        scene, enlarged = sample_of(words.a)
+        cameras, where = place_rig(scene, enlarged=enlarged).held_out, "that were placed"
+    note = f"no photographs: {words.b.name} is measured against pictures of {words.a.name}, in {len(cameras)} views {where}"
+    points = np.empty((0, 3))
+    budget = int(words.image_memory * 1e9)
+    return Dataset(cameras, points.astype(np.float32), points.astype(np.uint8), [], list(range(len(cameras))), [], words.background, budget, (note,))
