@@ -108,6 +108,9 @@ def test_a_drop_is_held(svrgs, short, source, tmp_path, suffix):
     result = svrgs("prune", source, "--quick", "--max-drop", 0.4, "--out", out, "--json").json
     assert 0 < result["drop"] <= 0.4 and COUNT / 20 <= result["count"] < COUNT and read_scene(out).count == result["count"]
     assert "pruned by blocks" in result["notes"][0] and [path.name for path in tmp_path.iterdir()] == [out.name]
+    if suffix == ".spz":
+        return
+    assert abs(result["psnr_values"] - result["psnr"]) < 0.01 and not any("format" in note for note in result["notes"])
     wide = svrgs("prune", source, "--quick", "--max-drop", 1.5, "--out", tmp_path / f"wide{suffix}", "--json").json
     assert wide["count"] < result["count"] and result["drop"] < wide["drop"] <= 1.5
 
@@ -148,8 +151,6 @@ def test_a_format_that_loses_more_than_pruning_is_told(svrgs, source, tmp_path):
     write_scene(tmp_path / "noise.ply", scene)
     done = svrgs("large", "prune", tmp_path / "noise.ply", "--target", 0.9, "--out", tmp_path / "o.splat")
     assert done.status == 0 and "the format of the output loses more than pruning" in done.out
-    result = svrgs("large", "prune", tmp_path / "noise.ply", "--target", 0.9, "--out", tmp_path / "o.ply", "--json").json
-    assert result["notes"] == [] and abs(result["psnr_values"] - result["psnr"]) < 0.01
 
 
 def test_a_level_that_is_the_input_is_refused(svrgs, short, source, tmp_path):
