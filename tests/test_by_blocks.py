@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -143,6 +144,13 @@ def test_levels_of_a_streamed_sog_are_in_it(svrgs, short, source, tmp_path):
     assert [sum(part.count for part in read_level(out, level)) for level in range(2)] == [COUNT // 2, COUNT // 10] and not any(out.parent.glob("*.blocks"))
     assert result["out"] == result["levels"][0]["out"] == str(out) and result["levels"][0]["count"] == COUNT // 10
     assert result["bytes"] + result["levels"][0]["bytes"] + out.stat().st_size == size_on_disk(out) and result["psnr"] > result["levels"][0]["psnr"]
+
+
+def test_a_full_disk_is_told_before_views_are_scored(svrgs, short, monkeypatch, source, tmp_path):
+    monkeypatch.setattr("svrgs_addon.large.whole.score", lambda *_: pytest.fail("views were scored"))
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=4 * COUNT * (12 + 3 * 4) * 2))
+    done = svrgs("prune", source, "--quick", "--target", 0.9, "--out", tmp_path / "o.ply")
+    assert done.status == 2 and "are free; free disk space or choose another folder" in done.err and not any(tmp_path.iterdir())
 
 
 def test_a_format_that_loses_more_than_pruning_is_told(svrgs, source, tmp_path):

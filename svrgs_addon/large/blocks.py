@@ -114,6 +114,11 @@ class Divided:
         }  # fmt: skip
 
     @property
+    def bytes(self) -> int:
+        """Of its blocks on the disk."""
+        return self.count * 4 * (WIDTH + 3 * self.coefficients + 1)
+
+    @property
     def means(self) -> np.ndarray:
         """(n, 3) of Gaussians evenly spread over the blocks, about SPREAD of many."""
         step = max(1, self.count // SPREAD)

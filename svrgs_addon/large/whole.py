@@ -9,18 +9,20 @@ from pathlib import Path
 from typing import Any
 
 from ..camera import Camera
-from ..files.atomic import check_writable, reserved
+from ..files.atomic import check_space, check_writable, reserved
 from ..files.level_files import holds_levels, level_files
 from ..files.registry import format_to_write, refuse_input
+from ..finetune.quality import LEAST
 from .allowed_drop import drop, errors_of_format, fewest_within
 from .blocks import MOST, Divided, Tell, divide
-from .folder import LEVEL, measured_views, prepare, refuse_foreign, remove, scored_views
+from .folder import LEVEL, SCORED, measured_views, prepare, refuse_foreign, remove, scored_views
 from .likeness import Likeness
 from .merging import merge, reduce
 from .pruning import finish, join_levels, of_format
 from .scoring import score
 from .tuning import EPOCHS, cut, tune
 
+SUMS, COPIES = 1.2, 4  # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
 Told = Callable[[str], Tell]  # of the name of a step
 
 
@@ -66,6 +68,8 @@ def prune_by_blocks(
         try:
             prepare(work, *views())
             divided, scored = divide(source.absolute(), work, block, told("divide")), scored_views(work)
+            share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else LEAST
+            check_space(work / SCORED, int((SUMS + COPIES * share) * divided.bytes))
             likeness = Likeness(divided, measured_views(work), told)
             errors = errors_of_format(divided, likeness, goal.max_drop, out, told) if goal.max_drop else []
             score(divided, scored, 0, 1, told("score"))
