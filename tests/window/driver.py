@@ -18,6 +18,7 @@ from pathlib import Path
 import bpy
 
 SIZE = (1280, 1120)
+first_is_open = True  # of the panels of the tab
 HEADER, HEADER_HEIGHT = (825, 97), 28  # the first header of the sidebar's tab; from one header to the next where all panels are closed
 DATA, OUT = (Path(word) for word in sys.argv[sys.argv.index("--") + 1 :])
 
@@ -93,19 +94,40 @@ def sidebar(tab: str) -> Iterator[float]:
 
 def open_panel(title: str) -> Iterator[float]:
     """Opens one panel of the sidebar's tab SVR-GS and closes all others."""
-    yield from click(*HEADER, ctrl=True)  # the others close
-    yield from click(*HEADER)
-    yield 0.5
+    global first_is_open
+    if not first_is_open:
+        yield from click(*HEADER)
+    yield from close_all()
     yield from click(HEADER[0], header_height(title))
+    first_is_open = title == titles()[0]
     yield 0.7
+
+
+def close_all() -> Iterator[float]:
+    """Draws a line down from the first header, whose panel is open: it closes, and so do all that the line then meets."""
+    x, y = HEADER
+    send = lambda kind, value, below: window().event_simulate(type=kind, value=value, x=x, y=SIZE[1] - y - below)  # noqa: E731
+    send("MOUSEMOVE", "NOTHING", -2)
+    yield 0.2
+    send("LEFTMOUSE", "PRESS", 0)
+    for step in range(1, 2 * len(titles()) + 1):
+        yield 0.15
+        send("MOUSEMOVE", "NOTHING", step * HEADER_HEIGHT // 2)
+    yield 0.2
+    send("LEFTMOUSE", "RELEASE", len(titles()) * HEADER_HEIGHT)
+    yield 0.5
+
+
+def titles() -> list[str]:
+    """Of the panels of the tab, from top to bottom."""
+    panels = [panel for panel in bpy.types.Panel.__subclasses__() if getattr(panel, "bl_category", "") == "SVR-GS" and not hasattr(panel, "bl_parent_id")]
+    shown = [panel for panel in panels if panel.bl_space_type == "VIEW_3D" and (not hasattr(panel, "poll") or panel.poll(bpy.context))]
+    return [panel.bl_label.lstrip("0123456789 ") for panel in sorted(shown, key=lambda panel: getattr(panel, "bl_order", 0))]
 
 
 def header_height(title: str) -> int:
     """Height of the panel's header where all panels are closed."""
-    panels = [panel for panel in bpy.types.Panel.__subclasses__() if getattr(panel, "bl_category", "") == "SVR-GS" and not hasattr(panel, "bl_parent_id")]
-    shown = [panel for panel in panels if panel.bl_space_type == "VIEW_3D" and (not hasattr(panel, "poll") or panel.poll(bpy.context))]
-    titles = [panel.bl_label.lstrip("0123456789 ") for panel in sorted(shown, key=lambda panel: getattr(panel, "bl_order", 0))]
-    return HEADER[1] + HEADER_HEIGHT * titles.index(title)
+    return HEADER[1] + HEADER_HEIGHT * titles().index(title)
 
 
 def shot(name: str):

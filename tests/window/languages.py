@@ -17,9 +17,9 @@ PACKAGE = "bl_ext.user_default.svrgs"
 
 
 def said() -> list[str]:
-    """The label of a panel and of an operator, a sentence with figures, and sentences of the panel Prune."""
+    """The label of a panel and of an operator, a sentence with figures, and what the goal of the panel Prune means."""
     scene, state = bpy.context.scene.svrgs_looking, bpy.context.window_manager.svrgs_prune_state
-    return [pgettext_iface("Spatial Mask"), pgettext_iface("Estimate", "Operator"), scene.about, state.sentences]
+    return [pgettext_iface("Spatial Mask"), pgettext_iface("Estimate", "Operator"), scene.about, state.goal_help]
 
 
 def steps():

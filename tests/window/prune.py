@@ -15,7 +15,7 @@ from driver import DATA, OUT, click, key, shot, until
 
 PACKAGE = "bl_ext.user_default.svrgs"
 LEFT, RIGHT = 842, 961  # the two buttons of a row
-START, STOP, RESUME, APPLY = 218, 291, 298, 156  # distances of these rows below the header
+START, STOP, RESUME, APPLY = 241, 291, 298, 156  # distances of these rows below the header
 VIEW = (400, 700)  # somewhere in the 3D view
 
 
