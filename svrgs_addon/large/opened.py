@@ -51,7 +51,7 @@ def opened(path: Path, doing: str, needed: Callable[[int], int]) -> Iterator[tup
     else:
         yield scene, Rasterizer()
         return
-    logging.warning("%s; it is done by blocks, which takes longer", reason)
+    logging.warning("%s; it is done by blocks in %s (TMPDIR), which takes longer", reason, tempfile.gettempdir())
     with interrupting(), tempfile.TemporaryDirectory(prefix="svrgs-blocks-", ignore_cleanup_errors=True) as folder:
         yield divide(path, Path(folder)), BlockRasterizer()
 
