@@ -15,7 +15,7 @@ from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import read_scene
 from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.refit import interpolated
-from svrgs_addon.jobs import quick, smallest_file
+from svrgs_addon.jobs import smallest_file
 from svrgs_addon.jobs.context import JobContext
 from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.jobs.quick import prune_quick
@@ -258,11 +258,3 @@ def test_an_allowed_drop_counts_what_the_format_loses(splat, tmp_path):
     with pytest.raises(SceneError, match="the format alone loses .* not less than --max-drop allows"):
         run(splat, out=tmp_path / "a.splat", target=None, max_drop=0.01)
     assert not (tmp_path / "a.splat").exists()
-
-
-def test_small_scenes_get_more_views_and_steps(splat):
-    """Up to twice as many; large ones as many as before."""
-    assert run(splat)["views"] == quick.VIEWS * quick.TIMES
-    times = [quick._times(count) for count in (1, 100_000, 300_000, 500_000, 5_000_000)]
-    assert times == sorted(times, reverse=True) and times[:2] == [2, 2] and 1 < times[2] < 2 and times[3:] == [1, 1]
-    assert quick._steps(0.25, 500_000) == quick.STEPS and quick._steps(0.25, 1_000) == 2 * quick.STEPS

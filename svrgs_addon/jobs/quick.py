@@ -47,7 +47,6 @@ from .smallest_file import smallest_file
 SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
-LARGE, TIMES = 500_000, 2.0  # a scene with fewer Gaussians gets more views and steps, up to so many times as many
 NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 TAKES = (  # options; others are refused
     "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "max_drop", "quiet", "quick", "scene", "out", "levels",
@@ -80,7 +79,7 @@ def like_quick(options: PruneOptions) -> tuple[PruneOptions, RenderedDataset]:
     train, test, notes = _views(scene, options)
     dataset = RenderedDataset.of(scene, train, test, background=options.background, notes=tuple(notes))
     share = options.target or (options.target_count or LIKELY * scene.count) / scene.count
-    return replace(options, quick=False, method="merge", recovery=_steps(min(1.0, share), scene.count)), dataset
+    return replace(options, quick=False, method="merge", recovery=_steps(min(1.0, share))), dataset
 
 
 def refuse_options(options: PruneOptions):
@@ -178,7 +177,7 @@ def _tuned(order: Order, count: int, likeness: _Likeness, shown: list[Look], opt
         return small
     try:
         settings = render_options(small, options.background)
-        tuned = refit(small, shown, _steps(share, order.scene.count), pace_at(share), middle_scale(small.log_scales), settings, options.seed, stop)
+        tuned = refit(small, shown, _steps(share), pace_at(share), middle_scale(small.log_scales), settings, options.seed, stop)
     except Cancelled:
         raise Cancelled(NOT_FINISHED) from None
     best, highest = tuned, likeness.psnr(tuned)
@@ -198,34 +197,28 @@ def _of_quantise(factor: float) -> list[str]:
     return [f"spherical harmonics are stored more coarsely, as by svrgs convert --quantise {factor:g}: that makes the smallest file"] if factor != 1 else []
 
 
-def _steps(share: float, count: int) -> int:
-    """The number of steps of fine-tuning for this share of so many Gaussians: with few of them, a step is quick and more is to be gained."""
-    return round(_times(count) * min(MOST_STEPS, STEPS * (USUAL / share) ** (0.5 if share < USUAL else 0.25)))
-
-
-def _times(count: int) -> float:
-    """How many times as many views and steps a scene of so many Gaussians gets: small ones are rendered quickly."""
-    return min(TIMES, max(1.0, (LARGE / count) ** 0.5))
+def _steps(share: float) -> int:
+    """The number of steps of fine-tuning for this share of the Gaussians: with few of them, a step is quick and more is to be gained."""
+    return round(min(MOST_STEPS, STEPS * (USUAL / share) ** (0.5 if share < USUAL else 0.25)))
 
 
 def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Camera], list[str]]:
     """Views to decide and fine-tune on, others to measure on, and a sentence on where they come from. Raises SceneError, FormatError."""
-    views = round(VIEWS * _times(scene.count))
     if options.colmap is None:
         where = "from outside all around"
-        return cameras_around(scene, views, SIDE), cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9), _of_views(where)
+        return cameras_around(scene, VIEWS, SIDE), cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9), _of_views(where)
     dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
     refuse_unseen(scene, dataset.cameras, str(options.scene))
     train, test = ([dataset.cameras[i].fitted(SIDE) for i in indices] for indices in (dataset.train_indices, dataset.test_indices or dataset.train_indices))
     if not train:
         raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
-    return evenly(train, views), evenly(test, TEST_VIEWS), _of_views("from the cameras of the dataset")
+    return evenly(train, VIEWS), evenly(test, TEST_VIEWS), _of_views("from the cameras of the dataset")
 
 
 def _views_within(scene: Scene, options: PruneOptions, unseen: int) -> tuple[list[Camera], list[Camera], list[str]]:
     """As _views(), for a scene that is seen from inside. unseen: number of Gaussians that views from outside do not show. Raises SceneError if
     no free space is found inside."""
-    rig = quick_rig(scene, round(VIEWS * _times(scene.count)), held_out=TEST_VIEWS, seed=options.seed)
+    rig = quick_rig(scene, VIEWS, held_out=TEST_VIEWS, seed=options.seed)
     if not rig.inside_out:
         raise SceneError(
             f"{options.scene}: {unseen:,} of its {scene.count:,} Gaussians are hidden in all views from outside, and no free space was found inside;"
