@@ -177,28 +177,31 @@ def test_what_blocks_cannot_do_is_refused_as_before(svrgs, monkeypatch, short, s
     assert many.status == 2 and "more than the limit" in many.err and many.err.count("svrgs large prunes it by blocks") == 1
 
 
-def test_a_stop_leaves_nothing_behind(svrgs, short, monkeypatch, source, tmp_path):
-    asked = by_blocks.Reporter.part
+@pytest.fixture
+def stop_at(monkeypatch):
+    """Sends Ctrl-C when progress tells of a step."""
 
-    def part(self, text: str, share: float):
-        asked(self, text, share)
-        if text.startswith("score"):
-            signal.raise_signal(signal.SIGINT)
+    def stop(step: str):
+        told = by_blocks.Reporter.part
 
-    monkeypatch.setattr(by_blocks.Reporter, "part", part)
+        def part(self, text: str, share: float):
+            told(self, text, share)
+            if text.startswith(step):
+                signal.raise_signal(signal.SIGINT)
+
+        monkeypatch.setattr(by_blocks.Reporter, "part", part)
+
+    return stop
+
+
+def test_a_stop_leaves_nothing_behind(svrgs, short, stop_at, source, tmp_path):
+    stop_at("score")
     done = svrgs("prune", source, "--quick", "--target", 0.5, "--out", tmp_path / "o.ply")
     assert done.status == 130 and "nothing was written" in done.err and not any(tmp_path.iterdir())
 
 
-def test_a_stop_between_levels_leaves_the_first_one(svrgs, short, monkeypatch, source, tmp_path):
-    written = by_blocks.Reporter.part
-
-    def part(self, text: str, share: float):
-        written(self, text, share)
-        if text.startswith("measure"):
-            signal.raise_signal(signal.SIGINT)
-
-    monkeypatch.setattr(by_blocks.Reporter, "part", part)
+def test_a_stop_between_levels_leaves_the_first_one(svrgs, short, stop_at, source, tmp_path):
+    stop_at("measure")
     done = svrgs("prune", source, "--quick", "--target", 0.5, "--levels", "0.5", "--out", tmp_path / "o.ply")
     assert done.status == 130 and "the files that are there are complete" in done.err
     assert [path.name for path in tmp_path.iterdir()] == ["o.ply"] and read_scene(tmp_path / "o.ply").count == COUNT // 2

@@ -227,6 +227,14 @@ def test_views_of_a_comparison_are_placed(tiny, svrgs, tmp_path):
     assert refused.status == 2 and "give --colmap, or leave them out" in refused.err and not (tmp_path / "no").exists()
 
 
+def test_a_comparison_is_refused_before_views_are_placed(tiny, svrgs, tmp_path, monkeypatch):
+    monkeypatch.setattr("svrgs_addon.cli.compare_scenes.place_rig", lambda *_, **__: pytest.fail("views were placed"))
+    both = svrgs("compare", tiny.splat, tiny.splat, "--colmap", tiny.folder, "--cameras", tmp_path / "cameras.json", "--out", tmp_path / "no")
+    assert both.status == 2 and "both name views" in both.err and not (tmp_path / "no").exists()
+    (tmp_path / "file").touch()
+    assert "is not a folder" in svrgs("compare", tiny.splat, tiny.splat, "--out", tmp_path / "file/out").err
+
+
 # --- failures and help
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..camera import evenly
 from ..errors import SceneError
+from ..files.atomic import check_writable
 from ..files.registry import check_readable
 from ..jobs.options import DatasetOptions
 from ..jobs.rendered_views import LONGEST
@@ -25,6 +26,9 @@ MOST = 32  # given views, evenly spread in the file
 
 def compare_scenes(words: argparse.Namespace) -> dict:
     """Writes the report. Returns the result of report.compare.compare(). Raises SplatError."""
+    if words.colmap and words.cameras:
+        raise SceneError("--colmap and --cameras both name views; leave one out")
+    check_writable(words.out / "index.html")  # before cameras are placed
     for path in (words.a, words.b):
         check_readable(path)
     dataset = dataset_of(options_from(DatasetOptions, words)) if words.colmap else _views_alone(words)

@@ -46,7 +46,7 @@ Tell = Callable[[str, float], None]  # what is done now, and the share of the wo
 
 @dataclass(frozen=True)
 class Block:
-    """The Gaussians of one block. Its arrays are files that the system maps into memory anew each time: Windows does not delete what is mapped."""
+    """The Gaussians of one block. Each access maps the file of an array into memory; it is not kept, because Windows deletes no file that is mapped."""
 
     folder: Path
     number: int

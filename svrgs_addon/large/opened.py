@@ -14,7 +14,7 @@ from .. import memory
 from ..camera import Camera
 from ..errors import MemoryShort, TooMany
 from ..files.registry import load_scene
-from ..metrics.evaluate import Rendered, Renders
+from ..metrics.evaluate import Renderable, Renderer
 from ..native import Rasterizer, RenderOptions
 from ..scene import Scene
 from ..system.processes import interrupting
@@ -29,18 +29,19 @@ class BlockRasterizer:
         self._rasterizer = Rasterizer()
 
     def forward(self, divided: Divided, camera: Camera, options: RenderOptions = RenderOptions(), outputs=("rgb",)) -> dict[str, np.ndarray]:
-        """As Rasterizer.forward(). Raises SplatError, also if memory does not hold what the view shows. F counts Gaussians behind what is opaque too, so
-        with the output mask, memory must hold all that is in view."""
+        """As Rasterizer.forward(). Raises SplatError, also if memory cannot hold what the view shows. For the output mask it must hold all Gaussians in
+        view, because F also counts hidden ones."""
         scene, _ = seen(divided, camera, self._rasterizer, behind="mask" in outputs)
         return self._rasterizer.forward(scene, camera, options, outputs=outputs)
 
 
 @contextlib.contextmanager
-def opened(path: Path, doing: str, needed: Callable[[int], int]) -> Iterator[tuple[Rendered, Renders]]:
+def opened(path: Path, doing: str, needed: Callable[[int], int]) -> Iterator[tuple[Renderable, Renderer]]:
     """A scene and what renders it. Where memory is too short for all of it, or the file holds too many Gaussians, it is divided in the folder for temporary
     files, and the log says so.
 
-    doing: what is done with it, for messages, such as 'rendering'. needed: bytes of memory for that, beside so many Gaussians. Raises SplatError.
+    doing: a word for messages, such as 'rendering'. needed: gives the bytes of memory that this takes for N Gaussians which are in memory already. Raises
+    SplatError.
     """
     try:
         scene = _whole(path, doing, needed)

@@ -22,8 +22,8 @@ HALF = 3.01  # dB: half of the squared error
 
 
 def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
-    """Writes what is left of a divided scene, tuned as far as that does good, and measures it. told: of the name of a step. Returns the JSON result. Raises
-    SplatError."""
+    """Writes what is left of a divided scene, and measures it. If fine-tuning makes it worse, less of that is taken. told: of the name of a step. Returns
+    the JSON result. Raises SplatError."""
     left, facts = _settled(divided, likeness)
     write_joined(left, out)
     written = divide(out, divided.folder / RESULT, tell=told("read"))
@@ -60,7 +60,8 @@ def write_joined(divided: Divided, out: Path):
 
 
 def join_levels(divided: Divided, likeness: Likeness, files: Sequence[Path], out: Path, told: Callable[[str], Tell]) -> list[dict[str, Any]]:
-    """Writes levels of detail, the finest one first, as one streamed SOG, and measures each. Returns what is new in their results. Raises SplatError."""
+    """Writes levels of detail as one streamed SOG, and measures each. files: their PLYs, the finest one first. Returns for each the part of finish()'s
+    result that changes: out, figures, after. Raises SplatError."""
     with contextlib.ExitStack() as stack:
         streamed_sog.write_levels(out, [stack.enter_context(spooled(load_parts(path), out)) for path in files])
     results = []

@@ -24,7 +24,7 @@ VISIBLE_POINTS = 100_000  # approximate number of Gaussians that are checked
 VISIBLE_REACH = 100.0  # largest z, as a multiple of the largest distance of a camera from the mean of the cameras
 
 
-class Rendered(Protocol):
+class Renderable(Protocol):
     """A scene: in memory (scene.Scene), or larger than that (large.blocks.Divided)."""
 
     @property
@@ -38,7 +38,7 @@ class Rendered(Protocol):
         """(n, 3), of all its Gaussians or of some all over it."""
 
 
-class Renders(Protocol):
+class Renderer(Protocol):
     """Renders a scene: native.Rasterizer, or large.opened.BlockRasterizer for a divided one."""
 
     @property
@@ -57,7 +57,7 @@ def rounded_to_8_bits(rgb: np.ndarray) -> np.ndarray:
     return image
 
 
-def render_options(scene: Rendered, background=(0.0, 0.0, 0.0), mask_kind: str = "none") -> RenderOptions:
+def render_options(scene: Renderable, background=(0.0, 0.0, 0.0), mask_kind: str = "none") -> RenderOptions:
     """Options to render the scene as it was trained. background: display sRGB 0..1. mask_kind: form of F, see RenderOptions."""
     return RenderOptions(antialiased=scene.antialiased, background=background, mask_kind=mask_kind)
 
@@ -80,7 +80,7 @@ def mean_psnr(model, dataset: Dataset, indices: Sequence[int], rasterizer: Raste
     return statistics.fmean(values)
 
 
-def evaluate(scene: Rendered, dataset: Dataset, indices: Sequence[int], rasterizer: Renders, lpips: Callable | None = None) -> dict:
+def evaluate(scene: Renderable, dataset: Dataset, indices: Sequence[int], rasterizer: Renderer, lpips: Callable | None = None) -> dict:
     """Renders the views and compares them with the photographs.
 
     Returns means over the views: psnr (dB), ssim, flip, lpips (None without `lpips`); and count (Gaussians), ms_per_frame (median
@@ -106,7 +106,7 @@ def evaluate(scene: Rendered, dataset: Dataset, indices: Sequence[int], rasteriz
     }
 
 
-def refuse_unseen(scene: Rendered, cameras: Sequence[Camera], name: str):
+def refuse_unseen(scene: Renderable, cameras: Sequence[Camera], name: str):
     """Raises SceneError if no camera sees the centre of a Gaussian within VISIBLE_REACH: scene and cameras do not belong together.
 
     name: name of the scene's file, for the message.

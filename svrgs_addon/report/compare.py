@@ -15,22 +15,22 @@ from ..files.atomic import check_writable
 from ..files.images import write_image
 from ..files.registry import size_on_disk
 from ..metrics import load_lpips
-from ..metrics.evaluate import Rendered, Renders, evaluate, refuse_unseen
+from ..metrics.evaluate import Renderable, Renderer, evaluate, refuse_unseen
 from ..photographs.dataset import Dataset
 from ..photographs.rendered import RenderedDataset
 from .page import MASK_PERCENTILE, Report, View, write_report
 from .pictures import difference_image, mask_to_rgb, to_uint8
 from .prune_report import report_indices, report_pictures, report_views
 
-Opens = Callable[[Path, str, Callable[[int], int]], AbstractContextManager[tuple[Rendered, Renders]]]
+Opens = Callable[[Path, str, Callable[[int], int]], AbstractContextManager[tuple[Renderable, Renderer]]]
 
 
 def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_weights: Path | None = None) -> dict:
     """Writes index.html and, for each of a few test views, one PNG: A | B | difference | spatial mask of A | spatial mask of B.
 
-    dataset: without photographs, pictures of A take their place, and 'a' has no figures of quality.
-    opened: opens a scene to render it, as large.opened.opened() does. Returns the JSON result: 'a' and 'b' with the figures of `svrgs eval`, 'report' (the
-    page), 'pictures' (the files), 'notes' of the dataset. Raises SplatError.
+    dataset: if it has no photographs, pictures of A take their place, and 'a' has no figures of quality. opened: opens a scene to render it, as
+    large.opened.opened() does. Returns the JSON result: 'a' and 'b' with the figures of `svrgs eval`, 'report' (the page), 'pictures' (the files), 'notes'
+    of the dataset. Raises SplatError.
     """
     check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)
@@ -59,7 +59,7 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_
     return {"a": figures[0], "b": figures[1], "report": str(path), "pictures": [str(file) for file in files], "notes": list(dataset.notes)}
 
 
-def _of_pictures(views: Dataset, scene: Rendered, rasterizer: Renders) -> RenderedDataset:
+def _of_pictures(views: Dataset, scene: Renderable, rasterizer: Renderer) -> RenderedDataset:
     """The same views with pictures of the scene as photographs."""
     train, test = ([views.cameras[k] for k in indices] for indices in (views.train_indices, views.test_indices))
     return RenderedDataset.of(scene, train, test, background=views.background, memory_budget=views.memory_budget, notes=views.notes, rasterizer=rasterizer)
