@@ -178,12 +178,14 @@ class Rasterizer:
         _call("svrgs_backward", self._context, c.byref(grads_in), c.byref(grads_out))
         return grads
 
-    def backward_update(self, image_grads: dict, tensors: dict, rates: dict, *, step, betas=(0.9, 0.999), eps=1e-15, wanted=()) -> tuple[dict, int]:
+    def backward_update(
+        self, image_grads: dict, tensors: dict, rates: dict, *, step, slope=None, betas=(0.9, 0.999), eps=1e-15, wanted=()
+    ) -> tuple[dict, int]:
         """backward() and adam() in one call, with the same bits, but without storing the gradients.
 
         The view cannot be used afterwards, because its scene has changed. tensors: {name: (param, moments)}; param is the scene's
-        own array; sh must be among them. rates: {name: one rate, or one per column}. step: from 1. wanted: gradients to return, not
-        of tensors. Returns ({name: (V, ...)}, number of rows that were skipped because their gradient was not finite).
+        own array; sh must be among them. 'masks': the existence logits (N,), whose gradient is dL/dM times slope (N,). rates: {name:
+        one rate, or one per column}. step: from 1. wanted: gradients to return, not of tensors. Returns ({name: (V, ...)}, number of rows that were skipped because their gradient was not finite).
         """
         if both := {*wanted} & {*tensors}:
             raise ValueError(f"these tensors are updated, so their gradients are not stored: {', '.join(sorted(both))}")
@@ -193,6 +195,8 @@ class Rasterizer:
             columns[name] = _rates(rates[name], self._shapes[name])
             addresses = self._trained(param, moments, self._shapes[name], f" of {name}")
             setattr(update, name, TrainedStruct(*addresses, columns[name].ctypes.data))
+        if "masks" in tensors:
+            update.slope = check(slope, "slope", self._shapes["masks"], self.dtype)
         bad = c.c_int64()
         _call("svrgs_backward_update", self._context, c.byref(grads_in), c.byref(update), c.byref(grads_out), c.byref(bad))
         return grads, bad.value
@@ -276,6 +280,13 @@ class Rasterizer:
         )
         return values[0], values[1], grad
 
+    def mask_loss(self, mask, weight: float) -> tuple[float, np.ndarray]:
+        """L_F = mean F^2 (SVR-GS Eq. 10) and `weight` times its gradient, (H, W), valid until the next call. mask: F (H, W) in self.dtype."""
+        grad, value = self._buffer("mask_loss", np.shape(mask)), c.c_double()
+        address = c.c_void_p(check(mask, "mask", grad.shape, self.dtype))
+        _call("svrgs_mask_loss", self._context, address, c.c_int64(mask.size), c.c_double(weight), c.c_void_p(grad.ctypes.data), c.byref(value))
+        return value.value, grad
+
     def adam(self, param, moments, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
         """One Adam step (Kingma and Ba) on some rows of param (N, ...), in place.
 
@@ -315,8 +326,8 @@ class Rasterizer:
         """The struct of a scene whose arrays were checked. The arrays are kept alive until the next view."""
         arrays = {name: getattr(scene, name) for name in PARAMETERS}
         n, k = len(arrays["means"]), np.shape(arrays["sh"])[1] if np.ndim(arrays["sh"]) == 3 else 1
-        self._shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3)}
-        pointers = {name: check(arrays[name], name, shape, self.dtype) for name, shape in self._shapes.items()}
+        self._shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3), "masks": (n,)}
+        pointers = {name: check(arrays[name], name, self._shapes[name], self.dtype) for name in PARAMETERS}
         if masks is not None:
             pointers["masks"] = check(masks, "masks", (n,), np.uint8)
         self._view = (*arrays.values(), masks)

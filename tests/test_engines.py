@@ -285,9 +285,11 @@ def poisoned(engine):
         grads["means"][a, 1], grads["sh"][b, 5, 2], grads["sh"][c, 0, 0], grads["masks"][d] = np.nan, np.inf, -np.inf, np.nan
         return grads
 
-    def update_with_bad_values(image_grads, tensors, rates, *, wanted, **adam):
+    def update_with_bad_values(image_grads, tensors, rates, *, slope, wanted, **adam):
         grads = with_bad_values(image_grads, (*tensors, *wanted))
         ids = engine.rasterizer.visible()
+        if "masks" in tensors:
+            grads["masks"] = grads["masks"] * slope[ids]
         return grads, sum(engine.rasterizer.adam(*tensors[name], grads[name], ids, lr=rates[name], **adam) for name in tensors)
 
     engine.rasterizer.backward, engine.rasterizer.backward_update = with_bad_values, update_with_bad_values

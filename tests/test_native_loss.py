@@ -7,6 +7,7 @@ import torch
 from native_helpers import FLOAT_LEVELS, LEVELS, rasterizer, relative_l2
 from reference import loss as ref_loss
 from svrgs_addon import native
+from svrgs_addon.errors import NativeError
 
 pytestmark = pytest.mark.usefixtures("default_threads")
 
@@ -105,3 +106,26 @@ def test_loss_has_the_same_bits_for_any_number_of_threads(level):
         l1, ssim, grad = native_loss(level, image, target)
         results.append((l1, ssim, grad.tobytes()))
     assert len(set(results)) == 1
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (95, 170), (300, 170)])
+def test_mask_loss_is_the_mean_square_of_f(size, level):
+    r = rasterizer(level)
+    F = np.random.default_rng(1).gamma(2, 0.4, size).astype(r.dtype)
+    value, grad = r.mask_loss(F, 0.3)
+    exact = F.astype(np.float64)
+    assert value == pytest.approx(np.square(exact).mean(), rel=1e-7 if r.dtype == np.float32 else 1e-13)
+    np.testing.assert_allclose(grad, 0.6 * exact / F.size, rtol=2e-7 if r.dtype == np.float32 else 1e-14)
+
+
+def test_mask_loss_does_not_depend_on_the_number_of_threads_and_refuses_an_empty_mask():
+    r, F = rasterizer(native.best_level()), np.random.default_rng(2).random((300, 171), np.float32)
+    found = []
+    for threads in (1, 2, 5):
+        native.set_threads(threads)
+        value, grad = r.mask_loss(F, 0.1)
+        found.append((value, grad.tobytes()))
+    assert len(set(found)) == 1
+    with pytest.raises(NativeError, match="pixels"):
+        r.mask_loss(F[:0], 0.1)

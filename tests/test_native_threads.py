@@ -86,3 +86,18 @@ def test_fewer_threads_where_the_system_gives_no_more():
 def test_threads_that_would_only_wait_are_not_started(asked, default_threads):
     native.set_threads(asked)
     assert native.threads() == max(32, 8 * len(os.sched_getaffinity(0)))
+
+
+def test_thousands_of_short_jobs_with_more_threads_than_cores():
+    """A thread that missed its call, or left a job too late, would hang or change a bit here."""
+    logits = np.random.default_rng(5).normal(0, 1, 3 * 8192 + 5).astype(np.float32)  # four tasks
+    native.set_threads(1)
+    expected = native.sample_masks(logits, 1, 2)[0].tobytes()
+    native.set_threads(9)
+    try:
+        for k in range(3000):
+            assert native.sample_masks(logits, 1, 2)[0].tobytes() == expected
+            if k % 50 == 0:
+                time.sleep(0.001)  # long enough for the threads to sleep
+    finally:
+        native.set_threads(0)

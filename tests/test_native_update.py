@@ -15,7 +15,7 @@ from svrgs_addon.native import RenderOptions
 
 CAMERA = scenes.camera(41, 29)
 COUNT = 70
-RATES = {"means": 1e-3, "log_scales": 5e-3, "quats": 1e-3, "opacity_logits": 0.05, "sh": 2e-3}
+RATES = {"means": 1e-3, "log_scales": 5e-3, "quats": 1e-3, "opacity_logits": 0.05, "sh": 2e-3, "masks": 0.01}
 
 
 def world(level: str, sh_degree: int, count: int = COUNT):
@@ -68,6 +68,41 @@ def test_one_call_does_what_two_do(level, sh_degree):
         assert grads[name].tobytes() == expected[name].tobytes(), name
     assert_same(one, two)
     assert all((getattr(one, name) != getattr(before, name)).any() for name in ARRAYS)
+
+
+def existence(r, count: int = COUNT):
+    """Existence logits of so many Gaussians, their moments, and their slopes."""
+    rng = np.random.default_rng(4)
+    logits = rng.normal(1, 1, count).astype(r.dtype)
+    return logits, some_moments(logits.shape, rng, r.dtype, 1e-3, 6), rng.random(count).astype(r.dtype)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_existence_logits_are_updated_by_the_gradient_of_their_mask_times_its_slope(level):
+    r, two, one = rasterizer(level), world(level, 1), world(level, 1)
+    (expected, expected_moments, slope), (found, moments, _) = existence(r), existence(r)
+    d_masks = in_two_calls(r, two)[0]["masks"]
+    ids = r.visible()
+    r.adam(expected, expected_moments, d_masks * slope[ids], ids, lr=RATES["masks"], step=7)
+    render(r, one)
+    tensors = {name: (getattr(one, name), one.moments[name]) for name in ARRAYS} | {"masks": (found, moments)}
+    _, bad = r.backward_update(one.weights, tensors, rates_of(one), step=7, slope=slope, wanted=("means2d",))
+    assert bad == 0 and (found != existence(r)[0]).any()
+    assert found.tobytes() == expected.tobytes() and moments.tobytes() == expected_moments.tobytes()
+    assert_same(one, two)
+
+
+def test_existence_logits_need_their_slopes():
+    r, scene = rasterizer("scalar"), world("scalar", 1)
+    logits, moments, slope = existence(r)
+    render(r, scene)
+    tensors = {"sh": (scene.sh, scene.moments["sh"]), "masks": (logits, moments)}
+    with pytest.raises(TypeError, match="slope"):
+        r.backward_update(scene.weights, tensors, rates_of(scene), step=1, slope=slope[:-1])
+    with pytest.raises(TypeError, match="slope"):
+        r.backward_update(scene.weights, tensors, rates_of(scene), step=1)
+    with pytest.raises(ValueError, match="not stored: masks"):
+        r.backward_update(scene.weights, tensors, rates_of(scene), step=1, slope=slope, wanted=("masks",))
 
 
 @pytest.mark.parametrize("count", [16, 262, 264, 520])

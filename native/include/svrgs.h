@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 14
+#define SVRGS_INTERFACE_VERSION 15
 
 typedef void real; /* float or double, by the context's level */
 
@@ -218,6 +218,9 @@ SVRGS_API int32_t svrgs_dominance(svrgs_context*, double* pixels);
 SVRGS_API int32_t svrgs_loss(svrgs_context*, const real* image, const real* target, int32_t height, int32_t width, double l1_weight, double ssim_weight,
                              real* grad, double values[2]);
 
+/* L_F = mean F^2 over `count` pixels (SVR-GS Eq. 10), in *value. grad (count,) receives `weight` times its gradient, 2 weight F / count. */
+SVRGS_API int32_t svrgs_mask_loss(svrgs_context*, const real* mask, int64_t count, double weight, real* grad, double* value);
+
 /* One Adam step (Kingma and Ba), the `step`th (from 1), of `rows` rows of `width` values; grad is (rows, width). Row r updates row
    ids[r] of param and moments (ids ascending; NULL: row r). lr: one rate per column, (width,). Rows whose gradient is not
    finite are left alone and counted in *nonfinite.
@@ -244,8 +247,8 @@ SVRGS_API int32_t svrgs_adam(svrgs_context*, const svrgs_adam_settings*, real* p
 
 /* svrgs_backward and svrgs_adam in one, bit for bit: the gradients of the last view go straight into an Adam step on the rows
    of the visible Gaussians (of the scene's own arrays, which this call may write) and are not stored. A tensor whose
-   param is NULL is not updated; sh must have one. `others` may ask for the gradients of tensors that are not updated, of masks and of
-   means2d. The view cannot be used afterwards: the scene it was made from has changed. */
+   param is NULL is not updated; sh must have one. masks: the existence logits, whose gradient is dL/dM times `slope`. `others` may ask for
+   the gradients of tensors that are not updated, and of means2d. The view cannot be used afterwards: the scene it was made from has changed. */
 typedef struct {
   real* param;      /* (N, columns) */
   void* moments;    /* a row of N each, as in svrgs_adam; of sh: shared */
@@ -253,7 +256,8 @@ typedef struct {
 } svrgs_trained;
 typedef struct {
   svrgs_adam_settings adam; /* its lr and shared are not read */
-  svrgs_trained means, log_scales, quats, opacity_logits, sh;
+  svrgs_trained means, log_scales, quats, opacity_logits, sh, masks;
+  const real* slope; /* (N,) dM/dlogit; read if masks are updated */
 } svrgs_update;
 SVRGS_API int32_t svrgs_backward_update(svrgs_context*, const svrgs_image_grads*, const svrgs_update*, const svrgs_grads* others, int64_t* nonfinite);
 

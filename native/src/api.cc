@@ -244,6 +244,8 @@ int32_t svrgs_backward_update(svrgs_context* c, const svrgs_image_grads* in, con
     check_trained(update->quats, others->quats);
     check_trained(update->opacity_logits, others->opacity_logits);
     check_trained(update->sh, others->sh);
+    check_trained(update->masks, others->masks);
+    require(!update->masks.param || update->slope, "the slopes of the masks are missing");
     check_view(c->context, *in);
     *nonfinite = c->context.backward(*in, *others, update);
   });
@@ -309,6 +311,14 @@ int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int3
     require(c && image && target && values, "an argument is missing");
     require(height > 0 && width > 0 && height <= svrgs::kMaxSide && width <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
     c->context.loss(image, target, height, width, l1_weight, ssim_weight, grad, values);
+  });
+}
+
+int32_t svrgs_mask_loss(svrgs_context* c, const real* mask, int64_t count, double weight, real* grad, double* value) {
+  return guarded([&] {
+    require(c && mask && grad && value, "an argument is missing");
+    require(count > 0, "there must be pixels");
+    *value = c->context.mask_loss(mask, count, weight, grad);
   });
 }
 

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstring>
+#include <numeric>
 
 #include "pool.h"
 
@@ -12,6 +13,7 @@ namespace {
 
 constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
+constexpr int64_t kMaskLossGrain = 16384;  // pixels
 constexpr int64_t kPlacesAhead = 16;  // visible Gaussians fetched before they are needed
 
 int64_t chunk_count(int64_t items, int64_t grain) { return (items + grain - 1) / grain; }
@@ -231,6 +233,14 @@ void Context::loss_tiles(const void* image, const void* target, int height, int 
   values[0] = values[1] = 0;
   for (int64_t t = 0; t < tiles; ++t) values[0] += a.tile_l1[t], values[1] += a.tile_ssim[t];
   values[0] /= values_in, values[1] /= values_in;
+}
+
+double Context::mask_loss(const void* mask, int64_t count, double weight, void* grad) {
+  double* const sums = tile_values_.reserve<double>(chunk_count(count, kMaskLossGrain));
+  const double scale = 2 * weight / static_cast<double>(count);
+  parallel_blocks(count, kMaskLossGrain,
+                  [&](int64_t begin, int64_t end) { sums[begin / kMaskLossGrain] = kernels_.mask_loss_range(mask, scale, begin, end, grad); });
+  return std::accumulate(sums, sums + chunk_count(count, kMaskLossGrain), 0.0) / static_cast<double>(count);
 }
 
 }  // namespace svrgs

@@ -54,6 +54,7 @@ class Context {
   void dominance(double* pixels);
   int64_t adam(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t rows, int width);
   void loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
+  double mask_loss(const void* mask, int64_t count, double weight, void* grad);
 
   const uint32_t* visible() const { return frame_.visible; }
   int64_t visible_count() const { return frame_.visible_count; }

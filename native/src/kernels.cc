@@ -97,6 +97,7 @@ const Kernels SVRGS_TABLE_NAME = {
     .count_tile = level::count_tile,
     .loss_scratch = level::kLossScratch,
     .loss_tile = level::loss_pass,
+    .mask_loss_range = level::mask_loss_range,
     .adam_rows = level::adam_pass,
     .multiply_adds = level::multiply_adds,
 };

@@ -41,6 +41,7 @@ struct Kernels {
   void (*count_tile)(const Frame&, int64_t tile, svrgs_work&);
   int64_t loss_scratch;  // reals a thread needs
   void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);
+  double (*mask_loss_range)(const void* mask, double scale, int64_t begin, int64_t end, void* grad);  // sum of F^2; grad = scale F
   int64_t (*adam_rows)(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t begin, int64_t end, int width);
   double (*multiply_adds)(int64_t rounds);  // operations done
 };

@@ -17,12 +17,13 @@
 namespace svrgs {
 namespace {
 
+constexpr size_t kLine = 64;  // bytes of a cache line
+
 struct Job {
   Task task;
   void* argument;
   int64_t count;
-  std::atomic<int64_t> next{0};
-  std::atomic<int> working{0};  // workers inside; changed under the pool's mutex
+  alignas(kLine) std::atomic<int64_t> next{0};  // all threads write to it: a line of its own
 
   void traced_work();
   void work(int worker) {
@@ -47,14 +48,18 @@ void Job::traced_work() {
 constexpr int kSpins = 4000;  // some 50 microseconds
 
 template <class F>
-void spin_until(F&& found) {
-  for (int i = 0; i < kSpins && !found(); ++i) {
+bool spin_until(F&& found) {
+  for (int i = 0; i < kSpins; ++i) {
+    if (found()) return true;
 #if defined(__x86_64__)
     __builtin_ia32_pause();
 #endif
   }
+  return false;
 }
 
+// Threads enter a job and leave it through one word, the gate: nothing is locked unless a thread sleeps. Its low half counts the workers inside, its high half
+// is the number of the job, even while workers may enter.
 class Pool {
  public:
   explicit Pool(int size) {
@@ -79,37 +84,48 @@ class Pool {
     if (workers_.empty() && tracing) return job.traced_work();
     if (workers_.empty() || job.count < 2) return job.work(0);
     std::lock_guard one_at_a_time(submit_);
-    {
-      std::lock_guard lock(mutex_);
-      job_ = &job;
-      ++generation_;
-    }
-    wake_.notify_all();
+    job_ = &job;
+    gate_ += kStep;
+    wake(sleeping_, wake_);
     job.work(0);
-    {
-      std::lock_guard lock(mutex_);
-      job_ = nullptr;
-    }
-    spin_until([&] { return job.working == 0; });
+    gate_ += kStep;
+    if (spin_until([&] { return !inside(); })) return;
     std::unique_lock lock(mutex_);
-    done_.wait(lock, [&] { return job.working == 0; });
+    waiting_ = 1;
+    done_.wait(lock, [&] { return !inside(); });
+    waiting_ = 0;
   }
 
  private:
+  static constexpr uint64_t kStep = uint64_t{1} << 32, kShut = kStep;
+
+  bool inside() const { return static_cast<uint32_t>(gate_.load()) != 0; }
+  static bool open(uint64_t gate, uint64_t seen) { return !(gate & kShut) && gate >> 32 != seen; }
+
+  // A thread that goes to sleep says so before it looks at the gate for the last time, and this is called after the gate has changed: one sees the other.
+  void wake(const std::atomic<int>& asleep, std::condition_variable& of) {
+    if (!asleep) return;
+    { std::lock_guard lock(mutex_); }
+    of.notify_all();
+  }
+
   void loop(int worker) {
-    uint64_t seen = 0;
-    for (;;) {
-      spin_until([&] { return generation_ != seen; });
-      std::unique_lock lock(mutex_);
-      wake_.wait(lock, [&] { return stop_ || (job_ && generation_ != seen); });
-      if (stop_) return;
-      seen = generation_;
-      Job* job = job_;
-      ++job->working;
-      lock.unlock();
-      job->work(worker);
-      lock.lock();
-      if (--job->working == 0) done_.notify_all();  // `job` may be gone from here on
+    for (uint64_t seen = gate_ >> 32;;) {
+      if (!spin_until([&] { return open(gate_, seen); })) {
+        std::unique_lock lock(mutex_);
+        ++sleeping_;
+        wake_.wait(lock, [&] { return stop_ || open(gate_, seen); });
+        --sleeping_;
+        if (stop_) return;
+      }
+      uint64_t gate = gate_;
+      while (open(gate, seen) && !gate_.compare_exchange_weak(gate, gate + 1)) {
+      }
+      if (!open(gate, seen)) continue;  // the job was shut in the meantime
+      seen = gate >> 32;
+      job_->work(worker);
+      const uint64_t left = gate_ -= 1;  // the job may be gone from here on
+      if (left & kShut && !static_cast<uint32_t>(left)) wake(waiting_, done_);
     }
   }
 
@@ -117,8 +133,9 @@ class Pool {
   std::mutex submit_, mutex_;
   std::condition_variable wake_, done_;
   Job* job_ = nullptr;
-  std::atomic<uint64_t> generation_{0};
   bool stop_ = false;
+  std::atomic<int> sleeping_{0}, waiting_{0};
+  alignas(kLine) std::atomic<uint64_t> gate_{kShut};
 };
 
 std::mutex pool_mutex;

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ..finetune.engine import mask_loss_grad
 from ..finetune.model import PARAMETERS
 from ..native import Rasterizer, RenderOptions
 from .cases import Case
@@ -65,7 +64,7 @@ def _image_grads(rendered: _Rendered, weight: np.ndarray, lambda_f: float) -> di
     """dL/drgb and dL/dF of a fine-tuning step, 0 where weight (H, W) is 0."""
     rgb = rendered.images["rgb"]
     d_rgb = rendered.rasterizer.loss(rgb, target_of(rgb))[2]
-    return {"rgb": d_rgb * weight[..., None], "mask": mask_loss_grad(rendered.images["mask"], lambda_f)[1] * weight}
+    return {"rgb": d_rgb * weight[..., None], "mask": rendered.rasterizer.mask_loss(rendered.images["mask"], lambda_f)[1] * weight}
 
 
 def _distance(ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..finetune.engine import NativeEngine, Step, mask_loss_grad
+from ..finetune.engine import NativeEngine, Step
 from ..finetune.model import MASK, PARAMETERS, Model
 from ..native import RenderOptions, sample_masks
 from .cases import Case
@@ -39,7 +39,7 @@ class Trial:
         self.steps = 0
         self.images = self.forward()
         self.target = target_of(self.images["rgb"])
-        self.image_grads = {"rgb": self.loss().copy(), "mask": mask_loss_grad(self.images["mask"], LAMBDA_F)[1]}
+        self.image_grads = {"rgb": self.loss().copy(), "mask": self.rasterizer.mask_loss(self.images["mask"], LAMBDA_F)[1].copy()}
 
     def options(self, mask_kind: str = "svr", full: bool = True, disabled_skips=(), sh_degree: int = 3) -> RenderOptions:
         antialiased = self.case.scene.antialiased

@@ -80,12 +80,6 @@ class StepResult:
         return self.image_loss(step) + step.lambda_f * self.mask_loss + step.lambda_m * self.global_loss + self.penalty
 
 
-def mask_loss_grad(mask: np.ndarray, weight: float) -> tuple[float, np.ndarray]:
-    """mean F^2 (SVR-GS Eq. 10) and `weight` times its gradient, (H, W). mask: F (H, W)."""
-    value = float(np.square(mask).mean(dtype=np.float64))  # np.dot would wake the threads of a BLAS, which then stand in the way of those of the library
-    return value, mask * mask.dtype.type(2 * weight / mask.size)
-
-
 def global_mask_grad(masks: np.ndarray, slope: np.ndarray, lambda_m: float) -> np.ndarray:
     """Gradient of lambda_m (mean M)^2 with respect to the existence logits, (N,) (MaskGaussian). slope: dM/dlogit (N,)."""
     return slope * slope.dtype.type(2 * lambda_m * float(masks.mean()) / len(masks))
@@ -104,19 +98,15 @@ class NativeEngine:
         l1, ssim, d_rgb = self._image_loss(step, images["rgb"])
         image_grads, mask_loss = {"rgb": d_rgb}, 0.0
         if step.spatial:
-            mask_loss, image_grads["mask"] = mask_loss_grad(images["mask"], step.lambda_f)
+            mask_loss, image_grads["mask"] = r.mask_loss(images["mask"], step.lambda_f)
         result = StepResult(l1, ssim, mask_loss, r.visible(), global_loss=step.global_loss)
         result.penalty = float(sum(penalty.value(rows, np) for penalty, rows in _penalised(model, step, result.visible)))
         wanted: tuple[str, ...] = ("means2d",) if step.want_means2d else ()
         if not step.update:
             result.means2d = r.backward(image_grads, wanted).get("means2d")
             return result
-        if step.slope is not None:
-            wanted += ("masks",)
         grads, result.nonfinite = self._update(model, step, image_grads, wanted, result.visible)
         result.means2d = grads.get("means2d")
-        if step.slope is not None:
-            result.nonfinite += self._step_rows(model, step, MASK, mask_logit_rows(step, grads, result.visible), result.visible)
         return result
 
     def _image_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, np.ndarray]:
@@ -132,14 +122,18 @@ class NativeEngine:
         """Backward and Adam in one call of the library. A parameter is updated separately if its gradient is needed here: because a
         penalty is added to it, or because the gradient of the gates follows from it. Returns the gradients `wanted` and the number of
         rows that were not finite."""
-        penalised = {penalty.parameter for penalty in step.penalties}
-        separate = [name for name in PARAMETERS if name in penalised or name == "log_scales" and step.gates]
-        fused = [name for name in PARAMETERS if name not in separate]
-        tensors = {name: (model.values[name], model.moments[name]) for name in fused}
-        rates = {name: _row_rates(name, step.rates, model) for name in fused}
-        update = self.rasterizer.backward_update
-        grads, bad = update(image_grads, tensors, rates, step=step.number, betas=BETAS, eps=EPS, wanted=(*wanted, *separate))
-        return grads, bad + sum(self._step_rows(model, step, name, grads[name], ids) for name in separate)
+        trained = PARAMETERS if step.slope is None else (*PARAMETERS, MASK)
+        apart = step.dense_gradients | {penalty.parameter for penalty in step.penalties} | ({"log_scales", MASK} if step.gates else set())
+        tensors = {_grad(name): (model.values[name], model.moments[name]) for name in trained if name not in apart}
+        rates = {_grad(name): _row_rates(name, step.rates, model) for name in trained if name not in apart}
+        slope = None if step.slope is None else np.asarray(step.slope, model.dtype)
+        wanted = (*wanted, *(_grad(name) for name in trained if name in apart))
+        grads, bad = self.rasterizer.backward_update(image_grads, tensors, rates, step=step.number, slope=slope, betas=BETAS, eps=EPS, wanted=wanted)
+        for name in trained:
+            if name in apart:
+                rows = mask_logit_rows(step, grads, ids) if name == MASK else grads[name]
+                bad += self._step_rows(model, step, name, rows, ids)
+        return grads, bad
 
     def _step_rows(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray) -> int:
         """An Adam step on rows `ids` of one parameter, or on all rows if its gradient is dense. Returns the number of rows that were not finite."""
@@ -171,6 +165,11 @@ def mask_logit_rows(step: Step, grads: dict[str, np.ndarray], ids: np.ndarray) -
     d_masks = grads["masks"] + grads["log_scales"].sum(axis=1) if step.gates else grads["masks"]
     assert step.slope is not None
     return d_masks * step.slope[ids]
+
+
+def _grad(name: str) -> str:
+    """The name of a parameter's gradient in the library."""
+    return "masks" if name == MASK else name
 
 
 def _row_rates(name: str, rates: dict[str, float], model: Model):

@@ -18,6 +18,11 @@ void loss(Lines& lines, svrgs_context* context) {
   double found[2];
   lines.require(svrgs_loss(context, image.data(), target.data(), kHeight, kWidth, 0.8, 0.2, grad.data(), found) == SVRGS_OK, "loss");
   lines.add("loss", Digest(sizeof(T) == 8 ? kMillionths : kWhole).add(grad).add(found, 2));
+  std::vector<T> mask_grad(3 * kPixels);
+  double mask_loss;
+  lines.require(svrgs_mask_loss(context, image.data(), 3 * kPixels, 0.3, mask_grad.data(), &mask_loss) == SVRGS_OK, "mask_loss");
+  lines.add("mask_loss", Digest(sizeof(T) == 8 ? kMillionths : kWhole).add(mask_grad).add(&mask_loss, 1));
+  lines.refuse("mask_loss_size", svrgs_mask_loss(context, image.data(), 0, 0.3, mask_grad.data(), &mask_loss), SVRGS_INVALID);
   lines.refuse("loss_size", svrgs_loss(context, image.data(), target.data(), 0, kWidth, 0.8, 0.2, nullptr, found), SVRGS_INVALID);
 }
 

@@ -71,17 +71,20 @@ class View {
     const int32_t k = scene.coefficients;
     const std::vector<double> rates(3 * k, 0.0625);
     const size_t words = kDouble ? 3 * k + 1 : (3 * k + 1) / 2 + 1;
-    std::vector<T> means_moments((kDouble ? 6 : 3) * kCount), sh_moments(words * kCount);
+    std::vector<T> means_moments((kDouble ? 6 : 3) * kCount), sh_moments(words * kCount), mask_moments((kDouble ? 2 : 1) * kCount);
+    std::vector<T> mask_logits(kCount), slope = digests::values<T>(34, kCount, 0, 1);
     svrgs_update u = {};
     u.adam = {nullptr, 0.9, 0.999, 1e-15, 3, 0};
     u.means = {scene.means.data(), means_moments.data(), rates.data()}, u.sh = {scene.sh.data(), sh_moments.data(), rates.data()};
+    u.masks = {mask_logits.data(), mask_moments.data(), rates.data()}, u.slope = slope.data();
     svrgs_grads others = *reserved_grads();
-    others.means = others.sh = nullptr;
+    others.means = others.sh = others.masks = nullptr;
     int64_t nonfinite = 0;
     require(svrgs_backward_update(context, &image_grads, &u, &others, &nonfinite), "backward_update");
     scene.means[31] = 0;  // was NaN: its bits may differ
-    add("backward_update", digest().add(scene.means).add(scene.sh).add(logits).add(&nonfinite, 1));
-    add("backward_update_moments", kDouble ? digest().add(means_moments).add(sh_moments) : digest().add(bytes(means_moments)).add(bytes(sh_moments)));
+    add("backward_update", digest().add(scene.means).add(scene.sh).add(mask_logits).add(logits).add(&nonfinite, 1));
+    add("backward_update_moments", kDouble ? digest().add(means_moments).add(sh_moments).add(mask_moments)
+                                            : digest().add(bytes(means_moments)).add(bytes(sh_moments)).add(bytes(mask_moments)));
   }
 
   Lines& lines;

@@ -79,11 +79,11 @@ inline AdamTensors tensors(const svrgs_trained& t) { return {static_cast<R*>(t.p
 // Adam's constants for each tensor of an update.
 struct UpdateRates {
   const svrgs_update* settings;
-  AdamRates means, log_scales, quats, opacity_logits, sh;
+  AdamRates means, log_scales, quats, opacity_logits, sh, masks;
   UpdateRates(const Frame& f, const svrgs_update& u) : settings(&u) {
     const auto rates = [&](const svrgs_trained& t, int width) { return t.param ? adam_rates(u.adam, t.lr, width) : AdamRates{}; };
     means = rates(u.means, 3), log_scales = rates(u.log_scales, 3), quats = rates(u.quats, 4), opacity_logits = rates(u.opacity_logits, 1);
-    sh = rates(u.sh, 3 * f.sh_coefficients);
+    sh = rates(u.sh, 3 * f.sh_coefficients), masks = rates(u.masks, 1);
   }
 };
 
@@ -91,7 +91,7 @@ struct UpdateRates {
 constexpr int64_t kStagedRows = 256;
 
 struct StagedGradients {
-  R means[3 * kStagedRows], log_scales[3 * kStagedRows], quats[4 * kStagedRows], opacity_logits[kStagedRows];
+  R means[3 * kStagedRows], log_scales[3 * kStagedRows], quats[4 * kStagedRows], opacity_logits[kStagedRows], masks[kStagedRows];
 
   // Like `out`, but with the gradients of updated parameters written here, for Gaussians from `first` on.
   svrgs_grads in_place_of(const svrgs_grads& out, const svrgs_update& u, int64_t first) {
@@ -100,16 +100,24 @@ struct StagedGradients {
     if (u.log_scales.param) to.log_scales = log_scales - 3 * first;
     if (u.quats.param) to.quats = quats - 4 * first;
     if (u.opacity_logits.param) to.opacity_logits = opacity_logits - first;
+    if (u.masks.param) to.masks = masks - first;
     return to;
+  }
+
+  // From dL/dM to the gradients of the existence logits, for the Gaussians `ids`.
+  void times_slope(const R* slope, const uint32_t* ids, int64_t n) {
+    for (int64_t i = 0; i < n; ++i) masks[i] *= slope[ids[i]];
   }
 };
 
-inline int64_t apply(const Frame& f, const UpdateRates& u, const StagedGradients& g, int64_t first, int64_t n, OwnedRows own) {
+inline int64_t apply(const Frame& f, const UpdateRates& u, StagedGradients& g, int64_t first, int64_t n, OwnedRows own) {
+  if (u.settings->masks.param) g.times_slope(static_cast<const R*>(u.settings->slope), f.visible + first, n);
   const auto step = [&](const AdamRates& rates, const svrgs_trained& t, const R* rows, int width) {
     return t.param ? adam_rows(rates, tensors(t), rows, f.visible + first, 0, n, width, own) : 0;
   };
   return step(u.means, u.settings->means, g.means, 3) + step(u.log_scales, u.settings->log_scales, g.log_scales, 3) +
-         step(u.quats, u.settings->quats, g.quats, 4) + step(u.opacity_logits, u.settings->opacity_logits, g.opacity_logits, 1);
+         step(u.quats, u.settings->quats, g.quats, 4) + step(u.opacity_logits, u.settings->opacity_logits, g.opacity_logits, 1) +
+         step(u.masks, u.settings->masks, g.masks, 1);
 }
 
 // Ids of n <= W visible Gaussians from `first` on, and in columns the sums of their slots (enum Slot), their colours and their weights of F.

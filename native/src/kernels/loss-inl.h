@@ -184,3 +184,20 @@ void loss_tile(LossTile& t, R* scratch) {
     loss_grads(t, w, y - kLossBlockRows);
   }
 }
+
+// The sum of F^2 over values [begin, end) of `mask`; grad receives `scale` times F.
+double mask_loss_range(const void* mask, double scale, int64_t begin, int64_t end, void* grad) {
+  const R *from = static_cast<const R*>(mask), by = static_cast<R>(scale);
+  R* const to = static_cast<R*>(grad);
+  D lanes = {};
+  int64_t i = begin;
+  for (; i + W <= end; i += W) {
+    const V F = load(from + i);
+    lanes += __builtin_convertvector(F * F, D);
+    store(to + i, broadcast(by) * F);
+  }
+  double sum = 0;
+  for (int k = 0; k < W; ++k) sum += lanes[k];
+  for (; i < end; ++i) sum += static_cast<double>(from[i] * from[i]), to[i] = by * from[i];
+  return sum;
+}

@@ -164,7 +164,7 @@ inline WantedGradients wanted(const Frame& f, const svrgs_image_grads& in, const
   WantedGradients w;
   w.shape = update || out.means || out.log_scales || out.quats || out.opacity_logits || out.means2d;
   w.colour = (update || out.sh || out.means) && in.rgb;
-  w.mask = out.masks;
+  w.mask = out.masks || (update && update->masks.param);
   w.depth = in.depth, w.alpha = in.alpha;
   w.spatial = in.mask && w.mask && f.mask_kind != SVRGS_MASK_NONE;
   return w;
