@@ -22,6 +22,7 @@ from ..svrgs_addon.blender.lens import depth_of_projection, step_back
 from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import NativeError, SplatError
 from ..svrgs_addon.native_library import thresholds
+from ..svrgs_addon.native_pictures import depth_order
 from ..svrgs_addon.render.live_view import LiveView, Picture
 from ..svrgs_addon.render.passes import overlay_rgba
 from ..svrgs_addon.render.quads import Quads, colors, highlighted, painted, quads
@@ -199,7 +200,7 @@ class Overlay:
         modelview = context.region_data.view_matrix @ cloud.placed.matrix
         made = cloud.with_quads(cloud.placed.seen_by(camera))
         count, reduction = max(1, len(made.rows) >> view.level), min(1 << view.level, 4)
-        order = native.depth_order(made.means[:count], -modelview.row[2].xyz)
+        order = depth_order(made.means[:count], -modelview.row[2].xyz)
         width, height = (max(1, side // reduction) for side in (camera.width, camera.height))
         if view.target is None or (view.target.width, view.target.height) != (width, height):
             view.target = bridge_gpu.Target(width, height)

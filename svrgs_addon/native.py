@@ -1,4 +1,4 @@
-"""The renderer of the native library: forward and backward passes, statistics, loss and Adam; sampled masks; depth order.
+"""The renderer of the native library: forward and backward passes, statistics, loss and Adam; sampled masks.
 
 `native/include/svrgs.h` is the manual; names, shapes and units here are the same. Array arguments must have exactly the stated dtype
 and shape and be C-contiguous, else TypeError is raised. A call that fails raises NativeError with the library's sentence.
@@ -61,7 +61,6 @@ __all__ = [
     "Thresholds",
     "VISIBILITY",
     "best_level",
-    "depth_order",
     "levels",
     "mask_kinds",
     "moments_like",
@@ -178,14 +177,13 @@ class Rasterizer:
         _call("svrgs_backward", self._context, c.byref(grads_in), c.byref(grads_out))
         return grads
 
-    def backward_update(
-        self, image_grads: dict, tensors: dict, rates: dict, *, step, slope=None, betas=(0.9, 0.999), eps=1e-15, wanted=()
-    ) -> tuple[dict, int]:
+    def backward_update(self, image_grads: dict, tensors: dict, rates: dict, *, step, slope=None, betas=(0.9, 0.999), eps=1e-15, wanted=()) -> tuple[dict, int]:
         """backward() and adam() in one call, with the same bits, but without storing the gradients.
 
         The view cannot be used afterwards, because its scene has changed. tensors: {name: (param, moments)}; param is the scene's
         own array; sh must be among them. 'masks': the existence logits (N,), whose gradient is dL/dM times slope (N,). rates: {name:
-        one rate, or one per column}. step: from 1. wanted: gradients to return, not of tensors. Returns ({name: (V, ...)}, number of rows that were skipped because their gradient was not finite).
+        one rate, or one per column}. step: from 1. wanted: gradients to return, not of tensors. Returns ({name: (V, ...)}, number of rows
+        that were skipped because their gradient was not finite).
         """
         if both := {*wanted} & {*tensors}:
             raise ValueError(f"these tensors are updated, so their gradients are not stored: {', '.join(sorted(both))}")
@@ -396,16 +394,3 @@ def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, 
         c.c_void_p(slope.ctypes.data),
     )
     return masks, slope
-
-
-def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Rows of means (N, 3) float32 from the farthest along `axis` (3,) to the nearest, (N,) uint32; equal ones keep their order."""
-    order = np.empty(len(means), np.uint32)
-    _call(
-        "svrgs_depth_order",
-        c.c_void_p(check(means, "means", (len(means), 3), np.float32)),
-        c.c_int64(len(means)),
-        (c.c_double * 3)(*map(float, axis)),
-        c.c_void_p(order.ctypes.data),
-    )
-    return order

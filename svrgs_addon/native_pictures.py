@@ -1,6 +1,6 @@
-"""Parts of complete pictures, by the native library: opaque triangles, and panoramas of perspective views.
+"""Parts of complete pictures, by the native library: opaque triangles, panoramas of perspective views, and the order in which a GPU draws Gaussians.
 
-`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view) is the manual; names, shapes and units here are the same.
+`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order) is the manual; names, shapes and units here are the same.
 """
 
 from __future__ import annotations
@@ -62,3 +62,16 @@ def add_view(
         check(longitudes, "longitudes", (columns,), np.float64), check(column_weights, "column_weights", (columns,), np.float64),
     )  # fmt: skip
     call_library("svrgs_add_view", c.byref(view), c.byref(panorama))
+
+
+def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Rows of means (N, 3) float32 from the farthest along `axis` (3,) to the nearest, (N,) uint32; equal ones keep their order."""
+    order = np.empty(len(means), np.uint32)
+    call_library(
+        "svrgs_depth_order",
+        c.c_void_p(check(means, "means", (len(means), 3), np.float32)),
+        c.c_int64(len(means)),
+        (c.c_double * 3)(*map(float, axis)),
+        c.c_void_p(order.ctypes.data),
+    )
+    return order

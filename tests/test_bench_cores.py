@@ -47,6 +47,8 @@ def test_more_threads_are_foreseen_to_be_faster_up_to_the_serial_part():
         assert speed[0] == pytest.approx(1, abs=1e-3) and speed == sorted(speed) and 0 < entry["serial"] < 0.9
         assert all(value <= min(count, 1 / entry["serial"]) * 1.2 for value, count in zip(speed, COUNTS, strict=True))
         assert entry["measured"]["1"] == 1 and set(entry["measured"]) <= {str(count) for count in COUNTS}
+        assert set(entry["measured_ms"]) == set(entry["measured"]) == set(found["arithmetic"]) and min(entry["measured_ms"].values()) > 0
+    assert found["arithmetic"]["1"] == 1
 
 
 def test_two_threads_of_a_core_count_once(tmp_path, monkeypatch):

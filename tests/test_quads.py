@@ -13,7 +13,7 @@ from reference import rasterize as ref
 from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.blender.activation import opacities
 from svrgs_addon.geometry.rotations import rotation_matrices
-from svrgs_addon.native import depth_order
+from svrgs_addon.native_pictures import depth_order
 from svrgs_addon.render.quads import HIGHLIGHT, TINT, colors, highlighted, quads, recolored
 from svrgs_addon.scene import SH_C0
 

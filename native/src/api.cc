@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <atomic>
 #include <bit>
-#include <cmath>
 #include <iterator>
 #include <memory>
 #include <new>
@@ -14,6 +13,7 @@
 #include "panorama.h"
 #include "pool.h"
 #include "processor.h"
+#include "sample_masks.h"
 #include "triangles.h"
 
 struct svrgs_context {
@@ -130,12 +130,6 @@ static_assert((1 << std::size(kSkipNames)) - 1 == SVRGS_ALL_SKIPS && std::size(k
 template <size_t count>
 const char* name_of(const char* const (&names)[count], int32_t index) {
   return index >= 0 && static_cast<size_t>(index) < count ? names[index] : nullptr;
-}
-
-uint64_t mix(uint64_t x) {  // the splitmix64 finaliser
-  x ^= x >> 30, x *= 0xbf58476d1ce4e5b9ULL;
-  x ^= x >> 27, x *= 0x94d049bb133111ebULL;
-  return x ^ x >> 31;
 }
 
 }  // namespace
@@ -335,17 +329,7 @@ int32_t svrgs_adam(svrgs_context* c, const svrgs_adam_settings* settings, real* 
 int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_t seed, uint64_t step, uint8_t* masks, float* slope) {
   return guarded([&] {
     require(count == 0 || (logits && masks && slope), "an argument is missing");
-    const uint64_t key = mix(mix(seed + 0x9e3779b97f4a7c15ULL) + step);
-    svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
-      for (int64_t i = begin; i < end; ++i) {
-        const uint64_t bits = mix(key + 0x9e3779b97f4a7c15ULL * static_cast<uint64_t>(i)) >> 40;
-        // u is inside (0, 1), so the noise is finite
-        const double u = (static_cast<double>(bits) + 0.5) / 16777216.0;
-        const double odds = std::exp(-std::clamp<double>(logits[i], -80, 80)) * (1 - u) / u;  // of absence: e^-(d + l)
-        masks[i] = odds < 1;
-        slope[i] = static_cast<float>(odds / ((1 + odds) * (1 + odds)));
-      }
-    });
+    svrgs::sample_masks(logits, count, seed, step, masks, slope);
   });
 }
 

@@ -14,7 +14,7 @@ namespace {
 constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
 constexpr int64_t kMaskLossGrain = 16384;  // pixels
-constexpr int64_t kPlacesAhead = 16;  // visible Gaussians fetched before they are needed
+constexpr int64_t kPlacesAhead = 16;       // visible Gaussians fetched before they are needed
 
 int64_t chunk_count(int64_t items, int64_t grain) { return (items + grain - 1) / grain; }
 

@@ -119,8 +119,7 @@ class Pool {
         if (stop_) return;
       }
       uint64_t gate = gate_;
-      while (open(gate, seen) && !gate_.compare_exchange_weak(gate, gate + 1)) {
-      }
+      while (open(gate, seen) && !gate_.compare_exchange_weak(gate, gate + 1)) {}
       if (!open(gate, seen)) continue;  // the job was shut in the meantime
       seen = gate >> 32;
       job_->work(worker);

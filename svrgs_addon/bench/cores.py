@@ -2,7 +2,8 @@
 
 With one thread, the library says how long each task of its thread pool takes. What a call takes beyond its tasks is serial. From both follows a lower bound of
 the time with any number of threads: each task goes to the thread that is free first, as in the pool. It knows nothing of memory and of caches that threads
-share, nor of the microseconds in which a thread wakes. Where there are the cores, the speed-up is measured.
+share, nor of the microseconds in which a thread wakes. Where there are the cores, the speed-up is measured, and beside it that of multiply-adds in registers:
+neighbours of a virtual machine, and clock rates that fall as more cores work, hold back both.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from .. import native
 from ..native_library import traced
 from ..system.processor import cores
 from .cases import Case
+from .measure import PEAK_READINGS
 from .scenes import orbit_camera, room
 from .timing import ratio, seconds
 from .trial import Trial
@@ -33,9 +35,9 @@ def measure_cores(repeat: int, tell: Callable[[str], None], cases=CASES) -> dict
         trial = Trial(Case("room", room(count, 3), orbit_camera(*size)))
         for name, call in (("picture", trial.forward), ("step", trial.step)):
             facts = {"count": count, "width": size[0], "height": size[1], "what": name}
-            entries.append(facts | _foreseen(call, repeat) | {"measured": _measured(call, repeat)})
+            entries.append(facts | _foreseen(call, repeat) | _measured(call, repeat))
     native.set_threads(0)
-    return {"cores": cores(), "threads": native.threads(), "entries": entries}
+    return {"cores": cores(), "threads": native.threads(), "arithmetic": _arithmetic(), "entries": entries}
 
 
 def _foreseen(call: Callable[[], object], repeat: int) -> dict:
@@ -66,10 +68,25 @@ def makespan(tasks: np.ndarray, threads: int) -> float:
     return max(free)
 
 
-def _measured(call: Callable[[], object], repeat: int) -> dict[str, float]:
-    """The speed-up over one thread with each number of threads for which there are cores. All are measured in each round."""
+def _measurable() -> list[int]:
     native.set_threads(0)
-    counts = [count for count in COUNTS if count <= native.threads()]
+    return [count for count in COUNTS if count <= native.threads()]
+
+
+def _arithmetic() -> dict[str, float]:
+    """The speed-up of multiply-adds in registers with each number of threads for which there are cores."""
+    rates: dict[int, list[float]] = {count: [] for count in _measurable()}
+    for _ in range(PEAK_READINGS):
+        for count in rates:
+            native.set_threads(count)
+            rates[count].append(native.peaks(native.best_level())["fma"])
+    native.set_threads(0)
+    return {str(count): ratio(rates[count], rates[1]) for count in rates}
+
+
+def _measured(call: Callable[[], object], repeat: int) -> dict:
+    """The speed-up over one thread and the milliseconds, with each number of threads for which there are cores. All are measured in each round."""
+    counts = _measurable()
     readings: dict[int, list[float]] = {count: [] for count in counts}
     for _ in range(repeat):
         for count in counts:
@@ -77,4 +94,7 @@ def _measured(call: Callable[[], object], repeat: int) -> dict[str, float]:
             call()
             readings[count].append(seconds(call))
     native.set_threads(1)
-    return {str(count): ratio(readings[1], readings[count]) for count in counts}
+    return {
+        "measured": {str(count): ratio(readings[1], readings[count]) for count in counts},
+        "measured_ms": {str(count): 1e3 * float(np.median(readings[count])) for count in counts},
+    }

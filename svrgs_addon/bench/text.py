@@ -101,7 +101,10 @@ def _cores(found: dict) -> str:
     for e in entries:
         cells = e["what"], f"{e['count']:,}", f"{e['width']}x{e['height']}", f"{e['ms']:.1f}", f"{e['serial']:.2%}", str(e["jobs"])
         rows.append((*cells, *(f"{e['speed_up'][count]:.2f}" for count in counts)))
-        rows.append(("  measured", *[""] * 5, *(f"{e['measured'][count]:.2f}" if count in e["measured"] else "" for count in counts)))
+        for name, show in (("measured", ".2f"), ("measured_ms", ".1f")):
+            rows.append((f"  {name.replace('_', ', ')}", *[""] * 5, *(f"{e[name][count]:{show}}" if count in e[name] else "" for count in counts)))
+    arithmetic = found["arithmetic"]
+    rows.append(("multiply-adds alone", *[""] * 5, *(f"{arithmetic[count]:.2f}" if count in arithmetic else "" for count in counts)))
     where = f"{found['threads']} threads" + (f" on {found['cores']} cores" if found["cores"] else "")
     return f"Speed-up at most, by the tasks of one thread, with so many threads ({where} here):\n" + table(rows, 1)
 

@@ -25,7 +25,7 @@ def shaders():
 
 def quads_picture(shaders, scene, camera, hidden=1.0, reduction: int = 1) -> np.ndarray:
     """(H, W, 4) of all Gaussians, from the top; hidden: depth in [0, 1] of what is in front, a number or (H, W)."""
-    bridge_gpu, native, quads = part("operators.bridge_gpu"), part("svrgs_addon.native"), part("svrgs_addon.render.quads")
+    bridge_gpu, native, quads = part("operators.bridge_gpu"), part("svrgs_addon.native_pictures"), part("svrgs_addon.render.quads")
     cloud = quads.quads(scene, scene.count)
     lists = {
         "order": bridge_gpu.texture(native.depth_order(cloud.means, camera.viewmat[2, :3]), "R32F"),

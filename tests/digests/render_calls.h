@@ -84,7 +84,7 @@ class View {
     scene.means[31] = 0;  // was NaN: its bits may differ
     add("backward_update", digest().add(scene.means).add(scene.sh).add(mask_logits).add(logits).add(&nonfinite, 1));
     add("backward_update_moments", kDouble ? digest().add(means_moments).add(sh_moments).add(mask_moments)
-                                            : digest().add(bytes(means_moments)).add(bytes(sh_moments)).add(bytes(mask_moments)));
+                                           : digest().add(bytes(means_moments)).add(bytes(sh_moments)).add(bytes(mask_moments)));
   }
 
   Lines& lines;

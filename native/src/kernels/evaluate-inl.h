@@ -18,6 +18,9 @@ inline LocalGaussian to_local(const ProjectedGaussian<R>& s, TileOrigin o) {
   return {x, y, s.l11, s.l12, s.l22, s.log2_opacity, {s.rgb[0], s.rgb[1], s.rgb[2]}, s.depth, s.mask};
 }
 
+// Whether the mask is 1. An integer comparison: the vector units have enough to do.
+inline bool drawn(const LocalGaussian& l) { return __builtin_bit_cast(std::conditional_t<sizeof(R) == 8, uint64_t, uint32_t>, l.mask) != 0; }
+
 constexpr int kEntriesAhead = 16;  // list entries fetched before they are needed: the list is in order, the Gaussians it names are not
 
 inline void prefetch_gaussian(const Frame& f, const TileEntry* entry, const TileEntry* end) {
@@ -59,8 +62,9 @@ inline M in_image(const Frame& f, TileOrigin o, const Lanes& lanes, int h) {
 }
 
 struct Hit {
-  V alpha, u, v;  // u, v: as in ProjectedGaussian
-  M hit;          // alpha >= 1/255
+  V alpha, u, v;                                                        // u, v: as in ProjectedGaussian
+  V exponent;                                                           // log2 of alpha
+  M hit() const { return at_least(exponent, broadcast(R(kLog2Cut))); }  // alpha >= 1/255; computed where it is needed: GCC moves masks that it keeps
 };
 
 // alpha of one Gaussian at W pixels, not yet clamped; undefined where `hit` is not set. Every pass computes alpha with this function.
@@ -70,9 +74,8 @@ struct Hit {
   const V dx = broadcast(l.x) + x, dy = broadcast(l.y) + y;
   r.u = fma(broadcast(l.l11), dx, broadcast(l.l12) * dy);
   r.v = broadcast(l.l22) * dy;
-  const V exponent = fnma(r.u, r.u, fnma(r.v, r.v, broadcast(l.log2_opacity)));
-  r.hit = at_least(exponent, broadcast(R(kLog2Cut)));
-  r.alpha = exp2(exponent);
+  r.exponent = fnma(r.u, r.u, fnma(r.v, r.v, broadcast(l.log2_opacity)));
+  r.alpha = exp2(r.exponent);
   return r;
 }
 

@@ -100,7 +100,7 @@ inline V load_masks(const Frame& f, int64_t first, int n) {
   else
     __builtin_memcpy(&bytes, f.masks + first, static_cast<size_t>(n));
   const I words = __builtin_convertvector(bytes, I);  // compared as I: bytes compare to a vector of char, which has no sign on arm64
-  return -__builtin_convertvector(words != 0, V);
+  return __builtin_convertvector((words != 0) & 1, V);
 }
 
 // Of the n <= W Gaussians from `first` on, adds those that may be visible to the queue.

@@ -88,16 +88,16 @@ inline V spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha, V T, V in
 
 // Contributions of W pixels of a block to one Gaussian's gradients.
 struct PixelGrads {
-  V weight;      // of its colour
+  V weight;      // of its colour, where live
   V alpha_grad;  // alpha dL/dalpha from the images of colour, depth and alpha
   V shape_grad;  // the same where alpha is not clamped, 0 elsewhere
   V spatial;     // dL/dM from F, where counted
-  M counted;
+  M live, counted;
 };
 
-// For the lanes from `h` on. drawn: the Gaussian's mask is 1. depth_alpha: there may be gradients of depth or alpha.
+// For the lanes from `h` on. shown: the Gaussian's mask is 1. depth_alpha: there may be gradients of depth or alpha.
 template <bool spatial, bool scenario, bool depth_alpha>
-[[gnu::always_inline]] inline PixelGrads pixel_grads(const Frame& f, const WantedGradients& want, BackwardBlock& t, const LocalGaussian& l, bool drawn,
+[[gnu::always_inline]] inline PixelGrads pixel_grads(const Frame& f, const WantedGradients& want, BackwardBlock& t, const LocalGaussian& l, bool shown,
                                                      const Hit& e, int h) {
   const V one = broadcast(1), stop = broadcast(R(kStop));
   const V alpha = clamped(e.alpha), T = load(t.T + h);
@@ -107,22 +107,22 @@ template <bool spatial, bool scenario, bool depth_alpha>
   PixelGrads p = {};
   V inv = one;
   M live;
-  if (drawn) {
-    const V weight = keep(e.hit, alpha * T), next = T - weight;  // the same operations as the forward pass
-    live = both(e.hit, at_least(next, stop));
-    p.weight = keep(live, weight);
-    const V behind = fnma(p.weight, image_grad, load(t.behind + h));
+  if (shown) {
+    const V weight = keep(e.hit(), alpha * T), next = T - weight;  // the same operations as the forward pass
+    live = both(e.hit(), at_least(next, stop));
+    p.weight = weight, p.live = live;
+    const V behind = fnma_if(live, weight, image_grad, load(t.behind + h));
     store(t.T + h, next);
     store(t.behind + h, behind);
     inv = reciprocal(one - alpha);
     p.alpha_grad = keep(live, alpha * fnma(behind, inv, T * image_grad));
   } else {
-    live = both(e.hit, at_least(T, stop));
+    live = both(e.hit(), at_least(T, stop));
     p.alpha_grad = keep(live, alpha * (T * image_grad - load(t.behind + h)));
   }
-  if (drawn) p.shape_grad = keep(less(e.alpha, broadcast(R(kAlphaMax))), p.alpha_grad);  // the clamp blocks the gradient
+  if (shown) p.shape_grad = keep(less(e.alpha, broadcast(R(kAlphaMax))), p.alpha_grad);  // the clamp blocks the gradient
   if constexpr (spatial) {
-    p.counted = f.full ? e.hit : live;
+    p.counted = f.full ? e.hit() : live;
     p.spatial = spatial_vjp<scenario>(f, t, h, alpha, T, inv, l.mask, p.counted);
   }
   return p;
@@ -132,20 +132,20 @@ template <bool spatial, bool scenario, bool depth_alpha>
 template <bool spatial, bool scenario, bool depth_alpha>
 [[gnu::always_inline]] inline void accumulate(const Frame& f, const WantedGradients& want, BackwardBlock& t, const LocalGaussian& l, const BlockHits& hits,
                                               Sums& a) {
-  const bool drawn = l.mask != 0;
+  const bool shown = drawn(l);
   PixelGrads p[kVectorsPerBlock];
-  for (int h = 0; h < kVectorsPerBlock; ++h) p[h] = pixel_grads<spatial, scenario, depth_alpha>(f, want, t, l, drawn, hits.part[h], h * W);
+  for (int h = 0; h < kVectorsPerBlock; ++h) p[h] = pixel_grads<spatial, scenario, depth_alpha>(f, want, t, l, shown, hits.part[h], h * W);
   for (int h = 0; h < kVectorsPerBlock; ++h) a.mask += p[h].alpha_grad;
   if constexpr (spatial)
     for (int h = 0; h < kVectorsPerBlock; ++h) a.spatial = add_if(p[h].counted, a.spatial, p[h].spatial);
-  if (drawn) {
-    for (int h = 0; h < kVectorsPerBlock; ++h) a.red = fma(p[h].weight, load(t.rgb[0] + h * W), a.red);
-    for (int h = 0; h < kVectorsPerBlock; ++h) a.green = fma(p[h].weight, load(t.rgb[1] + h * W), a.green);
-    for (int h = 0; h < kVectorsPerBlock; ++h) a.blue = fma(p[h].weight, load(t.rgb[2] + h * W), a.blue);
+  if (shown) {
+    for (int h = 0; h < kVectorsPerBlock; ++h) a.red = fma_if(p[h].live, p[h].weight, load(t.rgb[0] + h * W), a.red);
+    for (int h = 0; h < kVectorsPerBlock; ++h) a.green = fma_if(p[h].live, p[h].weight, load(t.rgb[1] + h * W), a.green);
+    for (int h = 0; h < kVectorsPerBlock; ++h) a.blue = fma_if(p[h].live, p[h].weight, load(t.rgb[2] + h * W), a.blue);
     if (depth_alpha && want.depth)
-      for (int h = 0; h < kVectorsPerBlock; ++h) a.depth = fma(p[h].weight, load(t.depth + h * W), a.depth);
+      for (int h = 0; h < kVectorsPerBlock; ++h) a.depth = fma_if(p[h].live, p[h].weight, load(t.depth + h * W), a.depth);
   }
-  if (!want.shape) return;
+  if (!want.shape || !shown) return;
   for (int h = 0; h < kVectorsPerBlock; ++h) {
     const V g = p[h].shape_grad, u = hits.part[h].u, v = hits.part[h].v, gu = g * u, gv = g * v;
     a.g += g, a.gu += gu, a.gv += gv;

@@ -10,7 +10,7 @@ struct WalkOptions {
 // Running values of W pixels; between chunks they are stored in Frame::state.
 struct PixelState {
   V T, final_T, red, green, blue, depth, count, dropped, sums[4];
-  M open;  // T has not fallen below the stop
+  M open() const { return at_least(T, broadcast(R(kStop))); }  // T has not fallen below the stop
 };
 
 // Per-pixel sums behind scenarios A and B (paper Eq. 12-16), over counted hits:
@@ -30,10 +30,10 @@ inline void add_scenario(const Frame& f, PixelState& p, V alpha, V T, R mask, M 
 }
 
 template <WalkOptions walk>
-inline void count_hit(const Frame& f, PixelState& p, V alpha, V T, R mask, M counted) {
+inline void count_hit(const Frame& f, PixelState& p, V alpha, V T, const LocalGaussian& l, M counted) {
   if constexpr (walk.count) p.count = add_if(counted, p.count, broadcast(1));
-  if (walk.count && mask == 0) p.dropped = add_if(counted, p.dropped, broadcast(1));
-  if constexpr (walk.scenario) add_scenario(f, p, alpha, T, mask, counted);
+  if (walk.count && !drawn(l)) p.dropped = add_if(counted, p.dropped, broadcast(1));
+  if constexpr (walk.scenario) add_scenario(f, p, alpha, T, l.mask, counted);
 }
 
 // The pixels of a block: their offsets and their depth limits.
@@ -47,7 +47,8 @@ template <WalkOptions walk>
 [[gnu::always_inline]] inline BlockHits evaluate_before(const BlockPixels& pixels, const LocalGaussian& l) {
   BlockHits hits = evaluate_block(l, pixels.lanes);
   if constexpr (walk.limited)
-    for (int h = 0; h < kVectorsPerBlock; ++h) hits.part[h].hit = both(hits.part[h].hit, less(broadcast(l.depth), pixels.limit[h]));
+    for (int h = 0; h < kVectorsPerBlock; ++h)
+      hits.part[h].exponent = select(less(broadcast(l.depth), pixels.limit[h]), hits.part[h].exponent, broadcast(R(kLog2Cut) - 1));
   return hits;
 }
 
@@ -55,21 +56,20 @@ template <WalkOptions walk>
 template <WalkOptions walk>
 [[gnu::always_inline]] inline bool blend(const Frame& f, const LocalGaussian& l, const Hit& e, PixelState& p) {
   const V alpha = clamped(e.alpha), T = p.T;
-  const M hit = walk.full ? e.hit : both(e.hit, p.open);
+  const M hit = walk.full ? e.hit() : both(e.hit(), p.open());
   M counted = hit;
-  if (l.mask != 0) {
-    const V weight = keep(e.hit, alpha * T), next = T - weight;
+  if (drawn(l)) {
+    const V weight = keep(e.hit(), alpha * T), next = T - weight;
     const M live = at_least(next, broadcast(R(kStop)));
-    const V w = keep(live, weight);
-    p.red = fma(w, broadcast(l.rgb[0]), p.red);
-    p.green = fma(w, broadcast(l.rgb[1]), p.green);
-    p.blue = fma(w, broadcast(l.rgb[2]), p.blue);
-    if (f.want_depth) p.depth = fma(w, broadcast(l.depth), p.depth);
+    p.red = fma_if(live, weight, broadcast(l.rgb[0]), p.red);
+    p.green = fma_if(live, weight, broadcast(l.rgb[1]), p.green);
+    p.blue = fma_if(live, weight, broadcast(l.rgb[2]), p.blue);
     p.final_T = select(live, next, p.final_T);
     if (!walk.full) counted = both(hit, live);
-    p.T = next, p.open = live;
+    p.T = next;
+    if (f.want_depth) p.depth = fma_if(live, weight, broadcast(l.depth), p.depth);
   }
-  count_hit<walk>(f, p, alpha, T, l.mask, counted);
+  count_hit<walk>(f, p, alpha, T, l, counted);
   return any(hit);
 }
 
@@ -77,14 +77,14 @@ template <WalkOptions walk>
 template <WalkOptions walk>
 [[gnu::always_inline]] inline bool count_behind(const Frame& f, const LocalGaussian& l, const Hit& e, PixelState& p) {
   const V alpha = clamped(e.alpha), T = p.T;
-  if (l.mask != 0) p.T = T - keep(e.hit, alpha * T);
-  count_hit<walk>(f, p, alpha, T, l.mask, e.hit);
-  return any(e.hit);
+  if (drawn(l)) p.T = T - keep(e.hit(), alpha * T);
+  count_hit<walk>(f, p, alpha, T, l, e.hit());
+  return any(e.hit());
 }
 
 [[gnu::always_inline]] inline bool any_open(const PixelState* p) {
-  M open = p[0].open;
-  for (int h = 1; h < kVectorsPerBlock; ++h) open = either(open, p[h].open);
+  M open = p[0].open();
+  for (int h = 1; h < kVectorsPerBlock; ++h) open = either(open, p[h].open());
   return any(open);
 }
 
@@ -122,8 +122,7 @@ template <WalkOptions walk>
 inline PixelState load_pixels(const Frame& f, const R* at) {
   const auto field = [&](Field k) { return load(at + k * kBlockPixels); };
   PixelState p = {};
-  p.T = field(kFullT), p.open = at_least(p.T, broadcast(R(kStop))), p.final_T = field(kFinalT), p.red = field(kRed), p.green = field(kGreen),
-  p.blue = field(kBlue);
+  p.T = field(kFullT), p.final_T = field(kFinalT), p.red = field(kRed), p.green = field(kGreen), p.blue = field(kBlue);
   if (f.want_depth) p.depth = field(kDepth);
   if constexpr (walk.count) p.count = field(kCount), p.dropped = field(kDropped);
   if constexpr (walk.scenario)

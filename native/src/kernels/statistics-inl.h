@@ -19,11 +19,11 @@ inline Blended blend_again(const LocalGaussian& l, int block, int h, V& T) {
   const Lanes& lanes = all_lanes().block[block];
   const Hit e = evaluate(l, lanes.x[h], lanes.y[h]);
   const M open = at_least(T, broadcast(R(kStop)));
-  if (l.mask == 0) return {e.hit, both(e.hit, open), broadcast(0), broadcast(0)};
-  const V before = T, weight = keep(e.hit, clamped(e.alpha) * T);
+  if (l.mask == 0) return {e.hit(), both(e.hit(), open), broadcast(0), broadcast(0)};
+  const V before = T, weight = keep(e.hit(), clamped(e.alpha) * T);
   T -= weight;
-  const M live = both(e.hit, at_least(T, broadcast(R(kStop))));
-  return {e.hit, live, keep(live, weight), keep(live, before)};
+  const M live = both(e.hit(), at_least(T, broadcast(R(kStop))));
+  return {e.hit(), live, keep(live, weight), keep(live, before)};
 }
 
 // Calls visit(entry, blocks, Gaussian in the tile's coordinates) for each entry of a tile's list that hits blocks and is drawn, from the nearest
@@ -101,10 +101,10 @@ struct ColourShare {
   M live;
 };
 inline ColourShare share(const LocalGaussian& l, const Hit& e, V& T, V left[3]) {
-  const V alpha = clamped(e.alpha), weight = keep(e.hit, alpha * T), before = T, inv = reciprocal(broadcast(1) - alpha);
+  const V alpha = clamped(e.alpha), weight = keep(e.hit(), alpha * T), before = T, inv = reciprocal(broadcast(1) - alpha);
   T -= weight;
   ColourShare s;
-  s.live = both(e.hit, at_least(T, broadcast(R(kStop))));
+  s.live = both(e.hit(), at_least(T, broadcast(R(kStop))));
   for (int c = 0; c < 3; ++c) {
     left[c] -= keep(s.live, weight * broadcast(l.rgb[c]));
     s.rgb[c] = keep(s.live, alpha * (before * broadcast(l.rgb[c]) - left[c] * inv));
@@ -239,7 +239,7 @@ void moments_tile(const Frame& f, int64_t tile, void* slots) {
       for (int b = __builtin_ctzll(left), h = 0; h < kVectorsPerBlock; ++h) {
         const Lanes& lanes = all_lanes().block[b];
         const Hit hit = evaluate(l, lanes.x[h], lanes.y[h]);
-        const V w = sensitivity(l, hit, t.T[b][h], t.rgb[b][h]), u = keep(hit.hit, hit.u), v = keep(hit.hit, hit.v), uu = u * u, uv = u * v, vv = v * v;
+        const V w = sensitivity(l, hit, t.T[b][h], t.rgb[b][h]), u = keep(hit.hit(), hit.u), v = keep(hit.hit(), hit.v), uu = u * u, uv = u * v, vv = v * v;
         const V wuu = w * uu, wuv = w * uv, wvv = w * vv;
         const V found[SVRGS_MOMENTS] = {wuu, wuv, wvv, wuu * u, wuu * v, wuv * v, wvv * v, wuu * uu, wuu * uv, wuu * vv, wuv * vv, wvv * vv};
         for (int k = 0; k < SVRGS_MOMENTS; ++k) m[k] += found[k];
