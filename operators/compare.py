@@ -14,7 +14,7 @@ from ..svrgs_addon.camera import Camera
 from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.files.registry import file_size
 from ..svrgs_addon.metrics import flip, psnr, ssim
-from ..svrgs_addon.metrics.evaluate import render_options, rounded_to_8_bits
+from ..svrgs_addon.metrics.evaluate import picture_options, rounded_to_8_bits
 from ..svrgs_addon.native import Rasterizer
 from ..svrgs_addon.report.pictures import contact_sheet, difference_image, to_uint8
 from ..svrgs_addon.scene import Scene
@@ -41,7 +41,7 @@ class ComparedSplats:
     def render(self, camera: Camera, background) -> tuple:
         """(original, pruned): images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's world."""
         views = [(part.scene, part.seen_by(camera)) for part in self.placed]
-        original, pruned = (rounded_to_8_bits(self.rasterizer.forward(scene, view, render_options(scene, background))["rgb"]) for scene, view in views)
+        original, pruned = (rounded_to_8_bits(self.rasterizer.forward(scene, view, picture_options(scene, background))["rgb"]) for scene, view in views)
         return original, pruned
 
 

@@ -37,7 +37,7 @@ def refresh(context: bpy.types.Context) -> dict:
     native.set_threads(threads(context))
     if not _rasterizer:
         _rasterizer.append(Rasterizer())
-    options = RenderOptions(antialiased=placed.scene.antialiased, mask_kind="svr")
+    options = RenderOptions(antialiased=placed.scene.antialiased, mask_kind="svr", picture_only=True)
     mask = _rasterizer[0].forward(placed.scene, camera, options, outputs=("mask",))["mask"]
     _masks[scene.session_uid] = mask
     result = {"camera": obj.name, "mean": float(mask.mean()), "largest": float(mask.max(initial=0))}

@@ -92,6 +92,7 @@ class RenderOptions:
     disabled_skips: tuple[str, ...] = ()  # names from skips() that are turned off: the same picture, but slower; for measurements
     max_pairs: int = 0  # a view with more (Gaussian, tile) pairs raises NativeError; 0: 2^31 - 1
     background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # colour behind all Gaussians, display sRGB
+    picture_only: bool = False  # the view is not kept for gradients and statistics: less time and memory
 
 
 class Rasterizer:
@@ -140,6 +141,7 @@ class Rasterizer:
             options.max_pairs,
             self.cancel.ctypes.data,
             limit,
+            options.picture_only,
         )
         self._shape = (camera.height, camera.width, arrays.sh_coefficients)
         _call("svrgs_forward", self._context, c.byref(arrays), c.byref(camera_struct(camera, options.background)), c.byref(native), c.byref(pointers))

@@ -66,6 +66,7 @@ OptionsStruct = _struct(
     max_pairs=c.c_int64,
     cancel=c.c_void_p,
     depth_limit=_real,
+    picture_only=c.c_int32,
 )
 ImagesStruct = _struct("ImagesStruct", **{name: _real for name in OUTPUTS})
 ImageGradsStruct = _struct("ImageGradsStruct", **{name: _real for name in LOSS_IMAGES})

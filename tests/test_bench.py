@@ -125,7 +125,7 @@ def test_floors_follow_the_peaks(small):
 
 def test_skips_change_no_picture(small):
     entries = {entry["skip"]: entry for entry in measure_skips(small, 1, ignore)}
-    assert entries.keys() == {*native.skips(), "mask", "behind_the_stop", "unused_gradients", "sparse_adam", "sh_bands"}
+    assert entries.keys() == {*native.skips(), "mask", "behind_the_stop", "kept_view", "unused_gradients", "sparse_adam", "sh_bands"}
     assert all(entry["gain"] > 0 and (entry["image_max"] or 0) <= 1e-6 for entry in entries.values())
     for skip in native.skips():
         on, off = entries[skip]["work_on"], entries[skip]["work_off"]

@@ -304,7 +304,7 @@ from svrgs_addon.system.memory import peak, proc_bytes
 camera, start = orbit_camera(640, 480), peak()
 scene = load_scene(sys.argv[1]).scene
 read = peak() - start
-native.Rasterizer().forward(scene, camera)
+native.Rasterizer().forward(scene, camera, native.RenderOptions(picture_only=True))
 drawn = peak() - start
 trial = Trial(Case("room", scene, camera))
 for array in trial.model.moments.values():

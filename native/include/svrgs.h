@@ -92,6 +92,7 @@ typedef struct {
   int64_t max_pairs;       /* refuse more (Gaussian, tile) pairs than this: SVRGS_TOO_LARGE; 0: 2^31 - 1 */
   const int32_t* cancel;   /* optional; polled once per tile, non-zero stops with SVRGS_CANCELLED */
   const real* depth_limit; /* (H, W), optional: a pixel takes a Gaussian only where its z < limit; no gradients and no statistics then */
+  int32_t picture_only;    /* 0 or 1: nothing is kept for gradients and statistics, for less time and memory */
 } svrgs_options;
 
 typedef struct {       /* all optional */

@@ -39,6 +39,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.tiles_x = (c.width + kTile - 1) / kTile, f.tiles_y = (c.height + kTile - 1) / kTile;
   f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.eps_a = o.eps_a, f.disabled_skips = o.disabled_skips;
   f.depth_limit = o.depth_limit;
+  f.picture_only = o.picture_only || o.depth_limit;
   f.full = o.full && o.mask_kind != SVRGS_MASK_NONE;
   f.want_depth = images.depth != nullptr;
 }
@@ -95,7 +96,7 @@ int64_t Context::sum_before(int64_t ProjectionCounts::* what) {
 
 void Context::list_tiles() {
   Frame& f = frame_;
-  const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y;
+  const int64_t tiles = f.tile_count();
   int64_t* tile_begin = tile_begin_.reserve<int64_t>(tiles + 1);
   TileEntry* entries = entries_.reserve<TileEntry>(pairs_);
   static_assert(sizeof(uint64_t) == sizeof(TileIntersection));
@@ -109,14 +110,37 @@ void Context::list_tiles() {
   f.tile_begin = tile_begin, f.entries = entries;
 }
 
-template <class F>
-void Context::for_each_tile(F&& run) const {
+template <class P, class F>
+void Context::for_each_tile(P&& prepare, F&& run) const {
   std::atomic<bool> stopped{false};
-  parallel_for(static_cast<int64_t>(frame_.tiles_x) * frame_.tiles_y, [&](int64_t tile) {
+  parallel_for_workers(frame_.tile_count(), prepare, [&](int64_t tile, int worker) {
     if (cancel_ && __atomic_load_n(cancel_, __ATOMIC_RELAXED)) stopped.store(true, std::memory_order_relaxed);
-    if (!stopped.load(std::memory_order_relaxed)) run(tile);
+    if (!stopped.load(std::memory_order_relaxed)) run(tile, worker);
   });
   if (stopped) throw Failure{SVRGS_CANCELLED, "cancelled"};
+}
+
+template <class F>
+void Context::for_each_tile(F&& run) const {
+  for_each_tile([](int) {}, [&](int64_t tile, int) { run(tile); });
+}
+
+// Without gradients or statistics to come, each thread needs the pixels of one tile at a time.
+void Context::blend(const svrgs_images& images) {
+  const int64_t tile_bytes = kTileState * kernels_.real_size;
+  const auto draw = [&](const Frame& f, int64_t tile) { kernels_.forward_tile(f, tile), kernels_.write_tile(f, tile, images); };
+  if (!frame_.picture_only) {
+    frame_.hits = hits_.reserve<BlockMask>(pairs_);
+    frame_.state = state_.reserve<char>(frame_.tile_count() * tile_bytes);
+    return for_each_tile([&](int64_t tile) { draw(frame_, tile); });
+  }
+  char* state = nullptr;
+  for_each_tile([&](int workers) { state = state_.reserve<char>(workers * tile_bytes); },
+                [&](int64_t tile, int worker) {
+                  Frame own = frame_;
+                  own.state = state + worker * tile_bytes;
+                  draw(own, tile);
+                });
 }
 
 template <class F>
@@ -133,16 +157,8 @@ void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_o
   timed(SVRGS_PROJECT, [&] { project(); });
   timed(SVRGS_TILES, [&] { find_tiles(o.max_pairs); });
   timed(SVRGS_SORT, [&] { list_tiles(); });
-  const int64_t tiles = static_cast<int64_t>(frame_.tiles_x) * frame_.tiles_y;
-  frame_.hits = hits_.reserve<BlockMask>(pairs_);
-  frame_.state = state_.reserve<char>(tiles * kBlocks * kFields * kBlockPixels * kernels_.real_size);
-  timed(SVRGS_BLEND, [&] {
-    for_each_tile([&](int64_t tile) {
-      kernels_.forward_tile(frame_, tile);
-      kernels_.write_tile(frame_, tile, images);
-    });
-  });
-  holds_view_ = true;
+  timed(SVRGS_BLEND, [&] { blend(images); });
+  holds_view_ = !o.picture_only;
 }
 
 int64_t Context::backward(const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update) {
@@ -198,8 +214,7 @@ void Context::dominance(double* pixels) {
 svrgs_work Context::work(bool count_pixels) const {
   svrgs_work work = {};
   work.visible = frame_.visible_count, work.pairs = pairs_;
-  for (int64_t tile = 0, tiles = static_cast<int64_t>(frame_.tiles_x) * frame_.tiles_y; count_pixels && tile < tiles; ++tile)
-    kernels_.count_tile(frame_, tile, work);
+  for (int64_t tile = 0, tiles = frame_.tile_count(); count_pixels && tile < tiles; ++tile) kernels_.count_tile(frame_, tile, work);
   return work;
 }
 

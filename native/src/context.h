@@ -69,6 +69,7 @@ class Context {
   void project();
   void find_tiles(int64_t max_pairs);
   void list_tiles();
+  void blend(const svrgs_images&);
   int64_t sum_before(int64_t ProjectionCounts::* what);
   void loss_tiles(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
   template <class F>
@@ -76,7 +77,9 @@ class Context {
   template <class F>
   void add_sums(double* out, F&& run);
   template <class F>
-  void for_each_tile(F&& run) const;  // in any order, until the cancel flag is set
+  void for_each_tile(F&& run) const;  // run(tile), in any order, until the cancel flag is set
+  template <class P, class F>
+  void for_each_tile(P&& prepare, F&& run) const;  // the same with run(tile, worker), after prepare(workers)
 
   const Kernels& kernels_;
   Frame frame_ = {};

@@ -44,12 +44,16 @@ struct TileEntry {
 // Per-pixel results stored for the backward pass; axes: tile, block, field, 16 lanes.
 enum Field { kRed, kGreen, kBlue, kDepth, kFinalT, kFullT, kCount, kDropped, kSum0, kSum1, kSum2, kSum3, kFields };
 
+constexpr int64_t kTileState = kBlocks * kFields * kBlockPixels;  // reals of a tile
+
 constexpr int kSlotWidth = 12;  // reals per (Gaussian, tile) slot of the backward pass
 // Sums over pixels: of g = alpha dL/dalpha and its moments in u, v (bounded within the ellipse, however thin it is), of
 // dL/dcolour, of dL/dM from the colours, of dL/d(view depth), of dL/dM from F.
 enum Slot { kG, kGu, kGv, kGuu, kGuv, kGvv, kSlotRed, kSlotGreen, kSlotBlue, kSlotMask, kSlotDepth, kSlotSpatial };
 
 struct Frame {
+  int64_t tile_count() const { return static_cast<int64_t>(tiles_x) * tiles_y; }
+
   // scene
   int64_t count;
   int sh_coefficients, sh_degree;
@@ -62,7 +66,7 @@ struct Frame {
   int width, height, tiles_x, tiles_y;
   double background[3];
   // options
-  bool antialiased, full, want_depth;
+  bool antialiased, full, want_depth, picture_only;
   int mask_kind, disabled_skips;
   double eps_a;
   const void* depth_limit;  // R[height][width], optional
@@ -77,8 +81,8 @@ struct Frame {
   // tile lists
   const int64_t* tile_begin;  // [tiles + 1]
   const TileEntry* entries;
-  BlockMask* hits;  // per slot: bit b set where the Gaussian hits a pixel of block b that counts
-  void* state;      // R[tiles][kBlocks][kFields][kBlockPixels]
+  BlockMask* hits;  // per slot: bit b set where the Gaussian hits a pixel of block b that counts; NULL if picture_only
+  void* state;      // R[tiles][kBlocks][kFields][kBlockPixels]; of one tile if picture_only
 };
 
 }  // namespace svrgs

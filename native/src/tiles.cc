@@ -64,7 +64,7 @@ int64_t listing_chunks(int64_t pairs) { return std::clamp<int64_t>(pairs / 8192,
 
 void list_tiles(const Frame& f, const TileIntersection* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin,
                 TileEntry* entries) {
-  const int64_t tiles = static_cast<int64_t>(f.tiles_x) * f.tiles_y, chunks = listing_chunks(count), grain = (count + chunks - 1) / chunks;
+  const int64_t tiles = f.tile_count(), chunks = listing_chunks(count), grain = (count + chunks - 1) / chunks;
   parallel_for(chunks, [&](int64_t c) {
     uint32_t* const own = counts + c * tiles;
     std::fill_n(own, tiles, 0u);

@@ -28,7 +28,7 @@ def measure_interactive(tell: Callable[[str], None], count: int = COUNT, size: t
     """The entry `interactive` of the result: milliseconds of the median and of the slowest frame, frames per second, and `rest_ms`, the
     milliseconds of a frame whose camera has not moved."""
     tell(f"orbiting around {count:,} Gaussians")
-    preview = Preview(room(count), native.RenderOptions())
+    preview = Preview(room(count))
     cameras = [orbit_camera(*size, turn=STEP * k) for k in range(WARMUPS + frames)]
     return _frames(preview.image, cameras, count, size) | {"rest_ms": 1e3 * seconds(preview.image, cameras[-1])}
 

@@ -14,7 +14,7 @@ class Preview:
     """Renders one scene repeatedly. It keeps a copy in Morton order, so that the Gaussians of a view are near each other in memory."""
 
     def __init__(self, scene: Scene, options: RenderOptions | None = None, level: str | None = None):
-        self.options = options or RenderOptions()
+        self.options = options or RenderOptions(picture_only=True)
         self.scene = scene.select(morton_order(scene.means))
         self._rasterizer = Rasterizer(level)
         self._drawn: tuple[bytes, np.ndarray] | None = None

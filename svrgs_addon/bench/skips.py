@@ -22,7 +22,7 @@ def measure_skips(case: Case, repeat: int, tell: Callable[[str], None]) -> list[
     for skip in skips():
         tell(f"skip {skip}")
         entries.append(_native(trial, skip, repeat))
-    for measured in (_mask, _behind_the_stop, _unused_gradients, _sparse_adam, _sh_bands):
+    for measured in (_mask, _behind_the_stop, _kept_view, _unused_gradients, _sparse_adam, _sh_bands):
         tell(f"skip {measured.__name__.strip('_')}")
         entries.append(measured(trial, repeat))
     return entries
@@ -65,6 +65,17 @@ def _behind_the_stop(trial: Trial, repeat: int) -> dict:
     """F up to the stop of the colours, against F to the end of each ray. The two F differ by definition, so no pictures are compared."""
     once = {"on": ("svr", False), "off": ("svr", True)}
     return _entry("behind_the_stop", "forward and backward", lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()}, repeat, None)
+
+
+def _kept_view(trial: Trial, repeat: int) -> dict:
+    """A picture, against one whose view is kept for gradients and statistics."""
+
+    def draw(picture_only: bool):
+        options = replace(trial.options("none", full=False), picture_only=picture_only)
+        return trial.rasterizer.forward(trial.model, trial.case.camera, options, trial.masks)["rgb"]
+
+    change = np.abs(draw(True) - draw(False)).max()
+    return _entry("kept_view", "forward", lambda: {"on": seconds(draw, True), "off": seconds(draw, False)}, repeat, float(change))
 
 
 def _unused_gradients(trial: Trial, repeat: int) -> dict:

@@ -13,7 +13,7 @@ from ..errors import SceneError
 from ..files.atomic import atomic_write, check_writable
 from ..files.images import write_image
 from ..large.opened import opened
-from ..metrics.evaluate import render_options
+from ..metrics.evaluate import picture_options
 from ..outputs import OUTPUTS, PICTURES
 from ..photographs.camera_files import load_cameras
 from ..photographs.dataset import HOLDOUT, load_dataset
@@ -30,7 +30,7 @@ def render_views(options: argparse.Namespace) -> list[Path]:
     refuse_same_stems(chosen, "render them one at a time, into separate folders")
     largest = max(chosen, key=lambda camera: camera.width * camera.height)
     with opened(options.scene, "rendering", lambda count: memory.rendering(count, largest.width, largest.height)) as (scene, rasterizer):
-        settings = render_options(scene, options.background, "svr" if "mask" in outputs else "none")
+        settings = picture_options(scene, options.background, "svr" if "mask" in outputs else "none")
         saved = []
         for camera in chosen:
             images = rasterizer.forward(scene, camera, settings, outputs=outputs)

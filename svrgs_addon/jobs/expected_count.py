@@ -17,7 +17,7 @@ from ..finetune.plan import Plan
 from ..finetune.quality import LEAST, bisected, quality_views
 from ..finetune.saliency import saliency
 from ..finetune.views import as_real
-from ..metrics.evaluate import render_options, rounded_to_8_bits
+from ..metrics.evaluate import picture_options, render_options, rounded_to_8_bits
 from ..metrics.psnr import psnr, with_error
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
@@ -108,7 +108,7 @@ def _fewest_within(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan
 
 def _psnr_on_some(scene: Scene, dataset: Dataset) -> tuple[float, Callable[[np.ndarray | None], float]]:
     """The PSNR in dB of the scene, and the function that measures it with a mask (N,) uint8: on as many reduced views as DROP_SECONDS allow."""
-    rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
+    rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
 
     def psnr_of_view(camera: Camera, photo: np.ndarray, mask: np.ndarray | None) -> float:
         return with_error(psnr(rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"]), photo), dataset.unexplained)

@@ -94,7 +94,7 @@ class JobRecorder:
         camera = run.dataset.cameras[views[0]]
         camera = camera.reduced(max(1, -(-max(camera.width, camera.height) // PREVIEW_SIDE)))
         kept = masks.most_probable(run.model).astype(np.uint8) if run.model.learns_masks else None
-        options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
+        options = RenderOptions(antialiased=run.antialiased, background=run.settings.background, picture_only=True)
         name = f"previews/{iteration:07d}.png"
         write_image(self.folder / name, rounded_to_8_bits(run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]))
         self.listener.tell("PREVIEW", path=name)

@@ -17,7 +17,7 @@ from ..finetune import scores
 from ..finetune.plan import Plan
 from ..finetune.quality import HALVED, psnr_after
 from ..finetune.views import as_real
-from ..metrics.evaluate import render_options, rounded_to_8_bits
+from ..metrics.evaluate import picture_options, rounded_to_8_bits
 from ..metrics.psnr import psnr
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
@@ -61,7 +61,7 @@ def spread(views: list[int]) -> list[int]:
 
 def _mean_psnrs(scene: Scene, dataset: Dataset, kept: list[np.ndarray | None]) -> list[float]:
     """Mean PSNRs in dB of the scene with each of the masks (N,) uint8, over as many views as time allows."""
-    rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
+    rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
     rows: list[list[float]] = []
     end = time.monotonic() + SECONDS
     for index in spread(dataset.test_indices or dataset.train_indices):

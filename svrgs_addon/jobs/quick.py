@@ -30,7 +30,7 @@ from ..finetune.quality import LEAST
 from ..finetune.refit import SHARES, USUAL, Look, interpolated, middle_scale, pace_at, refit
 from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
-from ..metrics.evaluate import refuse_unseen, render_options, rounded_to_8_bits
+from ..metrics.evaluate import picture_options, refuse_unseen, render_options, rounded_to_8_bits
 from ..metrics.format_loss import ASSUMED
 from ..metrics.psnr import with_error
 from ..native import Rasterizer, thresholds
@@ -154,7 +154,7 @@ class _Likeness:
 
     def __init__(self, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions):
         self._original, self._cameras, self._rasterizer = original, cameras, rasterizer
-        self._settings = render_options(original, options.background)
+        self._settings = picture_options(original, options.background)
 
     @cached_property
     def _originals(self) -> list[np.ndarray]:
@@ -241,7 +241,7 @@ def _enlarged(scene: Scene) -> tuple[Scene, float]:
 
 def _measured(scene: Scene, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions) -> dict:
     """Means over the views of psnr (dB), ssim and flip against the original, and the count. The PSNR of equal pictures counts as 100 dB."""
-    settings, rows, seconds = render_options(original, options.background), [], []
+    settings, rows, seconds = picture_options(original, options.background), [], []
     for camera in cameras:
         started = time.perf_counter()
         image = rounded_to_8_bits(rasterizer.forward(scene, camera, settings)["rgb"])

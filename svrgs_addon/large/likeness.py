@@ -11,7 +11,7 @@ import numpy as np
 
 from ..camera import Camera, evenly
 from ..metrics import flip, psnr, ssim
-from ..metrics.evaluate import render_options, rounded_to_8_bits
+from ..metrics.evaluate import picture_options, rounded_to_8_bits
 from ..native import Rasterizer
 from .blocks import Divided, Tell
 from .views import seen
@@ -57,4 +57,4 @@ def pictures_of(divided: Divided, cameras: Sequence[Camera], tell: Tell = lambda
     for number, camera in enumerate(cameras):
         tell(f"looks at the view {camera.name or number}", number / len(cameras))
         scene, _ = seen(divided, camera, rasterizer)
-        yield rounded_to_8_bits(rasterizer.forward(scene, camera, render_options(scene))["rgb"])
+        yield rounded_to_8_bits(rasterizer.forward(scene, camera, picture_options(scene))["rgb"])

@@ -25,7 +25,7 @@ from ..files.atomic import atomic_write
 from ..files.opened import json_object
 from ..finetune.refit import SHARES, Look, interpolated, middle_scale, pace_for, refit
 from ..finetune.saliency import reduced
-from ..metrics.evaluate import render_options
+from ..metrics.evaluate import picture_options, render_options
 from ..native import Rasterizer
 from ..native_library import PARAMETERS
 from ..scene import Scene
@@ -62,7 +62,7 @@ def _error(divided: Divided, left: Divided, views: Sequence[Camera]) -> float:
     some, rasterizer, squares = np.unique(np.linspace(0, len(views) - 1, min(len(views), LOOKS)).round().astype(int)), Rasterizer(), []
     for view in some.tolist():
         scene, _ = seen(left, views[view], rasterizer)
-        picture = rasterizer.forward(scene, views[view], render_options(scene))["rgb"]
+        picture = rasterizer.forward(scene, views[view], picture_options(scene))["rgb"]
         squares.append(float(np.square(picture - _picture(divided, view, views[view])).mean(dtype=np.float64)))
     return fmean(squares) ** 0.5
 

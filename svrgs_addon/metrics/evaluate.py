@@ -6,6 +6,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -62,6 +63,11 @@ def render_options(scene: Renderable, background=(0.0, 0.0, 0.0), mask_kind: str
     return RenderOptions(antialiased=scene.antialiased, background=background, mask_kind=mask_kind)
 
 
+def picture_options(scene: Renderable, background=(0.0, 0.0, 0.0), mask_kind: str = "none") -> RenderOptions:
+    """The same for a picture of which neither gradients nor statistics are needed."""
+    return replace(render_options(scene, background, mask_kind), picture_only=True)
+
+
 def split_indices(dataset: Dataset, split: str) -> Sequence[int]:
     """Indices of the views of split 'test', 'train' or 'all'. Raises SceneError if there are none."""
     chosen = {"test": dataset.test_indices, "train": dataset.train_indices, "all": range(len(dataset.cameras))}[split]
@@ -73,7 +79,7 @@ def split_indices(dataset: Dataset, split: str) -> Sequence[int]:
 def mean_psnr(model, dataset: Dataset, indices: Sequence[int], rasterizer: Rasterizer, options: RenderOptions, masks=None, error=0.0) -> float:
     """Mean PSNR in dB over the given views. model: an object with the arrays of Scene. masks: (N,) uint8, None: all 1. error: mean squared error
     that is added in each view, colours in 0..1."""
-    values = []
+    values, options = [], replace(options, picture_only=True)
     for i in indices:
         rgb = rasterizer.forward(model, dataset.cameras[i], options, masks)["rgb"]
         values.append(with_error(psnr(rounded_to_8_bits(rgb), to_float(dataset.image(i))), error))
@@ -86,7 +92,7 @@ def evaluate(scene: Renderable, dataset: Dataset, indices: Sequence[int], raster
     Returns means over the views: psnr (dB), ssim, flip, lpips (None without `lpips`); and count (Gaussians), ms_per_frame (median
     duration of a forward pass in milliseconds; None for a divided scene, which is read for each view).
     """
-    options = render_options(scene, dataset.background)
+    options = picture_options(scene, dataset.background)
     rows, seconds = [], []
     for i in indices:
         started = time.perf_counter()

@@ -13,7 +13,7 @@ from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..scene import Scene
 from .arrays import image_pair
-from .evaluate import render_options
+from .evaluate import picture_options
 from .psnr import psnr
 
 # Splats of four captures explain 0.82 to 0.98 of their own photographs, and less than -0.6 of those of another capture. Objects before a
@@ -52,7 +52,7 @@ def fit(scene: Scene, views: Sequence[tuple[Camera, np.ndarray]], background=(0.
 
     views: (camera, photograph (H, W, 3) in [0, 1]), at least one. background: display sRGB 0..1. Raises SceneError.
     """
-    rasterizer, options, rows = Rasterizer(), render_options(scene, background), []
+    rasterizer, options, rows = Rasterizer(), picture_options(scene, background), []
     for camera, photo in views:
         image = np.clip(rasterizer.forward(scene, camera, options)["rgb"], 0, 1)
         rows.append((explained(image, photo), psnr(image, photo)))

@@ -47,7 +47,7 @@ class RenderedDataset(Dataset):
         yield digest.digest()
 
     def _pixels(self, index: int) -> np.ndarray:
-        options = RenderOptions(antialiased=self.scene.antialiased, background=self.background)
+        options = RenderOptions(antialiased=self.scene.antialiased, background=self.background, picture_only=True)
         with self._rendering:
             rgb = self.rasterizer.forward(self.scene, self.cameras[index], options)["rgb"]
             return np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)

@@ -55,7 +55,7 @@ def composite(
     background: display sRGB. surface: meshes as the camera sees them; None: there are none. Scene and camera have the same world. passes: of PASS_OUTPUTS;
     others are not rendered, but for alpha. Raises Cancelled when rasterizer.cancel[0] is set.
     """
-    options = RenderOptions(antialiased=scene.antialiased, mask_kind="svr" if "mask" in passes else "none", background=tuple(background))
+    options = RenderOptions(antialiased=scene.antialiased, mask_kind="svr" if "mask" in passes else "none", background=tuple(background), picture_only=True)
     outputs = ("rgb", *(name for name in PASS_OUTPUTS if name in passes or name == "alpha"))
     if surface is None:
         images = rasterizer.forward(scene, camera, options, outputs=outputs)

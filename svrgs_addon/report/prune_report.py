@@ -12,7 +12,7 @@ from .. import __version__
 from ..files.images import to_float
 from ..finetune.run import Run
 from ..metrics import psnr
-from ..metrics.evaluate import Renderable, Renderer, render_options, rounded_to_8_bits
+from ..metrics.evaluate import Renderable, Renderer, picture_options, rounded_to_8_bits
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..photographs.rendered import RenderedDataset
@@ -71,7 +71,7 @@ def report_indices(dataset: Dataset, count: int = REPORT_VIEWS) -> list[int]:
 
 def report_pictures(scene: Renderable, dataset: Dataset, rasterizer: Renderer) -> list[tuple[np.ndarray, np.ndarray]]:
     """Colours (H, W, 3), clamped to 0..1 and rounded to 8 bits, and spatial mask (H, W) of each view of the report."""
-    options = render_options(scene, dataset.background, "svr")
+    options = picture_options(scene, dataset.background, "svr")
     renders = [rasterizer.forward(scene, dataset.cameras[i], options, outputs=("rgb", "mask")) for i in report_indices(dataset)]
     return [(rounded_to_8_bits(images["rgb"]), images["mask"]) for images in renders]
 

@@ -32,7 +32,7 @@ def preview(scene: Scene, rig: Rig) -> np.ndarray:
     camera = view.camera(SIDE)
     if rig.inside_out:
         scene = _cut_open(scene, camera, middle, reach)
-    images = Rasterizer().forward(scene, camera, RenderOptions(antialiased=scene.antialiased), outputs=("rgb", "depth", "alpha"))
+    images = Rasterizer().forward(scene, camera, RenderOptions(antialiased=scene.antialiased, picture_only=True), outputs=("rgb", "depth", "alpha"))
     picture = np.rint(images["rgb"].clip(0, 1) * 255).astype(np.uint8)
     walls = np.where((images["alpha"] > 0.5) & (not rig.inside_out), images["depth"], np.inf)
     for name, cameras in (("rig", rig.cameras), ("held_out", rig.held_out)):

@@ -8,7 +8,7 @@ from ..camera import Camera
 from ..errors import SceneError
 from ..finetune.saliency import removal_errors
 from ..finetune.scores import contribution
-from ..metrics.evaluate import render_options
+from ..metrics.evaluate import picture_options, render_options
 from ..native import Rasterizer, thresholds
 from ..scene import Scene
 from .haze import hangs_before_cameras
@@ -74,7 +74,7 @@ def seen(scene: Scene, cameras: list[Camera]) -> np.ndarray:
 
 def floaters(scene: Scene, cameras: list[Camera]) -> np.ndarray:
     """Gaussians on small islands (islands.py) and, with enough views, haze (haze.py), (N,) bool."""
-    return on_small_islands(scene) | hangs_before_cameras(scene, cameras, Rasterizer(), render_options(scene))
+    return on_small_islands(scene) | hangs_before_cameras(scene, cameras, Rasterizer(), picture_options(scene))
 
 
 def _moved(means: np.ndarray, matrix: np.ndarray | None) -> np.ndarray:

@@ -114,7 +114,7 @@ template <WalkOptions walk>
   return goes_on;
 }
 
-inline R* tile_state(const Frame& f, int64_t tile) { return static_cast<R*>(f.state) + tile * (kBlocks * kFields * kBlockPixels); }
+inline R* tile_state(const Frame& f, int64_t tile) { return static_cast<R*>(f.state) + (f.picture_only ? 0 : tile) * kTileState; }
 
 inline R* block_state(R* tile, int block, int h) { return tile + block * (kFields * kBlockPixels) + h * W; }
 
@@ -195,10 +195,10 @@ void forward_tile_as(const Frame& f, int64_t tile) {
       for (int h = 0; h < kVectorsPerBlock; ++h) store_pixels<walk>(f, block_state(state, b, h), p[h]);
       if (!goes_on) open &= static_cast<BlockMask>(~block_bit(b, true));
     }
-    for (int k = 0; k < n; ++k) f.hits[entry[k].slot] = c.entry[k].visit;
+    for (int k = 0; f.hits && k < n; ++k) f.hits[entry[k].slot] = c.entry[k].visit;
     entry += n;
   }
-  for (; entry < end; ++entry) f.hits[entry->slot] = 0;
+  for (; f.hits && entry < end; ++entry) f.hits[entry->slot] = 0;
   if constexpr (!walk.full) end_with_colours(state);
 }
 
