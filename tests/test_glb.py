@@ -10,7 +10,8 @@ import struct
 import numpy as np
 import pytest
 
-from svrgs_addon.errors import FormatError
+from svrgs_addon.errors import FormatError, TooMany
+from svrgs_addon.files import glb
 from svrgs_addon.files.axes import turned_around, turned_over
 from svrgs_addon.files.glb_container import Glb
 from svrgs_addon.files.registry import read_scene, write_scene
@@ -220,6 +221,12 @@ def test_splats_that_are_packed_in_the_same_bytes_are_refused(packed):
     change(packed, changed)
     with pytest.raises(FormatError, match="the same bytes"):
         read_scene(packed)
+
+
+def test_too_many_are_refused_for_good_as_they_cannot_be_read_in_parts(path):
+    with pytest.raises(FormatError, match=r"more than the limit of 3; this kind of file cannot be read in parts: save it as PLY or SPZ") as refused:
+        next(glb.read_parts(path, 3))
+    assert not isinstance(refused.value, TooMany)
 
 
 def test_values_are_kept(tmp_path):

@@ -23,7 +23,7 @@ from . import spz
 from .atomic import atomic_write, check_space
 from .axes import AXES, turned_around, turned_over
 from .glb_container import Glb, glb_of
-from .opened import MAX_COUNT, opened, refuse_unpacking
+from .opened import MAX_COUNT, opened, refuse_whole
 from .quantised import colors_of_sh, logs_of
 from .splat_format import SplatFormat, joined
 from .spooled import rows
@@ -39,15 +39,14 @@ PART = 2**16  # Gaussians that are converted together
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """All Gaussians as one part. Raises FormatError, which names the file."""
-    max_count = min(max_count, MAX_COUNT)
     with opened(path) as file:
         glb = Glb.read(file)
         placed = list(_placed(glb))
         if not placed:
             raise FormatError(f"holds no splat: no points with the extension {EXTENSION}")
-        unpacked = _unpacked(glb, {_view_of(primitive) for primitive, _ in placed} - {None}, max_count)
+        unpacked = _unpacked(glb, {_view_of(primitive) for primitive, _ in placed} - {None}, min(max_count, MAX_COUNT))
         sizes = [_count_and_degree(glb, primitive, unpacked) for primitive, _ in placed]
-        refuse_unpacking(sum(count for count, _ in sizes), SH_COEFFICIENTS[max(degree for _, degree in sizes)], max_count)
+        refuse_whole(sum(count for count, _ in sizes), SH_COEFFICIENTS[max(degree for _, degree in sizes)], max_count)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
                 scenes = [transformed(_scene(glb, primitive, unpacked), matrix) for primitive, matrix in placed]

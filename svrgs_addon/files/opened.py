@@ -63,6 +63,14 @@ def refuse_unpacking(count: int, coefficients: int, most: int = MAX_COUNT):
         raise TooMany(sentence.lstrip())
 
 
+def refuse_whole(count: int, coefficients: int, most: int = MAX_COUNT):
+    """As refuse_unpacking(), for a file that cannot be read in parts: raises a FormatError that is not TooMany, so that nobody tries it by blocks."""
+    try:
+        refuse_unpacking(count, coefficients, min(most, MAX_COUNT))
+    except TooMany as error:
+        raise FormatError(f"{error}; this kind of file cannot be read in parts: save it as PLY or SPZ") from None
+
+
 def rows_at(file: BinaryIO, offset: int, dtype: np.dtype, count: int) -> np.ndarray:
     """`count` values of this type from a place of the file on. Raises FormatError (without the name of the file) if it ends before."""
     rows = np.empty(count, dtype)

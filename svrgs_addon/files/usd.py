@@ -28,7 +28,7 @@ from ..system.processes import ChildProcess
 from . import usd_arrays
 from .atomic import atomic_path, check_space
 from .axes import turned_over
-from .opened import MAX_COUNT, opened, refuse_unpacking, size_of
+from .opened import MAX_COUNT, opened, refuse_whole, size_of
 from .quantised import logs_of
 from .splat_format import SplatFormat
 from .usd_arrays import DEGREE, SH, TYPE
@@ -50,7 +50,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
         if not number:
             raise FormatError(f"holds no splat: no prim of the type {TYPE}")
         degrees = [_degree(arrays, one) for one in range(number)]
-        refuse_unpacking(sum(arrays[f"{one}:positions"].size // 3 for one in range(number)), SH_COEFFICIENTS[max(degrees)], min(max_count, MAX_COUNT))
+        refuse_whole(sum(arrays[f"{one}:positions"].size // 3 for one in range(number)), SH_COEFFICIENTS[max(degrees)], max_count)
         upright = Z_TO_Y if arrays["z_up"] else np.eye(4)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
