@@ -31,7 +31,7 @@ from ..finetune.refit import SHARES, USUAL, Look, interpolated, middle_scale, pa
 from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import picture_options, refuse_unseen, render_options, rounded_to_8_bits
-from ..metrics.format_loss import ASSUMED
+from ..metrics.format_loss import ASSUMED, told_loss
 from ..metrics.psnr import with_error
 from ..native import Rasterizer, thresholds
 from ..option_kinds import default_of
@@ -129,8 +129,14 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     after, *levels = (_measured(scaled(one.scene, factor), enlarged, test, rasterizer, options) | {"bytes": one.bytes, "out": str(one.path)} for one in written)
     facts["levels"] = [{"share": share, **level} for share, level in zip(options.levels, levels, strict=True)]
     facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
-    notes += [*_of_hidden(facts["hidden"]), *_of_quantise(quantise), *lost_columns(source, written[0].scene)]
+    notes += [*_of_hidden(facts["hidden"]), *_of_quantise(quantise), *_lost(options.out, source, scenes[0], written[0].scene, factor, likeness)]
     return {**after, "scene": str(options.scene), "before": before, "after": after, **facts, "notes": notes}
+
+
+def _lost(out: Path, source: Scene, pruned: Scene, stored: Scene, factor: float, likeness: _Likeness) -> list[str]:
+    """What the output does not hold, in sentences. pruned, stored: what was written, enlarged, and how it is read again."""
+    columns = lost_columns(source, stored)
+    return columns if format_to_write(out).lossless else [*columns, *told_loss(likeness.psnr(pruned, 0.0), likeness.psnr(scaled(stored, factor), 0.0))]
 
 
 def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float) -> list[str]:
@@ -160,10 +166,10 @@ class _Likeness:
     def _originals(self) -> list[np.ndarray]:
         return [self._picture(self._original, camera) for camera in self._cameras]
 
-    def psnr(self, scene: Scene) -> float:
-        """Mean PSNR in dB against the original, with PHOTOGRAPHED as the error of the original itself."""
+    def psnr(self, scene: Scene, error: float = PHOTOGRAPHED) -> float:
+        """Mean PSNR in dB against the original. error: mean squared error of the original itself, colours in 0..1."""
         pairs = zip(self._cameras, self._originals, strict=True)
-        return fmean(with_error(psnr(self._picture(scene, camera), original), PHOTOGRAPHED) for camera, original in pairs)
+        return fmean(with_error(psnr(self._picture(scene, camera), original), error) for camera, original in pairs)
 
     def _picture(self, scene: Scene, camera: Camera) -> np.ndarray:
         return rounded_to_8_bits(self._rasterizer.forward(scene, camera, self._settings)["rgb"])

@@ -13,12 +13,11 @@ from ..files import streamed_sog
 from ..files.opened import MAX_IN_PARTS
 from ..files.registry import load_parts, size_on_disk, write_scene
 from ..files.spooled import spooled
+from ..metrics.format_loss import told_loss
 from .blocks import Divided, Tell, divide, scene_of
 from .folder import RESULT
 from .likeness import Likeness
 from .tuning import CUT, best_share, mixed, tuned_blocks
-
-HALF = 3.01  # dB: half of the squared error
 
 
 def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
@@ -27,12 +26,12 @@ def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str]
     left, facts = _settled(divided, likeness)
     write_joined(left, out)
     written = divide(out, divided.folder / RESULT, tell=told("read"))
-    result = {
+    result: dict[str, Any] = {
         "scene": str(divided.source), "out": str(out), "method": "merge", "views": len(likeness.views), "blocks": len(divided.blocks), **facts,
         **likeness.measured(written), "before": {"count": divided.count, "bytes": divided.source_bytes},
         "after": {"count": written.count, "bytes": size_on_disk(out)},
     }  # fmt: skip
-    return result | {"notes": of_format(result)}
+    return result | {"notes": told_loss(result["psnr_values"], result["psnr"])}
 
 
 def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, float | None]]:
@@ -43,14 +42,6 @@ def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, f
         return left, {"psnr_merged": None, "tuned_share": 0.0, "psnr_values": merged}
     share, values = best_share(divided, tuned, likeness.psnr) if likeness.views else (1.0, math.nan)
     return mixed(divided, tuned, share), {"psnr_merged": merged, "tuned_share": share, "psnr_values": values}
-
-
-def of_format(result: dict[str, Any]) -> list[str]:
-    """A sentence if the format of the output loses more of a result than pruning does."""
-    values, stored = result["psnr_values"], result["psnr"]
-    if not values - stored > HALF:
-        return []
-    return [f"the format of the output loses more than pruning: {values:.1f} dB before it was written, {stored:.1f} dB after; another one may lose less"]
 
 
 def write_joined(divided: Divided, out: Path):

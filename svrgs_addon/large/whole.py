@@ -13,12 +13,13 @@ from ..files.atomic import check_space, check_writable, reserved
 from ..files.level_files import holds_levels, level_files
 from ..files.registry import format_to_write, refuse_input
 from ..finetune.quality import LEAST
+from ..metrics.format_loss import told_loss
 from .allowed_drop import drop, errors_of_format, fewest_within
 from .blocks import MOST, Divided, Tell, divide
 from .folder import LEVEL, SCORED, measured_views, prepare, refuse_foreign, remove, scored_views
 from .likeness import Likeness
 from .merging import merge, reduce
-from .pruning import finish, join_levels, of_format
+from .pruning import finish, join_levels
 from .scoring import score
 from .tuning import EPOCHS, cut, tune
 
@@ -99,7 +100,12 @@ def _results(
     if streamed:
         results = [result | new for result, new in zip(results, join_levels(divided, likeness, files, outs[0], told), strict=True)]
     levels = [{"share": share, **_figures(result)} for share, result in zip(goal.levels, results[1:], strict=True)]
-    return {**results[0], "levels": levels, "drop": drop(results[0]["psnr"]) if goal.max_drop else None, "notes": of_format(results[0])}
+    return {
+        **results[0],
+        "levels": levels,
+        "drop": drop(results[0]["psnr"]) if goal.max_drop else None,
+        "notes": told_loss(results[0]["psnr_values"], results[0]["psnr"]),
+    }
 
 
 def _figures(result: dict[str, Any]) -> dict[str, Any]:

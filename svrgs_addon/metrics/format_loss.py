@@ -1,4 +1,4 @@
-"""What the format of an output takes of an allowed drop in PSNR (--max-drop): the values that it stores in few bits."""
+"""What the format of an output loses in PSNR: the values that it stores in few bits. It counts in an allowed drop (--max-drop)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from ..photographs.rendered import PHOTOGRAPHED
 from ..scene import Scene
 from .psnr import with_error
 
+HALF = 3.01  # dB: half of the squared error
 ASSUMED = with_error(math.inf, PHOTOGRAPHED)  # PSNR of a scene in dB, where a drop is allowed and there are no photographs
 
 
@@ -30,3 +31,11 @@ def refuse_loss(out: Path, loss: float, allowed: float):
     """Raises SceneError if the format loses so many dB that nothing is left of what is allowed."""
     if loss >= allowed:
         raise SceneError(f"{out}: the format alone loses {loss:.2f} dB, not less than --max-drop allows: write another format")
+
+
+def told_loss(values: float, stored: float) -> list[str]:
+    """A sentence if the format of the output loses more of a result than pruning does. values, stored: PSNR in dB against the original before and after
+    the result was written."""
+    if not values - stored > HALF:
+        return []
+    return [f"the format of the output loses more than pruning: {values:.1f} dB before it was written, {stored:.1f} dB after; another one may lose less"]
