@@ -25,12 +25,9 @@ PROJECTED = 150  # bytes per projected Gaussian
 STREAMED = 65  # bytes per Gaussian of a compressed file that is unpacked, without SH; an SPZ needs most
 TEXTURED = 150  # bytes per Gaussian that becomes pixels of a SOG
 DECIMATED = 500  # bytes per Gaussian while it is removed or merged, without its values
-RENDERED_PIXEL, KEPT_PIXEL, TUNED_PIXEL, MEASURED_PIXEL = (
-    50,
-    50,
-    200,
-    100,
-)  # bytes per pixel of a view: a picture, what statistics need besides, fine-tuning, metrics
+RENDERED_PIXEL = 50  # bytes per pixel of a view: a picture
+KEPT_PIXEL = 50  # the same, for what gradients or statistics need in addition
+TUNED_PIXEL, MEASURED_PIXEL = 200, 100  # the same: fine-tuning, metrics
 LPIPS_PIXEL = 2000  # bytes per pixel of a view: LPIPS
 COMPARED_PIXEL = 60  # bytes per pixel of each view of which two scenes are shown in a report
 NUMPY_ADDRESSES, PHOTOGRAPH_ADDRESSES = 200_000_000, 800_000_000  # bytes of addresses needed by NumPy; by pycolmap, OpenImageIO and SciPy too

@@ -45,7 +45,7 @@ void Job::traced_work() {
 }
 
 // A view is a dozen short jobs. To wake a sleeping thread takes as long as some of them, so threads spin for a while before they sleep.
-constexpr int kSpins = 4000;  // some 50 microseconds
+constexpr int kSpins = 4000;  // some 50 microseconds; more on a processor with a longer pause
 
 template <class F>
 bool spin_until(F&& found) {
@@ -58,8 +58,8 @@ bool spin_until(F&& found) {
   return false;
 }
 
-// Threads enter a job and leave it through one word, the gate: nothing is locked unless a thread sleeps. Its low half counts the workers inside, its high half
-// is the number of the job, even while workers may enter.
+// The gate is one atomic word. Its low half counts the workers inside the job. Its high half is even while workers may enter, odd while they may not, and grows
+// by two with each job. A lock is taken only to sleep and to wake.
 class Pool {
  public:
   explicit Pool(int size) {

@@ -2,8 +2,8 @@
 
 With one thread, the library says how long each task of its thread pool takes. What a call takes beyond its tasks is serial. From both follows a lower bound of
 the time with any number of threads: each task goes to the thread that is free first, as in the pool. It knows nothing of memory and of caches that threads
-share, nor of the microseconds in which a thread wakes. Where there are the cores, the speed-up is measured, and beside it that of multiply-adds in registers:
-neighbours of a virtual machine, and clock rates that fall as more cores work, hold back both.
+share, nor of the microseconds in which a thread wakes. The speed-up is also measured, with as many threads as there are cores at most. So is the speed-up of
+multiply-adds in registers: busy neighbours of a virtual machine, and a clock rate that falls as more cores work, slow both down.
 """
 
 from __future__ import annotations
@@ -68,14 +68,14 @@ def makespan(tasks: np.ndarray, threads: int) -> float:
     return max(free)
 
 
-def _measurable() -> list[int]:
+def _thread_counts() -> list[int]:
     native.set_threads(0)
     return [count for count in COUNTS if count <= native.threads()]
 
 
 def _arithmetic() -> dict[str, float]:
     """The speed-up of multiply-adds in registers with each number of threads for which there are cores."""
-    rates: dict[int, list[float]] = {count: [] for count in _measurable()}
+    rates: dict[int, list[float]] = {count: [] for count in _thread_counts()}
     for _ in range(PEAK_READINGS):
         for count in rates:
             native.set_threads(count)
@@ -86,7 +86,7 @@ def _arithmetic() -> dict[str, float]:
 
 def _measured(call: Callable[[], object], repeat: int) -> dict:
     """The speed-up over one thread and the milliseconds, with each number of threads for which there are cores. All are measured in each round."""
-    counts = _measurable()
+    counts = _thread_counts()
     readings: dict[int, list[float]] = {count: [] for count in counts}
     for _ in range(repeat):
         for count in counts:

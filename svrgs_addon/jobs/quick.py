@@ -31,7 +31,7 @@ from ..finetune.refit import SHARES, USUAL, Look, interpolated, middle_scale, pa
 from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import picture_options, refuse_unseen, render_options, rounded_to_8_bits
-from ..metrics.format_loss import ASSUMED, told_loss
+from ..metrics.format_loss import ASSUMED, loss_notes
 from ..metrics.psnr import with_error
 from ..native import Rasterizer, thresholds
 from ..option_kinds import default_of
@@ -134,9 +134,9 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
 
 
 def _lost(out: Path, source: Scene, pruned: Scene, stored: Scene, factor: float, likeness: _Likeness) -> list[str]:
-    """What the output does not hold, in sentences. pruned, stored: what was written, enlarged, and how it is read again."""
+    """Sentences about what the output cannot hold. pruned: the scene that was written, enlarged by `factor`. stored: the scene that is read from the output."""
     columns = lost_columns(source, stored)
-    return columns if format_to_write(out).lossless else [*columns, *told_loss(likeness.psnr(pruned, 0.0), likeness.psnr(scaled(stored, factor), 0.0))]
+    return columns if format_to_write(out).lossless else [*columns, *loss_notes(likeness.psnr(pruned, 0.0), likeness.psnr(scaled(stored, factor), 0.0))]
 
 
 def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float) -> list[str]:

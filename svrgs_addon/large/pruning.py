@@ -13,7 +13,7 @@ from ..files import streamed_sog
 from ..files.opened import MAX_IN_PARTS
 from ..files.registry import load_parts, size_on_disk, write_scene
 from ..files.spooled import spooled
-from ..metrics.format_loss import told_loss
+from ..metrics.format_loss import loss_notes
 from .blocks import Divided, Tell, divide, scene_of
 from .folder import RESULT
 from .likeness import Likeness
@@ -21,8 +21,10 @@ from .tuning import CUT, best_share, mixed, tuned_blocks
 
 
 def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
-    """Writes what is left of a divided scene, and measures it. If fine-tuning makes it worse, less of that is taken. told: of the name of a step. Returns
-    the JSON result. Raises SplatError."""
+    """Writes what is left of a divided scene, and measures it. Of the fine-tuning, only as much is taken as makes the scene better.
+
+    told: takes the name of a step, and returns the function that reports its progress. Returns the JSON result. Raises SplatError.
+    """
     left, facts = _settled(divided, likeness)
     write_joined(left, out)
     written = divide(out, divided.folder / RESULT, tell=told("read"))
@@ -31,7 +33,7 @@ def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str]
         **likeness.measured(written), "before": {"count": divided.count, "bytes": divided.source_bytes},
         "after": {"count": written.count, "bytes": size_on_disk(out)},
     }  # fmt: skip
-    return result | {"notes": told_loss(result["psnr_values"], result["psnr"])}
+    return result | {"notes": loss_notes(result["psnr_values"], result["psnr"])}
 
 
 def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, float | None]]:

@@ -13,7 +13,7 @@ from ..files.atomic import check_space, check_writable, reserved
 from ..files.level_files import holds_levels, level_files
 from ..files.registry import format_to_write, refuse_input
 from ..finetune.quality import LEAST
-from ..metrics.format_loss import told_loss
+from ..metrics.format_loss import loss_notes
 from .allowed_drop import drop, errors_of_format, fewest_within
 from .blocks import MOST, Divided, Tell, divide
 from .folder import LEVEL, SCORED, measured_views, prepare, refuse_foreign, remove, scored_views
@@ -104,7 +104,7 @@ def _results(
         **results[0],
         "levels": levels,
         "drop": drop(results[0]["psnr"]) if goal.max_drop else None,
-        "notes": told_loss(results[0]["psnr_values"], results[0]["psnr"]),
+        "notes": loss_notes(results[0]["psnr_values"], results[0]["psnr"]),
     }
 
 

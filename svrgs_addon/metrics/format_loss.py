@@ -33,7 +33,7 @@ def refuse_loss(out: Path, loss: float, allowed: float):
         raise SceneError(f"{out}: the format alone loses {loss:.2f} dB, not less than --max-drop allows: write another format")
 
 
-def told_loss(values: float, stored: float) -> list[str]:
+def loss_notes(values: float, stored: float) -> list[str]:
     """A sentence if the format of the output loses more of a result than pruning does. values, stored: PSNR in dB against the original before and after
     the result was written."""
     if not values - stored > HALF:

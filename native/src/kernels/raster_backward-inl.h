@@ -88,7 +88,7 @@ inline V spatial_vjp(const Frame& f, BackwardBlock& t, int h, V alpha, V T, V in
 
 // Contributions of W pixels of a block to one Gaussian's gradients.
 struct PixelGrads {
-  V weight;      // of its colour, where live
+  V weight;      // of its colour; only the lanes in `live` count
   V alpha_grad;  // alpha dL/dalpha from the images of colour, depth and alpha
   V shape_grad;  // the same where alpha is not clamped, 0 elsewhere
   V spatial;     // dL/dM from F, where counted
