@@ -1,6 +1,6 @@
-"""Parts of complete pictures, by the native library: opaque triangles, panoramas of perspective views, and the order in which a GPU draws Gaussians.
+"""Of pictures, by the native library: opaque triangles, panoramas of perspective views, the order in which a GPU draws Gaussians, and FLIP of two pictures.
 
-`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order) is the manual; names, shapes and units here are the same.
+`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order, svrgs_flip) is the manual; names, shapes and units here are the same.
 """
 
 from __future__ import annotations
@@ -12,7 +12,19 @@ from typing import Any
 import numpy as np
 
 from .camera import Camera
-from .native_library import LayersStruct, PanoramaStruct, TextureStruct, TrianglesStruct, ViewStruct, call_library, camera_struct, check, check_out
+from .native_library import (
+    LayersStruct,
+    PanoramaStruct,
+    TextureStruct,
+    TrianglesStruct,
+    ViewStruct,
+    best_level,
+    call_library,
+    camera_struct,
+    check,
+    check_out,
+    levels,
+)
 
 VALUES = {"corners": (3, 3), "colors": (3, 3), "light": (3,), "uvs": (3, 2)}  # arrays of a triangle, float32
 
@@ -75,3 +87,19 @@ def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
         c.c_void_p(order.ctypes.data),
     )
     return order
+
+
+def flip_errors(image: np.ndarray, target: np.ndarray, pixels_per_degree: float, level: str | None = None) -> np.ndarray:
+    """FLIP of each pixel (Andersson et al. 2020), (H, W) in [0, 1]. level: SIMD level; None: the fastest of this processor.
+
+    image, target: (H, W, 3) display sRGB in [0, 1], float32; float64 at that level. pixels_per_degree: of the viewer's visual angle, above 0,
+    at most 400. Raises NativeError, and TypeError for arrays of another type or shape.
+    """
+    level = level or best_level()
+    dtype = np.float64 if level == "float64" else np.float32
+    errors = np.empty(image.shape[:2], dtype)
+    addresses = [check(array, name, (*errors.shape, 3), dtype) for array, name in ((image, "image"), (target, "target"))]
+    places = [c.c_void_p(address) for address in (*addresses, errors.ctypes.data)]
+    height, width = map(c.c_int32, errors.shape)
+    call_library("svrgs_flip", c.c_int32(levels()[level]), places[0], places[1], height, width, c.c_double(pixels_per_degree), places[2])
+    return errors

@@ -9,6 +9,7 @@
 #include "context.h"
 #include "decimate.h"
 #include "depth_sort.h"
+#include "flip.h"
 #include "machine_speed.h"
 #include "panorama.h"
 #include "pool.h"
@@ -313,6 +314,15 @@ int32_t svrgs_mask_loss(svrgs_context* c, const real* mask, int64_t count, doubl
     require(c && mask && grad && value, "an argument is missing");
     require(count > 0, "there must be pixels");
     *value = c->context.mask_loss(mask, count, weight, grad);
+  });
+}
+
+int32_t svrgs_flip(int32_t level, const real* image, const real* target, int32_t height, int32_t width, double pixels_per_degree, real* errors) {
+  return guarded([&] {
+    require(image && target && errors, "an argument is missing");
+    require(height > 0 && width > 0 && height <= svrgs::kMaxSide && width <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
+    require(pixels_per_degree > 0 && pixels_per_degree <= svrgs::kMaxPixelsPerDegree, "there must be at most 400 pixels per degree, and more than 0");
+    svrgs::flip(kernels(level), image, target, height, width, pixels_per_degree, errors);
   });
 }
 

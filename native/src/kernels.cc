@@ -41,6 +41,7 @@ namespace svrgs::SVRGS_LEVEL {
 #include "kernels/adam_sh-inl.h"
 #include "kernels/gradients-inl.h"
 #include "kernels/loss-inl.h"
+#include "kernels/flip-inl.h"
 #include "kernels/multiply_adds-inl.h"
 
 void loss_pass(const LossArguments& a, int64_t tile, void* scratch) {
@@ -98,6 +99,7 @@ const Kernels SVRGS_TABLE_NAME = {
     .loss_scratch = level::kLossScratch,
     .loss_tile = level::loss_pass,
     .mask_loss_range = level::mask_loss_range,
+    .flip_tile = level::flip_tile,
     .adam_rows = level::adam_pass,
     .multiply_adds = level::multiply_adds,
 };

@@ -1,5 +1,6 @@
 // The kernels of one SIMD level, as a table. Every entry is typed by the level's real type behind void*.
 #pragma once
+#include "flip.h"
 #include "frame.h"
 #include "merge.h"
 #include "svrgs.h"
@@ -42,6 +43,7 @@ struct Kernels {
   int64_t loss_scratch;  // reals a thread needs
   void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);
   double (*mask_loss_range)(const void* mask, double scale, int64_t begin, int64_t end, void* grad);  // sum of F^2; grad = scale F
+  void (*flip_tile)(const FlipArguments&, int64_t tile, void* scratch);
   int64_t (*adam_rows)(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t begin, int64_t end, int width);
   double (*multiply_adds)(int64_t rounds);  // operations done
 };

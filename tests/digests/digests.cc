@@ -26,6 +26,15 @@ void loss(Lines& lines, svrgs_context* context) {
   lines.refuse("loss_size", svrgs_loss(context, image.data(), target.data(), 0, kWidth, 0.8, 0.2, nullptr, found), SVRGS_INVALID);
 }
 
+template <class T>
+void flip(Lines& lines, int32_t level) {
+  const std::vector<T> image = values<T>(40, 3 * kPixels, 0, 1), target = values<T>(41, 3 * kPixels, 0, 1);
+  std::vector<T> errors(kPixels);
+  lines.require(svrgs_flip(level, image.data(), target.data(), kHeight, kWidth, 67, errors.data()) == SVRGS_OK, "flip");
+  lines.add("flip", Digest(sizeof(T) == 8 ? kMillionths : kWhole).add(errors));
+  lines.refuse("flip_viewer", svrgs_flip(level, image.data(), target.data(), kHeight, kWidth, 0, errors.data()), SVRGS_INVALID);
+}
+
 // Three steps on rows of `width`; the gradient of one row is not finite.
 template <class T>
 void adam(Lines& lines, svrgs_context* context, int32_t width, int32_t shared) {
@@ -149,6 +158,7 @@ Lines run(const std::string& name, int32_t level, int32_t threads) {
   masks_and_options<T>(lines, level);
   refusals<T>(lines, level);
   optimiser<T>(lines, level);
+  flip<T>(lines, level);
   without_level(lines);
   triangles(lines);
   decimation(lines, level);

@@ -117,6 +117,12 @@ struct Run {
     measure("loss", [&] { return svrgs_loss(context, rgb.data(), target.data(), height, width, 0.8, 0.2, rgb_grad.data(), values); });
   }
 
+  void flip(int32_t level) {
+    const std::vector<float> target(rgb.size(), 0.5f);
+    std::vector<float> errors(mask.size());
+    measure("flip", [&] { return svrgs_flip(level, rgb.data(), target.data(), height, width, 67, errors.data()); });
+  }
+
   void backward() {
     require(svrgs_visible(context, &ids, &rows) == SVRGS_OK);
     means.resize(3 * rows), log_scales.resize(3 * rows), quats.resize(4 * rows), logits.resize(rows);
@@ -157,6 +163,7 @@ int main(int argc, char** argv) {
   Run run(c, std::atoi(argv[2]));
   run.forward();
   run.loss();
+  run.flip(std::atoi(argv[2]));
   run.backward();
   run.statistics();
   run.adam();

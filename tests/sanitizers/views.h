@@ -1,5 +1,6 @@
 // Scenes, cameras and calls made from any bytes, for the fuzzer and the thread sanitizer: everything the C interface takes.
 #pragma once
+#include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstdint>
@@ -126,6 +127,18 @@ class View {
     require(svrgs_backward(context, &in, &out) == SVRGS_OK, "gradients");
   }
 
+  // Against a grey image, by viewers near and far.
+  void compare(int32_t level) {
+    std::vector<float> image(rgb), errors(pixels);
+    const std::vector<float> grey(3 * pixels, 0.5f);
+    for (float& v : image) v = std::clamp(v, 0.0f, 1.0f);
+    for (const double pixels_per_degree : {1.0, 67.0, 400.0}) {
+      require(svrgs_flip(level, image.data(), grey.data(), c.height, c.width, pixels_per_degree, errors.data()) == SVRGS_OK, "FLIP");
+      for (const float e : errors) require(e >= 0 && e <= 1, "FLIP within 0..1");
+      append(results, errors);
+    }
+  }
+
   void measure() {
     std::vector<double> sum(c.count), transmittance(c.count), moments(SVRGS_MOMENTS * visible + 1), cost(c.count + 1);
     std::vector<float> most(c.count);
@@ -213,11 +226,12 @@ class View {
   svrgs_grads out;
 };
 
-// Forward, loss, backward, statistics, an order of removals and merges, and an Adam step of a case. level: that of the context.
+// Forward, loss, backward, FLIP, statistics, an order of removals and merges, and an Adam step of a case. level: that of the context.
 inline Results run(const Case& c, svrgs_context* context, int32_t level) {
   View view(c, context);
   if (!view.drawn()) return view.results;
   view.differentiate();
+  view.compare(level);
   view.measure();
   view.decimate(level);
   view.draw_with_depth_limits();
