@@ -14,6 +14,7 @@
 #endif
 
 #include "kernels.h"
+#include "processor.h"
 
 namespace svrgs::SVRGS_LEVEL {
 #include "kernels/lanes-inl.h"

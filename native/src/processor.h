@@ -5,5 +5,6 @@ namespace svrgs {
 
 bool has_avx2();    // with FMA
 bool has_avx512();  // F, DQ, BW and VL, and has_avx2()
+bool has_vbmi2();   // of 512 bits, and has_avx512()
 
 }  // namespace svrgs

@@ -69,19 +69,16 @@ inline V spread(uint32_t set, const R* packed) {
 #endif
 }
 
-#if !defined(SVRGS_HAVE_AVX512)
-using Bytes = std::conditional_t<W == 8, uint64_t, uint32_t>;
-struct SetBits {  // the positions of the set bits of every W bits, a byte each; how many they are
-  Bytes positions[1 << W] = {};
-  uint8_t count[1 << W] = {};
+struct SetBits {  // the positions of the set bits of every 8 bits, a byte each; how many they are
+  uint64_t positions[256] = {};
+  uint8_t count[256] = {};
   constexpr SetBits() {
-    for (int set = 0; set < 1 << W; ++set)
-      for (int i = 0; i < W; ++i)
-        if (set >> i & 1) positions[set] |= static_cast<Bytes>(i) << 8 * count[set]++;
+    for (int set = 0; set < 256; ++set)
+      for (int i = 0; i < 8; ++i)
+        if (set >> i & 1) positions[set] |= static_cast<uint64_t>(i) << 8 * count[set]++;
   }
 };
 constexpr SetBits kSetBits;
-#endif
 
 #if defined(SVRGS_HAVE_NEON)
 struct SetBytes {  // for every set: the bytes of its lanes, then 255, which the table lookup turns into 0
@@ -108,21 +105,68 @@ inline int lane_count(uint32_t set) {
 #endif
 }
 
-// Appends first + i to the list for each set bit i of `set`. Returns the new count. May write 16 bytes from list + count on.
-inline int append_lanes(uint8_t* list, int count, int first, uint32_t set) {
+// Writes W whole numbers of 0 to 255 as bytes.
+inline void store_bytes(uint8_t* to, I v) {
 #if defined(SVRGS_HAVE_AVX512)
-  const __m512i lanes = _mm512_add_epi32(_mm512_set1_epi32(first), _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
-  const __m128i bytes = _mm512_cvtepi32_epi8(_mm512_maskz_compress_epi32(static_cast<__mmask16>(set), lanes));
-  _mm_storeu_si128(reinterpret_cast<__m128i*>(list + count), bytes);
+  _mm_storeu_si128(reinterpret_cast<__m128i*>(to), _mm512_cvtepi32_epi8((__m512i)v));
+#elif defined(SVRGS_HAVE_AVX2)
+  const __m128i words = _mm_packs_epi32(_mm256_castsi256_si128((__m256i)v), _mm256_extracti128_si256((__m256i)v, 1));
+  _mm_storel_epi64(reinterpret_cast<__m128i*>(to), _mm_packus_epi16(words, words));
 #else
-  if constexpr (W == 1) {
-    list[count] = static_cast<uint8_t>(first);
-  } else {
-    const Bytes bytes = kSetBits.positions[set] + static_cast<Bytes>(0x0101010101010101) * static_cast<Bytes>(first);
-    __builtin_memcpy(list + count, &bytes, sizeof bytes);
-  }
+  for (int i = 0; i < W; ++i) to[i] = static_cast<uint8_t>(v[i]);
 #endif
-  return count + lane_count(set);
+}
+
+// Bit `bit` of 64 bytes.
+inline uint64_t bit_of_bytes(const uint8_t* bytes, int bit) {
+#if defined(SVRGS_HAVE_AVX512)
+  return _mm512_test_epi8_mask(_mm512_loadu_si512(bytes), _mm512_set1_epi8(static_cast<char>(1 << bit)));
+#elif defined(SVRGS_HAVE_AVX2)
+  const __m128i up = _mm_cvtsi32_si128(7 - bit);
+  const auto half = [&](const uint8_t* from) {
+    return static_cast<uint32_t>(_mm256_movemask_epi8(_mm256_sll_epi16(_mm256_loadu_si256(reinterpret_cast<const __m256i*>(from)), up)));
+  };
+  return half(bytes) | static_cast<uint64_t>(half(bytes + 32)) << 32;
+#else
+  uint64_t set = 0;
+  for (int i = 0; i < 8; ++i) {
+    uint64_t eight;
+    __builtin_memcpy(&eight, bytes + 8 * i, sizeof eight);
+    set |= ((eight >> bit & 0x0101010101010101) * 0x0102040810204080 >> 56) << 8 * i;  // the product has bit 8 k in its bit 56 + k
+  }
+  return set;
+#endif
+}
+
+#if defined(SVRGS_HAVE_AVX512)
+// list_bits() by an instruction that not every processor with AVX-512 has.
+[[gnu::target("avx512vbmi2")]] inline int list_bits_vbmi2(const uint64_t* sets, int count, uint8_t* list) {
+  __m512i places = _mm512_setr_epi64(0x0706050403020100, 0x0f0e0d0c0b0a0908, 0x1716151413121110, 0x1f1e1d1c1b1a1918, 0x2726252423222120, 0x2f2e2d2c2b2a2928,
+                                     0x3736353433323130, 0x3f3e3d3c3b3a3938);
+  int listed = 0;
+  for (int i = 0; i < count; ++i, places = _mm512_add_epi8(places, _mm512_set1_epi8(64))) {
+    _mm512_storeu_si512(list + listed, _mm512_maskz_compress_epi8(sets[i], places));
+    listed += __builtin_popcountll(sets[i]);
+  }
+  return listed;
+}
+#endif
+
+// Lists the places of the set bits of count <= 4 sets of 64. Returns how many. May write 64 bytes from there on.
+inline int list_bits(const uint64_t* sets, int count, uint8_t* list) {
+#if defined(SVRGS_HAVE_AVX512)
+  static const bool vbmi2 = has_vbmi2();
+  if (vbmi2) return list_bits_vbmi2(sets, count, list);
+#endif
+  int listed = 0;
+  const auto* eights = reinterpret_cast<const uint8_t*>(sets);
+  uint64_t first = 0;
+  for (const uint8_t* const end = eights + 8 * count; eights < end; ++eights, first += 0x0808080808080808) {
+    const uint64_t bytes = kSetBits.positions[*eights] + first;
+    __builtin_memcpy(list + listed, &bytes, sizeof bytes);
+    listed += lane_count(*eights);
+  }
+  return listed;
 }
 
 // Compresses: writes the lanes of `set` to `to`, contiguously. May write W values, of which only these are defined.

@@ -1,8 +1,8 @@
 // A Gaussian at the pixels of a tile: its alpha, and which pixels it hits. Forward, backward and statistics use this.
 
-// A Gaussian relative to a tile: (x, y) from its centre to the tile's first pixel; the rest as in ProjectedGaussian.
-struct LocalGaussian {
-  R x, y, l11, l12, l22, log2_opacity, rgb[3], depth, mask;
+// A Gaussian relative to a tile: (x, y) from its centre to the tile's first pixel.
+struct LocalGaussian : GaussianShape<R> {
+  R x, y;
 };
 
 struct TileOrigin {
@@ -15,7 +15,7 @@ inline const ProjectedGaussian<R>& gaussian_of(const Frame& f, TileEntry e) { re
 
 inline LocalGaussian to_local(const ProjectedGaussian<R>& s, TileOrigin o) {
   const R x = static_cast<R>(o.x * kTile + 0.5 - s.x), y = static_cast<R>(o.y * kTile + 0.5 - s.y);
-  return {x, y, s.l11, s.l12, s.l22, s.log2_opacity, {s.rgb[0], s.rgb[1], s.rgb[2]}, s.depth, s.mask};
+  return {s.shape, x, y};
 }
 
 // Whether the mask is 1. An integer comparison: the vector units have enough to do.

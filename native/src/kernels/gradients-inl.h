@@ -57,7 +57,7 @@ inline void sh_vjp(const Frame& f, const CameraParams& camera, const Batch& b, c
 }
 
 // Factor of dL/dM from F: 1; for SVRGS_MASK_EVEN the fixed footprint divided by the area of the Gaussian's 1/255 ellipse.
-inline R spatial_weight(const Frame& f, const ProjectedGaussian<R>& s) {
+inline R spatial_weight(const Frame& f, const GaussianShape<R>& s) {
   if (f.mask_kind != SVRGS_MASK_EVEN) return 1;
   const R area = R(3.141592653589793) * (s.log2_opacity - R(kLog2Cut)) / (s.l11 * s.l22);
   return R(SVRGS_EVEN_AREA) / std::max(area, R(1));
@@ -129,7 +129,7 @@ inline int64_t apply(const Frame& f, const UpdateRates& u, StagedGradients& g, i
     ids[i] = f.visible[first + (i < n ? i : n - 1)];
     if (want.colour && first + i + W < f.visible_count) prefetch_sh(f, f.visible[first + i + W]);
     const uint32_t place = f.places[first + (i < n ? i : n - 1)];
-    const ProjectedGaussian<R>& gaussian = static_cast<const ProjectedGaussian<R>*>(f.gaussians)[place];
+    const GaussianShape<R>& gaussian = static_cast<const ProjectedGaussian<R>*>(f.gaussians)[place].shape;
     R* const row = rows + kPaddedRow * i;
     sum_slots(f, slots, f.tiles[place], row);
     std::copy_n(gaussian.rgb, 3, row + kSlotWidth);

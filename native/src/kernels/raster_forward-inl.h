@@ -91,8 +91,8 @@ template <WalkOptions walk>
 // Blends a block's list into its pixels until all of them have stopped. Returns whether a pixel goes on. A Gaussian's values are loaded
 // once for all vectors of the block.
 template <WalkOptions walk>
-[[gnu::always_inline]] inline bool blend_list(const Frame& f, Chunk& c, int block, const BlockPixels& pixels, PixelState* p) {
-  const uint8_t *at = c.list[block], *const end = at + c.listed[block];
+[[gnu::always_inline]] inline bool blend_list(const Frame& f, Chunk& c, int listed, int block, const BlockPixels& pixels, PixelState* p) {
+  const uint8_t *at = c.list, *const end = at + listed;
   const bool to_end = f.disabled_skips & SVRGS_TERMINATION;
   Entry* next = &c.entry[*at];
   BlockHits next_hits = evaluate_before<walk>(pixels, next->local);
@@ -174,7 +174,7 @@ void forward_tile_as(const Frame& f, int64_t tile) {
   if constexpr (walk.limited) read_limits(f, o, limits);
   while (entry < end && (walk.full || open || f.disabled_skips & SVRGS_TERMINATION)) {
     if constexpr (walk.limited) {
-      const BlockMask nearer = within(limits, gaussian_of(f, *entry).depth);
+      const BlockMask nearer = within(limits, gaussian_of(f, *entry).shape.depth);
       inside &= nearer, open &= nearer;
       if (!inside) break;
     }
@@ -183,15 +183,16 @@ void forward_tile_as(const Frame& f, int64_t tile) {
     gather_chunk(f, o, entry, end, n, active, c);
     for (BlockMask left = active; left; left &= left - 1) {
       const int b = __builtin_ctzll(left);
-      if constexpr (walk.limited) trim(c, b, limits.block[b]);
-      if (!c.listed[b]) continue;
+      int listed = list_block(c, b, n);
+      if constexpr (walk.limited) listed = trimmed(c, listed, limits.block[b]);
+      if (!listed) continue;
       BlockPixels pixels = {all_lanes().block[b], {}};
       PixelState p[kVectorsPerBlock];
       for (int h = 0; h < kVectorsPerBlock; ++h) {
         p[h] = load_pixels<walk>(f, block_state(state, b, h));
         if constexpr (walk.limited) pixels.limit[h] = load(limits.pixel[b] + h * W);
       }
-      const bool goes_on = blend_list<walk>(f, c, b, pixels, p);
+      const bool goes_on = blend_list<walk>(f, c, listed, b, pixels, p);
       for (int h = 0; h < kVectorsPerBlock; ++h) store_pixels<walk>(f, block_state(state, b, h), p[h]);
       if (!goes_on) open &= static_cast<BlockMask>(~block_bit(b, true));
     }

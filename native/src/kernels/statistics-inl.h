@@ -154,7 +154,7 @@ void visibility_range(const Frame& f, const void* slots, int64_t begin, int64_t 
       for (int c = 0; c < 7; ++c) row[c] += static_cast<double>(slot[c]);
     }
     if (row[2] == before) continue;
-    const double depth = f.orthographic ? 1.0 : static_cast<double>(static_cast<const ProjectedGaussian<R>*>(f.gaussians)[f.places[i]].depth);
+    const double depth = f.orthographic ? 1.0 : static_cast<double>(static_cast<const ProjectedGaussian<R>*>(f.gaussians)[f.places[i]].shape.depth);
     row[7] += 1, row[8] += f.fx * f.fy / (depth * depth);
   }
 }

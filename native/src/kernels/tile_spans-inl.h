@@ -6,12 +6,13 @@ uint32_t fill_spans(const Frame& f, uint32_t place, Span* spans) {
     std::fill_n(spans, t.rows, t.columns);
     return static_cast<uint32_t>(t.rows) * (t.columns.end - t.columns.begin);
   }
-  const V bound = broadcast(ellipse_bound(f, s.log2_opacity)), margin = broadcast(kBorderMargin), x = broadcast(static_cast<R>(s.x));
+  const V bound = broadcast(ellipse_bound(f, s.shape.log2_opacity)), margin = broadcast(kBorderMargin), x = broadcast(static_cast<R>(s.x));
   const V bottom = broadcast(static_cast<R>(f.height - 0.5 - s.y));
   uint32_t tiles = 0;
   for (int r = 0; r < t.rows; r += W) {
     const V low = broadcast(static_cast<R>((t.row + r) * kTile + 0.5 - s.y)) + iota() * R(kTile), high = min(low + R(kTile - 1), bottom);
-    const Extent e = ellipse_extent(bound, broadcast(s.l22), broadcast(s.inv_l11), broadcast(s.slope), broadcast(s.y_extreme), low - margin, high + margin);
+    const Extent e = ellipse_extent(bound, broadcast(s.shape.l22), broadcast(s.shape.inv_l11), broadcast(s.shape.slope), broadcast(s.shape.y_extreme),
+                                    low - margin, high + margin);
     const V centre = x + (e.left + e.right) * R(0.5), half = (e.right - e.left) * R(0.5) + margin + magnitude(centre) * kRelativeMargin;
     const PixelRange columns = pixel_range(centre, half, f.width);
     const M crosses = both(at_least(e.depth, broadcast(0)), less(columns.begin, columns.end));

@@ -10,8 +10,9 @@ void count_tile(const Frame& f, int64_t tile, svrgs_work& work) {
     const int n = static_cast<int>(std::min<int64_t>(kChunkEntries, end - entry));
     gather_chunk(f, o, entry, end, n, static_cast<BlockMask>(~BlockMask(0)), c);
     for (int k = 0; k < n; ++k) work.used_pairs += f.hits[entry[k].slot] != 0;
-    for (int b = 0; b < kBlocks; ++b)
-      for (int i = 0; i < c.listed[b]; ++i) {
+    for (int b = 0; b < kBlocks; ++b) {
+      const int listed = list_block(c, b, n);
+      for (int i = 0; i < listed; ++i) {
         int hit = 0;
         bool computed = false;
         for (int h = 0; h < kVectorsPerBlock; ++h) {
@@ -19,12 +20,13 @@ void count_tile(const Frame& f, int64_t tile, svrgs_work& work) {
           if (!f.full && !open && !(f.disabled_skips & SVRGS_TERMINATION)) continue;
           const M inside = less(broadcast(0), t.T[b][h]);  // it starts at 0 outside the image
           computed = true;
-          const Blended w = blend_again(c.entry[c.list[b][i]].local, b, h, t.T[b][h]);
+          const Blended w = blend_again(c.entry[c.list[i]].local, b, h, t.T[b][h]);
           hit += __builtin_popcount(bits(both(w.hit, inside)));
           work.contributing += __builtin_popcount(bits(w.live));
         }
         work.blocks += computed, work.hit_blocks += hit > 0, work.hits += hit;
       }
+    }
     entry += n;
   }
 }
