@@ -14,7 +14,6 @@ namespace {
 constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
 constexpr int64_t kMaskLossGrain = 16384;  // pixels
-constexpr int64_t kPlacesAhead = 16;       // visible Gaussians fetched before they are needed
 
 int64_t chunk_count(int64_t items, int64_t grain) { return (items + grain - 1) / grain; }
 
@@ -71,17 +70,14 @@ void Context::find_tiles(int64_t max_pairs) {
   f.tiles = tiles_.reserve<GaussianTiles>(f.count);
   f.spans = spans_.reserve<Span>(rows);
   parallel_for(static_cast<int64_t>(chunk_counts_.size()), [&](int64_t c) {
-    int64_t row = before_[c].rows, pairs = 0, i = before_[c].visible;
-    for (int64_t place = c * kProjectGrain, end = place + chunk_counts_[c].visible; place < end; ++place, ++i) {
-      if (place + kPlacesAhead < end) __builtin_prefetch(static_cast<char*>(f.gaussians) + (place + kPlacesAhead) * kernels_.gaussian_size);
+    const int64_t begin = c * kProjectGrain, end = begin + chunk_counts_[c].visible;
+    int64_t row = before_[c].rows, i = before_[c].visible;
+    chunk_counts_[c].pairs = kernels_.fill_spans(f, begin, end, f.spans + row);
+    for (int64_t place = begin; place < end; ++place, ++i) {
       visible[i] = ids[place], places[i] = static_cast<uint32_t>(place);
-      const TileRect& r = f.rects[place];
-      GaussianTiles& t = f.tiles[place];
-      t.span = static_cast<uint32_t>(row);
-      t.tiles = r.rows > 1 ? kernels_.fill_spans(f, places[i], f.spans + row) : r.columns.end - r.columns.begin;
-      row += span_rows(r), pairs += t.tiles;
+      f.tiles[place].span = static_cast<uint32_t>(row);
+      row += span_rows(f.rects[place]);
     }
-    chunk_counts_[c].pairs = pairs;
   });
   pairs_ = sum_before(&ProjectionCounts::pairs);
   too_large(pairs_);
@@ -103,7 +99,7 @@ void Context::list_tiles() {
   TileIntersection* pairs = slots_.reserve<TileIntersection>(3 * pairs_);
   parallel_for(static_cast<int64_t>(chunk_counts_.size()), [&](int64_t c) {
     const int64_t begin = c * kProjectGrain;
-    write_intersections(f, begin, begin + chunk_counts_[c].visible, before_[c].pairs, pairs);
+    write_intersections(f, begin, begin + chunk_counts_[c].visible, before_[c].pairs, before_[c].pairs + chunk_counts_[c].pairs, pairs);
   });
   svrgs::list_tiles(f, pairs, pairs_, depth_keys_.reserve<uint32_t>(f.count), reinterpret_cast<uint64_t*>(pairs + pairs_),
                     counts_.reserve<uint32_t>(listing_chunks(pairs_) * tiles), tile_begin, entries);

@@ -49,14 +49,23 @@ void sort_list(uint64_t* keys, uint64_t* scratch, int64_t n) {
 
 }  // namespace
 
-void write_intersections(const Frame& f, int64_t begin, int64_t end, int64_t slot, TileIntersection* pairs) {
+void write_intersections(const Frame& f, int64_t begin, int64_t end, int64_t slot, int64_t slot_end, TileIntersection* pairs) {
+  constexpr int kAtOnce = 4;  // most spans have fewer tiles: their pairs are written without a branch, and those too many are overwritten
   TileIntersection* next = pairs + slot;
+  const TileIntersection* const last = pairs + slot_end;
   for (int64_t place = begin; place < end; ++place) {
     const TileRect& t = f.rects[place];
     f.tiles[place].slot = static_cast<uint32_t>(next - pairs);
     const Span* const spans = t.rows > 1 ? f.spans + f.tiles[place].span : &t.columns;
-    for (uint32_t r = 0; r < t.rows; ++r)
-      for (uint32_t x = spans[r].begin; x < spans[r].end; ++x) *next++ = {(t.row + r) * static_cast<uint32_t>(f.tiles_x) + x, static_cast<uint32_t>(place)};
+    for (uint32_t r = 0; r < t.rows; ++r) {
+      const uint32_t first = (t.row + r) * static_cast<uint32_t>(f.tiles_x) + spans[r].begin, count = spans[r].end - spans[r].begin;
+      uint32_t k = 0;
+      if (last - next >= kAtOnce)
+        for (; k < kAtOnce; ++k) next[k] = {first + k, static_cast<uint32_t>(place)};
+      for (; k < count; ++k) next[k] = {first + k, static_cast<uint32_t>(place)};
+      next += count;
+    }
+    f.tiles[place].tiles = static_cast<uint32_t>(next - pairs) - f.tiles[place].slot;
   }
 }
 

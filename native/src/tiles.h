@@ -8,8 +8,8 @@ struct TileIntersection {  // a Gaussian and a tile it touches; their slot is th
   uint32_t tile, place;
 };
 
-// The pairs of the visible Gaussians at places [begin, end), whose slots begin with `slot`, each into its slot.
-void write_intersections(const Frame& f, int64_t begin, int64_t end, int64_t slot, TileIntersection* pairs);
+// The pairs of the visible Gaussians at places [begin, end), whose slots are [slot, slot_end), each into its slot.
+void write_intersections(const Frame& f, int64_t begin, int64_t end, int64_t slot, int64_t slot_end, TileIntersection* pairs);
 
 // Number of chunks that pairs are counted in; counts: [chunks][tiles].
 int64_t listing_chunks(int64_t pairs);
