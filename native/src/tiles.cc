@@ -12,8 +12,9 @@ namespace {
 constexpr int kMaxDigitBits = 11;       // of a digit
 constexpr int64_t kMaxMovesPerKey = 8;  // moves for each item before another way is taken
 
-// Sort key of an entry of a tile's list: depth, then slot. No two are equal, and equal depths are in the order of slots.
-uint64_t entry_key(uint32_t depth_key, int64_t slot) { return static_cast<uint64_t>(depth_key) << 32 | static_cast<uint64_t>(slot); }
+// Sort key of an entry of a tile's list: depth, then slot. No two are equal, and equal depths are in the order of slots. That is the order of
+// places, too: if only the picture is needed, which has no use for slots, the key has the place.
+uint64_t entry_key(uint32_t depth_key, int64_t low) { return static_cast<uint64_t>(depth_key) << 32 | static_cast<uint64_t>(low); }
 
 // For keys that are nearly sorted.
 void sort_by_insertion(uint64_t* keys, int64_t n) {
@@ -87,14 +88,15 @@ void list_tiles(const Frame& f, const TileIntersection* pairs, int64_t count, co
   tile_begin[tiles] = total;
   parallel_for(chunks, [&](int64_t c) {
     uint32_t* const next = counts + c * tiles;
-    for (int64_t p = c * grain, end = std::min(count, p + grain); p < end; ++p) keys[next[pairs[p].tile]++] = entry_key(depth_keys[pairs[p].place], p);
+    for (int64_t p = c * grain, end = std::min(count, p + grain); p < end; ++p)
+      keys[next[pairs[p].tile]++] = entry_key(depth_keys[pairs[p].place], f.picture_only ? pairs[p].place : p);
   });
   parallel_for(tiles, [&](int64_t tile) {
     const int64_t begin = tile_begin[tile], end = tile_begin[tile + 1];
     sort_list(keys + begin, keys + count + begin, end - begin);
     for (int64_t i = begin; i < end; ++i) {
-      const uint32_t slot = static_cast<uint32_t>(keys[i]);
-      entries[i] = {pairs[slot].place, slot};
+      const uint32_t low = static_cast<uint32_t>(keys[i]);
+      entries[i] = f.picture_only ? TileEntry{low, 0} : TileEntry{pairs[low].place, low};
     }
   });
 }
