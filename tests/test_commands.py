@@ -218,6 +218,15 @@ def test_compare_without_photographs(tiny, svrgs, tmp_path):
     assert said.startswith(f"a: {tiny_dataset.COUNT} Gaussians, ") and "PSNR" in said.splitlines()[1] and "no photographs" in said
 
 
+def test_cameras_that_do_not_suit_a_comparison_are_refused(tiny, svrgs, tmp_path):
+    first, second = tiny_dataset.views()[:2]
+    behind = [replace(camera, viewmat=np.diag([-1.0, 1, -1, 1]) @ camera.viewmat) for camera in (first, second)]  # they look away
+    for cameras, sentence in (([first, replace(second, name="00.jpg")], "give one of the cameras another name"), (behind, "use the cameras of this scene")):
+        write_cameras_json(tmp_path / "cameras.json", cameras)
+        refused = svrgs("compare", tiny.splat, tiny.splat, "--cameras", tmp_path / "cameras.json", "--out", tmp_path / "out")
+        assert refused.status == 2 and sentence in refused.err and not (tmp_path / "out").exists()
+
+
 def test_views_of_a_comparison_are_placed(tiny, svrgs, tmp_path):
     write_ply(tmp_path / "ball.ply", scenes.ball(1_000))
     write_ply(tmp_path / "half.ply", scenes.ball(500))

@@ -120,7 +120,7 @@ def refuse_unseen(scene: Renderable, cameras: Sequence[Camera], name: str):
     looking = cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]
     if not any_in_view(scene.means, cameras, looking):
         near = thresholds().near
-        raise SceneError(f"{name}: none of its Gaussians is near a camera and in view of it, more than {near:g} in front; use the COLMAP model of this scene")
+        raise SceneError(f"{name}: none of its Gaussians is near a camera and in view of it, more than {near:g} in front; use the cameras of this scene")
 
 
 def any_in_view(points: np.ndarray, cameras: Sequence[Camera], looking: Sequence[Camera]) -> bool:

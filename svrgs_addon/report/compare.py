@@ -35,7 +35,8 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_
     check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)
     views, shown = dataset.test_indices or dataset.train_indices, [dataset.cameras[i] for i in report_indices(dataset)]
-    refuse_same_stems(shown, "give one of the photographs another name, in the COLMAP model too")
+    rename = "give one of the photographs another name, in the COLMAP model too" if dataset.photos else "give one of the cameras another name"
+    refuse_same_stems(shown, rename)
     cameras = [dataset.cameras[i] for i in views]
     needed = functools.partial(memory.comparing, cameras=cameras, shown=shown, kept_photographs=dataset.memory_budget, lpips=lpips is not None)
     figures, renders = list[dict](), []
