@@ -25,15 +25,22 @@ def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str]
 
     told: takes the name of a step, and returns the function that reports its progress. Returns the JSON result. Raises SplatError.
     """
+    facts = write_left(divided, likeness, out)
+    result = facts | _figures(divide(out, divided.folder / RESULT, tell=told("read")), likeness, out, size_on_disk(out))
+    return result | {"notes": loss_notes(result["psnr_values"], result["psnr"])}
+
+
+def write_left(divided: Divided, likeness: Likeness, out: Path) -> dict[str, Any]:
+    """Writes what is left of a divided scene, as finish() does. Returns the part of its result that needs no look at the file. Raises SplatError."""
     left, facts = _settled(divided, likeness)
     write_joined(left, out)
-    written = divide(out, divided.folder / RESULT, tell=told("read"))
-    result: dict[str, Any] = {
-        "scene": str(divided.source), "out": str(out), "method": "merge", "views": len(likeness.views), "blocks": len(divided.blocks), **facts,
-        **likeness.measured(written), "before": {"count": divided.count, "bytes": divided.source_bytes},
-        "after": {"count": written.count, "bytes": size_on_disk(out)},
-    }  # fmt: skip
-    return result | {"notes": loss_notes(result["psnr_values"], result["psnr"])}
+    before = {"count": divided.count, "bytes": divided.source_bytes}
+    return {"scene": str(divided.source), "method": "merge", "views": len(likeness.views), "blocks": len(divided.blocks), **facts, "before": before}
+
+
+def _figures(written: Divided, likeness: Likeness, out: Path, size: int) -> dict[str, Any]:
+    """The other part. size: in bytes."""
+    return {"out": str(out), **likeness.measured(written), "after": {"count": written.count, "bytes": size}}
 
 
 def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, float | None]]:
@@ -53,14 +60,13 @@ def write_joined(divided: Divided, out: Path):
 
 
 def join_levels(divided: Divided, likeness: Likeness, files: Sequence[Path], out: Path, told: Callable[[str], Tell]) -> list[dict[str, Any]]:
-    """Writes levels of detail as one streamed SOG, and measures each. files: their PLYs, the finest one first. Returns for each the part of finish()'s
-    result that changes: out, figures, after. Raises SplatError."""
+    """Writes levels of detail as one streamed SOG, and measures each. files: their PLYs, the finest one first. Returns for each what write_left() left
+    out of its result. Raises SplatError."""
     with contextlib.ExitStack() as stack:
         streamed_sog.write_levels(out, [stack.enter_context(spooled(load_parts(path), out)) for path in files])
     results = []
     for level in range(len(files)):
         read = partial(streamed_sog.read_level, level=level, max_count=MAX_IN_PARTS)
         written = divide(out, divided.folder / RESULT, tell=told("read"), read=read)
-        size = streamed_sog.level_bytes(out, level)
-        results.append({"out": str(out), **likeness.measured(written), "after": {"count": written.count, "bytes": size}})
+        results.append(_figures(written, likeness, out, streamed_sog.level_bytes(out, level)))
     return results

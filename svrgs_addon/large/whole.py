@@ -19,7 +19,7 @@ from .blocks import MOST, Divided, Tell, divide
 from .folder import LEVEL, SCORED, measured_views, prepare, refuse_foreign, remove, scored_views
 from .likeness import Likeness
 from .merging import merge, reduce
-from .pruning import finish, join_levels
+from .pruning import finish, join_levels, write_left
 from .scoring import score
 from .tuning import EPOCHS, cut, tune
 
@@ -96,7 +96,7 @@ def _results(
         wanted = EPOCHS * len(scored) if steps is None else steps
         for number in range(len(left.blocks) if wanted and left.count < divided.count else 0):
             tune(divided, number, scored, wanted, told("tune"))
-        results.append(finish(divided, likeness, path, told))
+        results.append(write_left(divided, likeness, path) if streamed else finish(divided, likeness, path, told))
     if streamed:
         results = [result | new for result, new in zip(results, join_levels(divided, likeness, files, outs[0], told), strict=True)]
     levels = [{"share": share, **_figures(result)} for share, result in zip(goal.levels, results[1:], strict=True)]
