@@ -92,8 +92,8 @@ def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
 def flip_errors(image: np.ndarray, target: np.ndarray, pixels_per_degree: float, level: str | None = None) -> np.ndarray:
     """FLIP of each pixel (Andersson et al. 2020), (H, W) in [0, 1]. level: SIMD level; None: the fastest of this processor.
 
-    image, target: (H, W, 3) display sRGB in [0, 1], float32; float64 at that level. pixels_per_degree: of the viewer's visual angle, above 0,
-    at most 400. Raises NativeError, and TypeError for arrays of another type or shape.
+    image, target: (H, W, 3) display sRGB in [0, 1], float32; float64 at that level. pixels_per_degree: of the viewer's visual angle, 1 to 400.
+    Raises NativeError, and TypeError for arrays of another type or shape.
     """
     level = level or best_level()
     dtype = np.float64 if level == "float64" else np.float32

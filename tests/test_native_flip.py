@@ -31,7 +31,7 @@ def native_flip(level: str, a: np.ndarray, b: np.ndarray, ppd: float = PPD) -> n
     return flip_errors(np.ascontiguousarray(a, dtype), np.ascontiguousarray(b, dtype), ppd, level)
 
 
-@pytest.mark.parametrize("ppd", [5.0, 30.0, PPD, 150.0])
+@pytest.mark.parametrize("ppd", [1.0, 5.0, 30.0, PPD, 150.0])
 @pytest.mark.parametrize("size", SIZES)
 def test_float64_flip_equals_the_reference(size, ppd):
     images = image_pair(*size)
@@ -72,7 +72,7 @@ def test_flip_does_not_depend_on_threads():
     assert (found[0] == found[1]).all() and (found[0] == found[2]).all()
 
 
-@pytest.mark.parametrize("ppd", [0.0, -1.0, 401.0, np.nan])
+@pytest.mark.parametrize("ppd", [0.0, 0.9, -1.0, 401.0, np.nan])
 def test_other_viewers_are_refused(ppd):
     with pytest.raises(NativeError, match="pixels per degree"):
         native_flip(native.best_level(), *image_pair(8, 8), ppd)

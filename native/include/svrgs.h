@@ -223,7 +223,7 @@ SVRGS_API int32_t svrgs_loss(svrgs_context*, const real* image, const real* targ
 SVRGS_API int32_t svrgs_mask_loss(svrgs_context*, const real* mask, int64_t count, double weight, real* grad, double* value);
 
 /* FLIP (Andersson et al. 2020) of each pixel: errors (H, W) in [0, 1]; 0: equal. image, target: (H, W, 3) display sRGB in [0, 1].
-   pixels_per_degree: of the viewer's visual angle, above 0, at most 400. */
+   pixels_per_degree: of the viewer's visual angle, 1 to 400. */
 SVRGS_API int32_t svrgs_flip(int32_t level, const real* image, const real* target, int32_t height, int32_t width, double pixels_per_degree, real* errors);
 
 /* One Adam step (Kingma and Ba), the `step`th (from 1), of `rows` rows of `width` values; grad is (rows, width). Row r updates row

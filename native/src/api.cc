@@ -321,7 +321,7 @@ int32_t svrgs_flip(int32_t level, const real* image, const real* target, int32_t
   return guarded([&] {
     require(image && target && errors, "an argument is missing");
     require(height > 0 && width > 0 && height <= svrgs::kMaxSide && width <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
-    require(pixels_per_degree > 0 && pixels_per_degree <= svrgs::kMaxPixelsPerDegree, "there must be at most 400 pixels per degree, and more than 0");
+    require(pixels_per_degree >= 1 && pixels_per_degree <= svrgs::kMaxPixelsPerDegree, "there must be 1 to 400 pixels per degree");
     svrgs::flip(kernels(level), image, target, height, width, pixels_per_degree, errors);
   });
 }
