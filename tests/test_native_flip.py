@@ -11,7 +11,7 @@ from svrgs_addon.native_pictures import flip_errors
 
 pytestmark = pytest.mark.usefixtures("default_threads")
 
-PIXEL_BOUND = 5e-5  # worst seen 3.7e-5, scalar and baseline: the square root of feature differences enlarges what is rounded
+PIXEL_BOUND = 5e-5  # worst seen 3.7e-5, scalar and baseline: FLIP takes the square root of feature differences, so small rounding errors grow
 MEAN_BOUND = 5e-7  # worst seen 3.5e-7, scalar and baseline
 SIZES = [(1, 1), (1, 40), (7, 5), (32, 128), (33, 129), (95, 300)]  # the last two have four and nine tiles
 PPD = 67.0206

@@ -7,7 +7,7 @@
 
 namespace svrgs {
 
-// A projected Gaussian. alpha(dx, dy) = min(0.99, 2^(log2_opacity - u^2 - v^2)), u = l11 dx + l12 dy, v = l22 dy:
+// A projected Gaussian without its centre. alpha(dx, dy) = min(0.99, 2^(log2_opacity - u^2 - v^2)), u = l11 dx + l12 dy, v = l22 dy:
 // the Cholesky factor of the conic, scaled by sqrt(log2(e) / 2), keeps the exponent <= 0 and free of cancellation.
 template <class R>
 struct GaussianShape {
@@ -17,6 +17,7 @@ struct GaussianShape {
   R mask;                // 0 or 1
   R slope;               // -l12 / l11
 };
+
 template <class R>
 struct alignas(16 * sizeof(R)) ProjectedGaussian {
   double x, y;  // centre, pixels; double so that offsets from it are exact to float rounding

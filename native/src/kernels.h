@@ -21,7 +21,7 @@ struct Scores {  // each (N,) and optional
 struct Kernels {
   int real_size, gaussian_size;
   ProjectionCounts (*project_range)(const Frame&, int64_t begin, int64_t end, uint32_t* ids, uint32_t* depth_keys);
-  int64_t (*fill_spans)(const Frame&, int64_t begin, int64_t end, Span* spans);  // returns the tiles of the places [begin, end)
+  int64_t (*fill_spans)(const Frame&, int64_t begin, int64_t end, Span* spans);  // of the places [begin, end); returns how many tiles they touch
   void (*forward_tile)(const Frame&, int64_t tile);
   void (*write_tile)(const Frame&, int64_t tile, const svrgs_images&);
   void (*backward_tile)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const svrgs_update*, int64_t tile, void* slots);

@@ -12,9 +12,9 @@ namespace {
 constexpr int kMaxDigitBits = 11;       // of a digit
 constexpr int64_t kMaxMovesPerKey = 8;  // moves for each item before another way is taken
 
-// Sort key of an entry of a tile's list: depth, then slot. No two are equal, and equal depths are in the order of slots. That is the order of
-// places, too: if only the picture is needed, which has no use for slots, the key has the place.
-uint64_t entry_key(uint32_t depth_key, int64_t low) { return static_cast<uint64_t>(depth_key) << 32 | static_cast<uint64_t>(low); }
+// Sort key of an entry of a tile's list: depth, then slot. No two are equal, and equal depths are in the order of slots. The order of places is
+// the same, so the key of a picture that needs no slots has the place instead.
+uint64_t entry_key(uint32_t depth_key, int64_t index) { return static_cast<uint64_t>(depth_key) << 32 | static_cast<uint64_t>(index); }
 
 // For keys that are nearly sorted.
 void sort_by_insertion(uint64_t* keys, int64_t n) {
@@ -95,8 +95,8 @@ void list_tiles(const Frame& f, const TileIntersection* pairs, int64_t count, co
     const int64_t begin = tile_begin[tile], end = tile_begin[tile + 1];
     sort_list(keys + begin, keys + count + begin, end - begin);
     for (int64_t i = begin; i < end; ++i) {
-      const uint32_t low = static_cast<uint32_t>(keys[i]);
-      entries[i] = f.picture_only ? TileEntry{low, 0} : TileEntry{pairs[low].place, low};
+      const uint32_t index = static_cast<uint32_t>(keys[i]);
+      entries[i] = f.picture_only ? TileEntry{index, 0} : TileEntry{pairs[index].place, index};
     }
   });
 }

@@ -21,7 +21,7 @@ from .tuning import CUT, best_share, mixed, tuned_blocks
 
 
 def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
-    """Writes what is left of a divided scene, and measures it. Of the fine-tuning, only as much is taken as makes the scene better.
+    """Writes what is left of a divided scene, and measures the output. The share of the fine-tuning that is used is the one with the highest PSNR.
 
     told: takes the name of a step, and returns the function that reports its progress. Returns the JSON result. Raises SplatError.
     """
@@ -31,7 +31,7 @@ def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str]
 
 
 def write_left(divided: Divided, likeness: Likeness, out: Path) -> dict[str, Any]:
-    """Writes what is left of a divided scene, as finish() does. Returns the part of its result that needs no look at the file. Raises SplatError."""
+    """Writes what is left of a divided scene. Returns the part of finish()'s result that is known before the output is read. Raises SplatError."""
     left, facts = _settled(divided, likeness)
     write_joined(left, out)
     before = {"count": divided.count, "bytes": divided.source_bytes}
@@ -39,7 +39,7 @@ def write_left(divided: Divided, likeness: Likeness, out: Path) -> dict[str, Any
 
 
 def _figures(written: Divided, likeness: Likeness, out: Path, size: int) -> dict[str, Any]:
-    """The other part. size: in bytes."""
+    """The part of finish()'s result that comes from the output. written: the output, divided again. size: of the output, bytes."""
     return {"out": str(out), **likeness.measured(written), "after": {"count": written.count, "bytes": size}}
 
 
@@ -60,8 +60,8 @@ def write_joined(divided: Divided, out: Path):
 
 
 def join_levels(divided: Divided, likeness: Likeness, files: Sequence[Path], out: Path, told: Callable[[str], Tell]) -> list[dict[str, Any]]:
-    """Writes levels of detail as one streamed SOG, and measures each. files: their PLYs, the finest one first. Returns for each what write_left() left
-    out of its result. Raises SplatError."""
+    """Writes levels of detail as one streamed SOG, and measures each. files: their PLYs, the finest one first. Returns for each the
+    part of finish()'s result that comes from the output. Raises SplatError."""
     with contextlib.ExitStack() as stack:
         streamed_sog.write_levels(out, [stack.enter_context(spooled(load_parts(path), out)) for path in files])
     results = []

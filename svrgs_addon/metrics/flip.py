@@ -26,6 +26,6 @@ def flip_map(a: np.ndarray, b: np.ndarray, ppd: float = PIXELS_PER_DEGREE) -> np
     """FLIP of each pixel, (H, W) float32 in [0, 1]; symmetric in a and b (equation 13).
 
     a, b: (H, W, 3) display sRGB in [0, 1]. ppd: pixels per degree of the viewer's visual angle, 1 to 400. Raises SceneError, and NativeError
-    for another ppd.
+    for another ppd or a side of more than 32,768 pixels.
     """
     return flip_errors(*image_pair(a, b), ppd)

@@ -12,7 +12,7 @@ struct Entry {
   BlockMask visit;  // blocks the backward pass must visit
 };
 
-struct Chunk {
+struct Chunk {  // the arrays of R repeat values of the entries, to be loaded as vectors
   Entry entry[kChunkEntries];
   R bound[kChunkEntries], l22[kChunkEntries], inv_l11[kChunkEntries], slope[kChunkEntries], y_extreme[kChunkEntries], x[kChunkEntries], y[kChunkEntries];
   uint8_t reached[kBlockRows][kChunkEntries];      // by row of blocks and entry: a bit for each block

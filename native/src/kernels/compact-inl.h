@@ -1,4 +1,4 @@
-// Sets of lanes, one bit a lane: compress, expand and list the lanes of a set; sets of rows.
+// Sets of lanes, one bit a lane: compress and expand the lanes of a set; sets of rows; sets from the bits of bytes, and lists from sets.
 
 // Which of the W rows from `base` on are named by ids[0 .. known), a bit each. The ids ascend, and ids[0] is one of these rows.
 inline uint32_t rows_from(uint32_t base, const uint32_t* ids, int64_t known) {

@@ -2,7 +2,7 @@
 
 constexpr int64_t kPlacesAhead = 16;  // visible Gaussians fetched before they are needed
 
-struct TileRows {  // waiting rows of tiles: values of their Gaussians, and dy of the row's first pixels
+struct TileRows {  // waiting rows of tiles: values of their Gaussians; dy of the row's first line of pixels, and of the image's last one
   static constexpr int kRoom = 64;
   R bound[kRoom], l22[kRoom], inv_l11[kRoom], slope[kRoom], y_extreme[kRoom], x[kRoom], low[kRoom], bottom[kRoom];
 };
@@ -30,8 +30,9 @@ inline void find_spans(const Frame& f, const TileRows& rows, int first, int n, S
   }
 }
 
-// Fills the spans of the visible Gaussians at places [begin, end). Returns how many tiles they and the others touch.
+// Fills the spans of the visible Gaussians at places [begin, end) that cover several rows. Returns how many tiles all Gaussians at these places touch.
 int64_t fill_spans(const Frame& f, int64_t begin, int64_t end, Span* spans) {
+  const auto* const gaussians = static_cast<const ProjectedGaussian<R>*>(f.gaussians);
   const bool exact = !(f.disabled_skips & SVRGS_EXACT_TILES);
   TileRows rows = {};
   U tiles = {};
@@ -39,7 +40,6 @@ int64_t fill_spans(const Frame& f, int64_t begin, int64_t end, Span* spans) {
   int64_t sum = 0;
   for (int64_t place = begin; place < end; ++place) {
     const TileRect& t = f.rects[place];
-    const auto* const gaussians = static_cast<const ProjectedGaussian<R>*>(f.gaussians);
     __builtin_prefetch(gaussians + place + kPlacesAhead);
     const int64_t across = t.columns.end - t.columns.begin;
     if (t.rows == 1 || !exact) {
