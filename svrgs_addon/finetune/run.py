@@ -101,7 +101,7 @@ class Run:
         if not self.iteration:
             self._into_order()
         self._prepare(phase, number)
-        step = self._step(phase, number, self.dataset.cameras[view].reduced(reduction), target)
+        step = self._step(phase, number, self.dataset.cameras[view].reduced(reduction), target, self.dataset.window(view))
         size = size_of_step(self.settings, phase, self.iteration, self.model.count)
         result = self.engine.step(self.model.first(size) if size < self.model.count else self.model, step)
         self._record(result, step, view)
@@ -139,7 +139,8 @@ class Run:
 
     def _target(self, view_and_reduction: tuple[int, int]) -> np.ndarray:
         view, reduction = view_and_reduction
-        return as_real(self.dataset.image(view), self.model.dtype, reduction)
+        image, window = self.dataset.image(view), self.dataset.window(view)
+        return as_real(image if window is None else image[window], self.model.dtype, reduction)
 
     def _prepare(self, phase: Phase, number: int):
         """What precedes a step: PSNR at the start, target, the method's own preparation, and the start of the controller."""
@@ -157,11 +158,12 @@ class Run:
         if self.controller and not _densifying(phase, number):
             self.controller.before_step(self)
 
-    def _step(self, phase: Phase, number: int, camera: Camera, target: np.ndarray) -> Step:
+    def _step(self, phase: Phase, number: int, camera: Camera, target: np.ndarray, window: tuple[slice, slice] | None) -> Step:
         s = self.settings
         step = Step(
             camera=camera,
             target=target,
+            window=window,
             number=self.iteration + 1,
             rates=self.method.rates(self, phase, number),
             options=self.render_options(phase, number),
@@ -196,6 +198,13 @@ class Run:
     def psnr(self, kept: np.ndarray | None) -> float:
         views, masks_of_kept = quality_views(self.dataset), None if kept is None else kept.astype(np.uint8)
         return mean_psnr(self.model, self.dataset, views, self.rasterizer, self.score_options, masks_of_kept, self.dataset.unexplained)
+
+    @property
+    def protected(self) -> np.ndarray | None:
+        if self.settings.own is None:
+            return None
+        first, end = self.settings.own
+        return (self.model.origin < first) | (self.model.origin >= end)
 
     def current_mask(self) -> np.ndarray | None:
         return self.method.current_mask(self.model)
@@ -294,6 +303,7 @@ class Run:
     def _keep(self, keep: np.ndarray | None):
         if keep is None:
             return
+        keep = keep if self.protected is None else keep | self.protected
         masks.refuse_emptying(keep, self.initial_count, self.settings.target)
         if not keep.all():
             self.model.keep(keep)

@@ -50,6 +50,10 @@ class RunView(Protocol):
     def score_options(self) -> RenderOptions:
         """Options for scores: all SH bands, no spatial mask."""
 
+    @property
+    def protected(self) -> Keep:
+        """(N,) bool: the Gaussians that stay, whatever the method decides (Settings.own). None: none."""
+
     def psnr(self, kept: Keep) -> float:
         """PSNR in dB on a few views (quality_views), rendered with the Gaussians `kept` (N,) bool; None: with all."""
 

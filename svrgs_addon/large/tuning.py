@@ -5,7 +5,7 @@ own are kept. Steps and rates are those that the whole scene would have. No bloc
 
 Beside the blocks of the original lie
 
-    cut/     what is left of each block (Divided), and NUMBER.blended.npy: uint32, the rows that a view blends; and error.json
+    cut/     what is left of each block (Divided), and error.json
     tuned/   the same, tuned
     mixed/   the same, interpolated between both
 """
@@ -29,14 +29,14 @@ from ..metrics.evaluate import picture_options, render_options
 from ..native import Rasterizer
 from ..native_library import PARAMETERS
 from ..scene import Scene
-from .blocks import Divided, Tell, arrays_of, clear, gathered, scene_of, write_block
-from .discs import Discs, Window
+from .around import Around
+from .blocks import Divided, Tell, clear, gathered, scene_of, write_block
+from .discs import Window
 from .merging import counts, merged
 from .scoring import picture_path
-from .views import seen, shown
+from .views import seen
 
 CUT, TUNED, MIXED, ERROR = "cut", "tuned", "mixed", "error.json"  # folders, and a file
-MARGIN = 32  # pixels around what counts: so what is next to the block is tuned as in the whole scene
 LOOKS = 8  # views in which the error is measured, at most
 EPOCHS = 2  # times that each view is shown, if nothing else is asked for
 
@@ -69,21 +69,16 @@ def _error(divided: Divided, left: Divided, views: Sequence[Camera]) -> float:
 
 def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, tell: Tell = lambda *_: None):
     """Tunes a block of what was cut, in so many steps of the whole scene, of which it takes those whose view shows it. Raises SplatError."""
-    left = Divided.read(divided.folder / CUT)
-    views, rasterizer, looks = reduced(cameras), Rasterizer(), list[Look | None]()
-    there = [np.zeros(block.count, bool) for block in left.blocks]
-    for view, camera in enumerate(views):
-        tell(f"block {number}, view {camera.name or view}", 0.5 * view / len(views))
-        window = _look_around(left, number, camera, _blended(left, view, camera, rasterizer), there)
-        looks.append(Look(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices) if window else None)
-    scene = _scene(left, there)
+    left, views = Divided.read(divided.folder / CUT), reduced(cameras)
+    around = Around.of(left, number, views, tell)
+    looks = [_look(divided, view, camera, window) for view, (camera, window) in enumerate(zip(views, around.windows, strict=True))]
+    scene, (first, end) = around.scene, around.own
     needed = memory.tuning(scene.count, left.coefficients, views, sum(look.picture.nbytes for look in looks if look))
     memory.refuse_excess(f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}", needed)
     middle = middle_scale(np.concatenate([block.geometry[:, 3:6] for block in left.blocks]))
     tell(f"block {number}, {scene.count:,} Gaussians", 0.5)
     tuned = refit(scene, looks, steps, pace_for(_error_of(left)), middle, render_options(scene), 0, lambda: False)
-    first = sum(int(some.sum()) for some in there[:number])
-    _write_own(left, number, there[number], tuned.select(np.arange(first, first + int(there[number].sum()))))
+    write_own(left, number, around.there[number], tuned.select(np.arange(first, end)))
 
 
 def _error_of(left: Divided) -> float:
@@ -123,28 +118,8 @@ def tuned_blocks(divided: Divided) -> Divided | None:
     return gathered(folder, left) if any(folder.glob("*.rows")) else None
 
 
-def _look_around(left: Divided, number: int, camera: Camera, rows: np.ndarray, there: list[np.ndarray]) -> Window | None:
-    """The window of a view in which it shows the block; None if nowhere. rows: that the view blends. there: of each block, (n,) bool, which are blended
-    into such a window; those of this one are added."""
-    firsts = np.cumsum([0, *(block.count for block in left.blocks)])
-    places = [some - first for some, first in zip(np.split(rows, np.searchsorted(rows, firsts[1:-1])), firsts, strict=False)]
-    window = Discs.of_geometry(left.blocks[number].geometry[places[number]], camera).around(camera, MARGIN)
-    if window is not None:
-        for block, some, marked in zip(left.blocks, places, there, strict=True):
-            marked[some[Discs.of_geometry(block.geometry[some], camera).touch(window)]] = True
-    return window
-
-
-def _blended(left: Divided, view: int, camera: Camera, rasterizer: Rasterizer) -> np.ndarray:
-    """The rows that a view blends, ascending, int64. Whoever needs them first writes them into the folder. Raises SplatError."""
-    path = left.folder / f"{view}.blended.npy"
-    if not path.exists():
-        with atomic_write(path) as file:
-            np.save(file, shown(left, camera, rasterizer).rows)
-    try:
-        return np.load(path, allow_pickle=False).astype(np.int64)
-    except (OSError, ValueError, EOFError) as error:
-        raise FormatError(f"{path}: cannot be read ({error}); cut the scene again") from None
+def _look(divided: Divided, view: int, camera: Camera, window: Window | None) -> Look | None:
+    return Look(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices) if window else None
 
 
 def _picture(divided: Divided, view: int, camera: Camera) -> np.ndarray:
@@ -159,15 +134,7 @@ def _picture(divided: Divided, view: int, camera: Camera) -> np.ndarray:
     return picture
 
 
-def _scene(left: Divided, there: list[np.ndarray]) -> Scene:
-    """The marked Gaussians of all blocks, in their order."""
-    marked = [(block, np.flatnonzero(some)) for block, some in zip(left.blocks, there, strict=True)]
-    geometry = np.concatenate([block.geometry[rows] for block, rows in marked])
-    sh = np.concatenate([block.sh(left.coefficients)[rows] for block, rows in marked])
-    return Scene(**arrays_of(geometry), sh=sh, antialiased=left.antialiased)
-
-
-def _write_own(left: Divided, number: int, own: np.ndarray, tuned: Scene):
+def write_own(left: Divided, number: int, own: np.ndarray, tuned: Scene):
     """Writes the block with the values of its tuned Gaussians, those marked in own (n,)."""
     scene = scene_of(left, left.blocks[number])
     for name in PARAMETERS:

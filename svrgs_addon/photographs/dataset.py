@@ -104,6 +104,10 @@ class Dataset:
         finally:
             pool.shutdown(cancel_futures=True)
 
+    def window(self, index: int) -> tuple[slice, slice] | None:
+        """The rows and columns of the photograph of cameras[index] that count. None: all."""
+        return None
+
     @property
     def unexplained(self) -> float:
         """The mean squared error, colours in 0..1, that an allowed drop counts beside that against the images."""

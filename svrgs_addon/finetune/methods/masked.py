@@ -13,6 +13,8 @@ from ..quality import fewest_within
 from ..settings import Phase, Rates
 from .base import Keep, Method, RunView, learning_phase
 
+CERTAIN = 40.0  # logit of Gaussians that stay: no sample leaves them out, and their gradient is 0
+
 
 @dataclass
 class Masked(Method):
@@ -30,6 +32,8 @@ class Masked(Method):
     def prepare(self, run: RunView, phase: Phase, number: int):
         if not run.model.learns_masks:
             run.model.add_masks(run.settings.mask_init)
+            if run.protected is not None:
+                run.model.values[MASK][run.protected] = CERTAIN
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         drawn, slope = masks.draw(run.model, run.settings.seed, run.iteration)

@@ -96,6 +96,7 @@ class Removal(Method):
         if run.settings.max_drop:
             return self.budget_of_drop(run)
         stays = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options) > run.settings.lambda_f
+        stays = stays if run.protected is None else stays | run.protected
         masks.refuse_emptying(stays, run.initial_count)
         return int(stays.sum())
 
@@ -125,6 +126,7 @@ class Removal(Method):
     def stays(self, run: RunView, done: float) -> np.ndarray:
         """The Gaussians that stay at a look, (N,) bool. done: share of the looks that have been, this one included."""
         rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        rank = rank if run.protected is None else np.where(run.protected, np.inf, rank)
         return top(rank, round(self.count * (min(run.target, self.count) / self.count) ** sqrt(done)))
 
     def score(self, scene, cameras, rasterizer, options) -> np.ndarray:

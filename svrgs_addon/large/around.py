@@ -1,0 +1,83 @@
+"""What is around a block: the windows of the views in which it is seen, and all Gaussians that are blended into them.
+
+Beside the blocks lie NUMBER.blended.npy, uint32: the places of the Gaussians that a view blends, counted through all blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import FormatError
+from ..files.atomic import atomic_write
+from ..native import Rasterizer
+from ..scene import Scene
+from .blocks import Divided, Tell, arrays_of
+from .discs import Discs, Window
+from .views import shown
+
+MARGIN = 32  # pixels around what counts: so what is next to the block is tuned as in the whole scene
+
+
+@dataclass(frozen=True)
+class Around:
+    """Where views show a block, and what they blend there."""
+
+    divided: Divided
+    number: int  # of the block
+    windows: list[Window | None]  # of each view; None: it does not show the block
+    there: list[np.ndarray]  # of each block, (n,) bool: the Gaussians that are blended into a window
+
+    @classmethod
+    def of(cls, divided: Divided, number: int, views: Sequence[Camera], tell: Tell = lambda *_: None) -> Around:
+        """Raises SplatError."""
+        rasterizer, windows = Rasterizer(), list[Window | None]()
+        there = [np.zeros(block.count, bool) for block in divided.blocks]
+        for view, camera in enumerate(views):
+            tell(f"block {number}, view {camera.name or view}", 0.5 * view / len(views))
+            windows.append(_window(divided, number, camera, _blended(divided, view, camera, rasterizer), there))
+        return cls(divided, number, windows, there)
+
+    @property
+    def scene(self) -> Scene:
+        """The Gaussians that are there, of all blocks, in their order."""
+        marked = [(block, np.flatnonzero(some)) for block, some in zip(self.divided.blocks, self.there, strict=True)]
+        geometry = np.concatenate([block.geometry[rows] for block, rows in marked])
+        sh = np.concatenate([block.sh(self.divided.coefficients)[rows] for block, rows in marked])
+        return Scene(**arrays_of(geometry), sh=sh, antialiased=self.divided.antialiased)
+
+    @property
+    def own(self) -> tuple[int, int]:
+        """The rows of the scene that are of the block, from and to."""
+        first = sum(int(some.sum()) for some in self.there[: self.number])
+        return first, first + int(self.there[self.number].sum())
+
+
+def _window(divided: Divided, number: int, camera: Camera, blended: np.ndarray, there: list[np.ndarray]) -> Window | None:
+    """The window of a view in which it shows the block. blended: places through all blocks, which the view blends. there: those that are blended into the
+    window are added."""
+    firsts = np.cumsum([0, *(block.count for block in divided.blocks)])
+    places = [some - first for some, first in zip(np.split(blended, np.searchsorted(blended, firsts[1:-1])), firsts, strict=False)]
+    window = Discs.of_geometry(divided.blocks[number].geometry[places[number]], camera).around(camera, MARGIN)
+    if window is not None:
+        for block, some, marked in zip(divided.blocks, places, there, strict=True):
+            marked[some[Discs.of_geometry(block.geometry[some], camera).touch(window)]] = True
+    return window
+
+
+def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer) -> np.ndarray:
+    """The places of the Gaussians that a view blends, counted through all blocks, ascending, int64. Whoever needs them first writes them into the folder.
+    Raises SplatError."""
+    path = divided.folder / f"{view}.blended.npy"
+    if not path.exists():
+        firsts, found = np.cumsum([0, *(block.count for block in divided.blocks)]), shown(divided, camera, rasterizer)
+        places = [firsts[block.number] + some for block, some in zip(found.blocks, found.places, strict=True)]
+        with atomic_write(path) as file:
+            np.save(file, np.concatenate([np.zeros(0, np.uint32), *places]).astype(np.uint32))
+    try:
+        return np.load(path, allow_pickle=False).astype(np.int64)
+    except (OSError, ValueError, EOFError) as error:
+        raise FormatError(f"{path}: cannot be read ({error}); remove it, and start the step again") from None

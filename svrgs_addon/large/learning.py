@@ -1,0 +1,151 @@
+"""Decides on photographs, block by block, which Gaussians of a divided scene stay, with a method that has lambda_F; and recovers the quality.
+
+A block is a run of its own (finetune/run.py): of its Gaussians and of those that are blended around it, in the views that show the block, on the part of each
+photograph where it is seen. The others are trained along, but only the block's own may be removed, and only they are kept. A run has the steps that the whole
+scene would have on these views. So a Gaussian is seen as often, and lambda_F is the same price for all blocks. A number of Gaussians to keep is divided among
+the blocks by the costs of merging.py.
+
+All blocks decide from the original. Then each recovers with what the others have kept around it. No block uses what another has learned in the same step, so
+any order gives the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from .. import memory
+from ..errors import SceneError
+from ..files.registry import invisible
+from ..finetune import loop, scores
+from ..finetune.engine import NativeEngine
+from ..finetune.model import Model
+from ..finetune.plan import Plan, scaled
+from ..finetune.run import Run
+from ..finetune.settings import Phase
+from ..metrics.evaluate import render_options
+from ..native import Rasterizer
+from ..photographs.dataset import Dataset
+from ..scene import Scene
+from .around import Around
+from .blocks import Divided, Tell, clear, scene_of, write_block
+from .merging import counts
+from .tuning import CUT, TUNED, write_own
+
+
+@dataclass
+class BlockViews(Dataset):
+    """The views of a dataset that show a block, and the part of each in which it is seen."""
+
+    windows: dict[int, tuple[slice, slice]] | None = None
+    extent_of_all: float = 0.0
+
+    @classmethod
+    def of(cls, dataset: Dataset, around: Around) -> BlockViews:
+        """around: of the training views."""
+        windows = {view: window.slices for view, window in zip(dataset.train_indices, around.windows, strict=True) if window}
+        same = {field.name: getattr(dataset, field.name) for field in fields(dataset)}
+        return cls(**same | {"train_indices": list(windows), "test_indices": []}, windows=windows, extent_of_all=dataset.extent)
+
+    @property
+    def extent(self) -> float:
+        return self.extent_of_all
+
+    def window(self, index: int) -> tuple[slice, slice] | None:
+        return (self.windows or {})[index]
+
+
+def prepare(divided: Divided):
+    """Makes the folders of what decide() and recover() write, and empties them."""
+    for folder in (divided.folder / CUT, divided.folder / TUNED):
+        folder.mkdir(exist_ok=True)
+        clear(folder)
+
+
+def targets(divided: Divided, wanted: int) -> list[int]:
+    """The Gaussians that each block keeps, `wanted` together; zeros if that is 0, because the method decides. Raises SplatError."""
+    return [sum(cells) for cells in counts(divided, wanted)] if wanted else [0] * len(divided.blocks)
+
+
+def decide(divided: Divided, number: int, dataset: Dataset, plan: Plan, target: int, tell: Tell = lambda *_: None):
+    """Writes what is left of a block after the steps in which the method decides. target: Gaussians to keep of it; 0: the method decides. Raises
+    SplatError."""
+    around, views = _around(divided, number, dataset, tell)
+    scene, (first, end) = around.scene, around.own
+    inside = np.zeros(scene.count, bool)
+    inside[first:end] = True
+    kept = ~inside | _first_cut(scene, inside, views, plan, target)
+    scene, own = scene.select(kept), (first, first + int(kept[first:end].sum()))
+    run_plan = _of_part(plan, True, _share(views, dataset), own, target and target + scene.count - (own[1] - own[0]))
+    rows = np.arange(*own)
+    if views.train_indices and run_plan.phases and len(rows) > 1:
+        scene, rows = _run(divided, number, scene, views, run_plan, tell)
+    if not len(rows):
+        scene, rows = around.scene, np.array([first + int(np.argmax(around.scene.opacity_logits[first:end]))])
+    start = sum(block.count for block in divided.blocks[:number])
+    write_block(divided.folder / CUT, number, scene.select(rows), start)
+
+
+def recover(divided: Divided, number: int, dataset: Dataset, plan: Plan, tell: Tell = lambda *_: None):
+    """Writes a block of what was decided on, after the recovery steps. Raises SplatError."""
+    left = Divided.read(divided.folder / CUT)
+    around, views = _around(left, number, dataset, tell)
+    scene, own = around.scene, around.own
+    plan = _of_part(plan, False, _share(views, dataset), own, 0)
+    if "count" in plan.method.state():  # of the Gaussians before pruning
+        plan.method.restore(plan.method.state() | {"count": round(scene.count * divided.count / left.count)})
+    rows = np.arange(*own)
+    if views.train_indices and plan.phases:
+        scene, rows = _run(divided, number, scene, views, plan, tell)
+    write_own(left, number, around.there[number], scene.select(rows))
+
+
+def _around(divided: Divided, number: int, dataset: Dataset, tell: Tell) -> tuple[Around, BlockViews]:
+    """What is around a block in the training views, with all of the block; and the views that show it."""
+    around = Around.of(divided, number, [dataset.cameras[view] for view in dataset.train_indices], tell)
+    around.there[number][:] = True
+    return around, BlockViews.of(dataset, around)
+
+
+def _first_cut(scene: Scene, inside: np.ndarray, views: BlockViews, plan: Plan, target: int) -> np.ndarray:
+    """The Gaussians inside the block that stay after the first cut (docs/methods.md), as in a job in memory, (N,) bool. inside: (N,) bool."""
+    faint = invisible(scene)
+    if not plan.min_contribution:
+        return inside & ~faint
+    cameras = [views.cameras[view] for view in views.train_indices]
+    _, peaks, _ = scores.contribution(scene, cameras, Rasterizer(), render_options(scene, plan.background))
+    return inside & ((peaks >= plan.min_contribution) & ~faint | scores.top(np.where(inside & ~faint, peaks, -1), target))
+
+
+def _share(views: BlockViews, dataset: Dataset) -> float:
+    return len(views.train_indices) / len(dataset.train_indices)
+
+
+def _of_part(plan: Plan, active: bool, share: float, own: tuple[int, int], target: int) -> Plan:
+    """The phases of a plan in which its method decides, or the others, with the share of the steps whose view shows the block. own: the rows of the block."""
+    phases = (_shortened(phase, share) for phase in plan.phases if phase.active is active)
+    return replace(plan, phases=tuple(phases), own=own, target=target)
+
+
+def _shortened(phase: Phase, share: float) -> Phase:
+    """With this share of the steps, of which a Gaussian of the block sees as many as in the whole phase: so rates are the same."""
+    shorter = scaled([phase], share or 1.0)[0]
+    return replace(shorter, rates=replace(shorter.rates, mask=phase.rates.mask))
+
+
+def _run(divided: Divided, number: int, scene: Scene, views: BlockViews, plan: Plan, tell: Tell) -> tuple[Scene, np.ndarray]:
+    """The scene after all steps of the plan, and the rows of the block in it."""
+    cameras = [views.cameras[view] for view in views.train_indices]
+    needed = memory.tuning(scene.count, divided.coefficients, cameras, views.memory_budget)
+    memory.refuse_excess(f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}", needed)
+    run = Run(Model.of(scene), views, plan, NativeEngine(), scene.antialiased)
+
+    def observe(progress: loop.Progress):
+        tell(f"block {number}, {progress.count:,} Gaussians, {progress.label.lower()}", 0.5 + 0.5 * progress.iteration / progress.total)
+
+    loop.run_to_end(run, observe, lambda: False, lambda: None, lambda: None)
+    assert plan.own is not None
+    origin = np.sort(run.model.origin)
+    return run.model.into_scene(), np.flatnonzero((origin >= plan.own[0]) & (origin < plan.own[1]))
