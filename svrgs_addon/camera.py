@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
+from typing import TypeVar
 
 import numpy as np
 
 from .errors import SceneError
 
+View = TypeVar("View")
 MAX_PIXELS = 1e9  # of a focal length or principal point
 MAX_DISTANCE = 1e15  # of a camera from the world's origin; nothing farther is rendered
 
@@ -89,9 +91,9 @@ class Camera:
         return replace(self, K=np.diag([1 / factor, 1 / factor, 1.0]) @ self.K, width=self.width // factor, height=self.height // factor)
 
 
-def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:
-    """At most `count` of the cameras, evenly spread in the list, with the first and the last one."""
-    return [cameras[k] for k in np.unique(np.linspace(0, len(cameras) - 1, min(count, len(cameras))).round().astype(int))]
+def evenly(views: Sequence[View], count: int) -> list[View]:
+    """At most `count` of the views, evenly spread in the list, with the first and the last one."""
+    return [views[k] for k in np.unique(np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int))]
 
 
 def view_stem(name: str) -> str:

@@ -1,17 +1,20 @@
-"""`svrgs prune` of a scene that is too large for memory. Jobs that remove and merge are done by blocks (large/) instead."""
+"""`svrgs prune` of a scene that is too large for memory. Jobs that remove and merge, and methods with lambda_F, are done by blocks (large/) instead."""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import replace
 from typing import Any
 
 from .. import memory
 from ..camera import Camera, evenly
 from ..errors import Cancelled, MemoryShort, SceneError, TooMany
 from ..files.level_files import level_files
+from ..finetune.methods import DEFAULT, method_named
 from ..large.blocks import Tell
+from ..large.request import Request, methods
 from ..large.sample import finer, refuse_hidden, sample_of
 from ..large.tuning import EPOCHS
 from ..large.whole import Goal, prune_by_blocks
@@ -20,7 +23,7 @@ from ..option_kinds import default_of
 from ..photographs.dataset import load_dataset
 from ..scene import Scene
 from .context import JobContext
-from .options import PruneOptions
+from .options import MIN_CONTRIBUTION, PruneOptions
 from .progress import Reporter
 from .rendered_views import LONGEST, MOST, refuse_options, views_of
 
@@ -29,21 +32,54 @@ TAKES = (  # options; with others, the scene must be read as a whole
 )  # fmt: skip
 QUICK_VIEWS = 64  # that are placed for a quick job
 OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
+OF_METHODS = ("lambda_f", "iterations", "recovery", "min_contribution", "background", "image_memory", "visible_mask")  # those of methods on photographs
+NEEDS_VISIBLE = "with --visible-mask, or with removal to a number, it would be pruned by blocks"
 NOT_FINISHED = "stopped; {}: start it again, or use the steps of svrgs large, each of which can be continued"
 
 
 def possible(options: PruneOptions) -> bool:
-    """Whether a job can be done by blocks: a quick one, or one that merges without photographs, to a number."""
+    """Whether a job can be done by blocks: a quick one, one that merges without photographs, to a number, or one of a method with lambda_F on
+    photographs, if F counts up to where the colours of a ray stop, or does not count."""
+    if _learns(options):
+        return _has_only(options, (*TAKES, *OF_METHODS)) and (options.visible_mask or _to_number(options))
     merges = options.quick or (options.colmap is None and options.method in ("", "merge"))
-    takes = {*TAKES, *(OF_QUICK if options.quick else ())}
-    other = [name for name in PruneOptions.__dataclass_fields__ if name not in takes and getattr(options, name) != default_of(PruneOptions, name)]
-    return merges and bool(options.quick or options.target or options.target_count) and not other
+    return merges and bool(options.quick or _number(options)) and _has_only(options, (*TAKES, *(OF_QUICK if options.quick else ())))
 
 
-def with_advice(error: MemoryShort | TooMany) -> MemoryShort | TooMany:
+def _learns(options: PruneOptions) -> bool:
+    return options.colmap is not None and not options.quick and (options.method or DEFAULT) in methods()
+
+
+def _number(options: PruneOptions) -> bool:
+    return bool(options.target or options.target_count)
+
+
+def _to_number(options: PruneOptions) -> bool:
+    """Whether the method removes down to a number, without F."""
+    return (options.method or DEFAULT) == DEFAULT and _number(options)
+
+
+def _has_only(options: PruneOptions, names: Collection[str]) -> bool:
+    """Whether only the options with these names differ from their defaults."""
+    return all(name in names or getattr(options, name) == default_of(PruneOptions, name) for name in PruneOptions.__dataclass_fields__)
+
+
+def with_advice(error: MemoryShort | TooMany, options: PruneOptions) -> MemoryShort | TooMany:
     """The error of a job that cannot be done by blocks, with what can be."""
     sentence = memory.without_advice(str(error))
-    return type(error)(f"{sentence}; {memory.BY_BLOCKS}")
+    visible = _learns(options) and possible(replace(options, visible_mask=True))
+    return type(error)(f"{sentence}; {NEEDS_VISIBLE if visible else memory.BY_BLOCKS}")
+
+
+def request_of(options: PruneOptions) -> Request:
+    """What is asked of a method on photographs. Raises SceneError for a method that cannot decide by blocks."""
+    method, first_cut = options.method or DEFAULT, options.min_contribution
+    if first_cut is None:
+        first_cut = MIN_CONTRIBUTION * method_named(method).first_cut
+    same = ("iterations", "recovery", "images", "holdout", "lambda_f", "seed", "image_memory", "background")
+    request = Request(str(options.colmap), method, min_contribution=first_cut, **{name: getattr(options, name) for name in same})
+    _ = request.plan
+    return request
 
 
 def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str, Any]:
@@ -52,11 +88,13 @@ def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str
     begun, reporter = time.perf_counter(), Reporter(options.quiet)
     reason = memory.without_advice(reason)
     logging.warning("%s; it is pruned by blocks, which takes longer", reason)
-    notes = [f"{reason}; so it was pruned by blocks, and fine-tuned in {EPOCHS} steps for each view"]
+    request = request_of(options) if _learns(options) else None
+    notes = [f"{reason}; so it was pruned by blocks" + (f", and fine-tuned in {EPOCHS} steps for each view" if request is None else "")]
     train, test, more = _views(options, *sample_of(options.scene))
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
     left = NOT_FINISHED.format("the files that are there are complete" if level_files(options.out, options.levels) else "nothing was written")
-    result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, lambda step: _told(step, reporter, job.stop, left))
+    told = lambda step: _told(step, reporter, job.stop, left)  # noqa: E731
+    result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, told, request=request)
     after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
     return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more, *result["notes"]]}
 

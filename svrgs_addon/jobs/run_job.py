@@ -50,7 +50,7 @@ def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
         return _prune_whole(options, adapt)
     except (MemoryShort, TooMany) as error:
         if not by_blocks.possible(options):
-            raise by_blocks.with_advice(error) from None
+            raise by_blocks.with_advice(error, options) from None
         reason = str(error)
     assert options.out is not None  # outside of the except: there, the error still holds the scene in memory
     with StopRequest() as stop:

@@ -12,17 +12,23 @@ from ..errors import SceneError
 from ..photographs.camera_files import load_cameras
 from ..photographs.cameras_json import write_cameras_json
 from .blocks import clear
+from .request import FILE as REQUEST
+from .request import Request
 from .tuning import CUT, MIXED, TUNED
 
 SCORED, MEASURED, RESULT, LEVEL, HELD = "scored_views.json", "measured_views.json", "result", "level_{}.ply", "held"
 
 
-def prepare(work: Path, scored: Sequence[Camera], measured: Sequence[Camera]):
-    """Makes the folder, or takes that of a run that was killed, and writes the views into it. Raises SceneError for a folder with other things."""
+def prepare(work: Path, scored: Sequence[Camera], measured: Sequence[Camera], request: Request | None = None):
+    """Makes the folder, or takes that of a run that was killed, and writes the views into it, and what is asked of a method. Raises SceneError for a folder
+    with other things."""
     refuse_foreign(work)
     work.mkdir(parents=True, exist_ok=True)
     write_cameras_json(work / SCORED, scored)
     write_cameras_json(work / MEASURED, measured)
+    (work / REQUEST).unlink(missing_ok=True)
+    if request is not None:
+        request.write(work)
 
 
 def refuse_foreign(work: Path):
@@ -46,7 +52,7 @@ def remove(work: Path):
     for folder in (work / RESULT, work / CUT, work / TUNED, work / MIXED, work):
         clear(folder)
         shutil.rmtree(folder / HELD, ignore_errors=True)
-        for path in (folder / SCORED, folder / MEASURED, *folder.glob(LEVEL.format("[0-9]*"))):
+        for path in (folder / SCORED, folder / MEASURED, folder / REQUEST, *folder.glob(LEVEL.format("[0-9]*"))):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             folder.rmdir()

@@ -57,7 +57,7 @@ class BlockViews(Dataset):
         return (self.windows or {})[index]
 
 
-def prepare(divided: Divided):
+def clear_learned(divided: Divided):
     """Makes the folders of what decide() and recover() write, and empties them."""
     for folder in (divided.folder / CUT, divided.folder / TUNED):
         folder.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""How much a divided scene looks like the original: on views that were held out, against the original's own pictures."""
+"""How much a divided scene looks like the original: on views that were held out, against the original's own pictures or photographs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import numpy as np
 from ..camera import Camera, evenly
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import picture_options, rounded_to_8_bits
+from ..files.images import to_float
 from ..native import Rasterizer
+from ..photographs.dataset import Dataset
 from .blocks import Divided, Tell
 from .views import seen
 
@@ -25,7 +27,7 @@ class Likeness:
 
     def __init__(self, original: Divided, views: Sequence[Camera], told: Callable[[str], Tell] = lambda _: lambda *_: None):
         """told: of the name of a step."""
-        self.views = evenly(views, LOOKS)
+        self.views, self.background = evenly(views, LOOKS), (0.0, 0.0, 0.0)
         self._original, self._told = original, told
 
     def psnrs(self, scene: Divided, step: str = "compare") -> list[float]:
@@ -44,17 +46,31 @@ class Likeness:
 
     @cached_property
     def _originals(self) -> list[np.ndarray]:
-        return list(pictures_of(self._original, self.views, self._told("look")))
+        return list(pictures_of(self._original, self.views, self.background, self._told("look")))
 
     def _pairs(self, scene: Divided, step: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         originals = self._originals
-        return zip(pictures_of(scene, self.views, self._told(step)), originals, strict=True)
+        return zip(pictures_of(scene, self.views, self.background, self._told(step)), originals, strict=True)
 
 
-def pictures_of(divided: Divided, cameras: Sequence[Camera], tell: Tell = lambda *_: None) -> Iterator[np.ndarray]:
+class PhotographLikeness(Likeness):
+    """The same against photographs: on test views, or on training views if none is held out."""
+
+    def __init__(self, dataset: Dataset, told: Callable[[str], Tell] = lambda _: lambda *_: None):
+        """told: as for Likeness."""
+        self._dataset, self._told = dataset, told
+        self._indices = evenly(dataset.test_indices or dataset.train_indices, LOOKS)
+        self.views, self.background = [dataset.cameras[index] for index in self._indices], dataset.background
+
+    @cached_property
+    def _originals(self) -> list[np.ndarray]:
+        return [to_float(self._dataset.image(index)) for index in self._indices]
+
+
+def pictures_of(divided: Divided, cameras: Sequence[Camera], background: tuple[float, float, float], tell: Tell = lambda *_: None) -> Iterator[np.ndarray]:
     """What each view shows, (H, W, 3), rounded to 8 bits. Raises SplatError."""
     rasterizer = Rasterizer()
     for number, camera in enumerate(cameras):
         tell(f"looks at the view {camera.name or number}", number / len(cameras))
         scene, _ = seen(divided, camera, rasterizer)
-        yield rounded_to_8_bits(rasterizer.forward(scene, camera, picture_options(scene))["rgb"])
+        yield rounded_to_8_bits(rasterizer.forward(scene, camera, picture_options(scene, background))["rgb"])

@@ -16,7 +16,8 @@ from ..files.spooled import spooled
 from ..metrics.format_loss import loss_notes
 from .blocks import Divided, Tell, divide, scene_of
 from .folder import RESULT
-from .likeness import Likeness
+from .likeness import Likeness, PhotographLikeness
+from .request import Request
 from .tuning import CUT, best_share, mixed, tuned_blocks
 
 
@@ -28,6 +29,15 @@ def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str]
     facts = write_left(divided, likeness, out)
     result = facts | _figures(divide(out, divided.folder / RESULT, tell=told("read")), likeness, out, size_on_disk(out))
     return result | {"notes": loss_notes(result["psnr_values"], result["psnr"])}
+
+
+def finish_learned(divided: Divided, request: Request, likeness: PhotographLikeness, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
+    """finish() of what a method has decided on photographs, which are the measure. Raises SplatError."""
+    result = finish(divided, likeness, out, told)
+    before = {**likeness.measured(divided), "lpips": None, "ms_per_frame": None, **result["before"]}
+    plan = request.plan
+    used = plan.lambda_f if plan.method.uses_lambda_f(plan) else None
+    return result | {"method": request.method, "lambda_f": used, "seed": request.seed, "before": before, "after": result["after"]}
 
 
 def write_left(divided: Divided, likeness: Likeness, out: Path) -> dict[str, Any]:

@@ -15,13 +15,15 @@ from ..files.registry import format_to_write, refuse_input
 from ..finetune.quality import LEAST
 from ..metrics.format_loss import loss_notes
 from .allowed_drop import drop, errors_of_format, fewest_within
-from .blocks import MOST, Divided, Tell, divide
+from .blocks import MOST, Divided, Tell, divide, gathered
 from .folder import LEVEL, SCORED, measured_views, prepare, refuse_foreign, remove, scored_views
-from .likeness import Likeness
+from .learning import clear_learned, decide, recover, targets
+from .likeness import Likeness, PhotographLikeness
 from .merging import merge, reduce
-from .pruning import finish, join_levels, write_left
+from .pruning import finish, finish_learned, join_levels, write_left
+from .request import Request
 from .scoring import score
-from .tuning import EPOCHS, cut, tune
+from .tuning import CUT, EPOCHS, cut, tune
 
 SUMS, COPIES = 1.2, 4  # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
 Told = Callable[[str], Tell]  # of the name of a step
@@ -50,13 +52,14 @@ def check_out(out: Path, source: Path):
 
 def prune_by_blocks(
     source: Path, out: Path, views: Callable[[], tuple[Sequence[Camera], Sequence[Camera]]], goal: Goal, steps: int | None, told: Told,
-    work: Path | None = None, block: int = MOST,
+    work: Path | None = None, block: int = MOST, request: Request | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Removes and merges Gaussians, fine-tunes what is left, writes and measures it.
 
     views: gives the views that are scored and tuned on, and those on which the result is measured; it is called after the outputs are checked.
     steps: of fine-tuning; None: EPOCHS for each view. work: folder for the blocks, which are removed at the end; None: beside the output. block: Gaussians of
-    a block, at most. Returns the JSON result. Raises SplatError, and what `told` raises.
+    a block, at most. request: a method that decides on photographs instead, in its own steps; the goal is then a number, or nothing. Returns the JSON result.
+    Raises SplatError, and what `told` raises.
     """
     work = work or out.with_name(out.name + ".blocks")
     outs = [out, *level_files(out, goal.levels).values()]
@@ -67,21 +70,42 @@ def prune_by_blocks(
             stack.enter_context(reserved(path))
         refuse_foreign(work)
         try:
-            prepare(work, *views())
+            prepare(work, *views(), request)
             divided, scored = divide(source.absolute(), work, block, told("divide")), scored_views(work)
             share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else LEAST
             check_space(work / SCORED, int((SUMS + COPIES * share) * divided.bytes))
+            if request is not None:
+                return _learned(divided, scored, request, goal, out, told)
             likeness = Likeness(divided, measured_views(work), told)
             errors = errors_of_format(divided, likeness, goal.max_drop, out, told) if goal.max_drop else []
-            score(divided, scored, 0, 1, told("score"))
-            reduce(divided, scored)
-            for number in range(len(divided.blocks)):
-                told("merge")(f"block {number}", number / len(divided.blocks))
-                merge(divided, number)
+            _order(divided, scored, told)
             count = fewest_within(divided, scored, likeness, goal.max_drop, errors, told) if goal.max_drop else goal.number(divided.count)
             return _results(divided, scored, likeness, count, goal, steps, outs, told)
         finally:
             remove(work)
+
+
+def _order(divided: Divided, scored: Sequence[Camera], told: Told):
+    """Orders removals and merges in all blocks."""
+    score(divided, scored, 0, 1, told("score"))
+    reduce(divided, scored)
+    for number in range(len(divided.blocks)):
+        told("merge")(f"block {number}", number / len(divided.blocks))
+        merge(divided, number)
+
+
+def _learned(divided: Divided, scored: Sequence[Camera], request: Request, goal: Goal, out: Path, told: Told) -> dict[str, Any]:
+    """The result of a method that decides on photographs."""
+    plan, dataset, wanted = request.plan, request.dataset, goal.number(divided.count) if goal.count or goal.share else 0
+    if wanted:
+        _order(divided, scored, told)
+    clear_learned(divided)
+    for number, target in enumerate(targets(divided, wanted)):
+        decide(divided, number, dataset, plan, target, told("decide"))
+    gathered(divided.folder / CUT, divided)
+    for number in range(len(divided.blocks) if request.recovery else 0):
+        recover(divided, number, dataset, plan, told("recover"))
+    return finish_learned(divided, request, PhotographLikeness(dataset, told), out, told)
 
 
 def _results(
