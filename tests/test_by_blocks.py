@@ -249,16 +249,21 @@ def test_placed_views_are_scored_at_the_size_that_they_need(source):
     assert scored.key == camera.key
 
 
-def test_only_jobs_that_merge_to_a_number_can_be_done_by_blocks(tmp_path):
+def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
     def possible(**given) -> bool:
         return by_blocks.possible(PruneOptions(scene=tmp_path / "a.ply", out=tmp_path / "b.ply", **given))
 
     assert possible(quick=True, target=0.5) and possible(target_count=5) and possible(method="merge", target=0.5)
     assert possible(quick=True, max_drop=0.1) and possible(quick=True, target=0.5, levels=(0.5,))
-    assert not possible(target=0.5, colmap=tmp_path) and not possible(max_drop=0.1) and not possible(method="svr", target=0.5)
+    assert not possible(max_drop=0.1) and not possible(method="svr", target=0.5)
     assert not possible(target=0.5, levels=(0.5,)) and not possible(method="merge", max_drop=0.1)
     assert not possible(target=0.5, recovery=10) and not possible()
     assert run_job.method_of(PruneOptions(target=0.5)).merges
+    photographs = {"colmap": tmp_path, "iterations": 10}
+    assert possible(**photographs, target=0.5) and possible(**photographs, visible_mask=True) and possible(**photographs, method="svr", visible_mask=True)
+    assert not possible(**photographs) and not possible(**photographs, method="svr", target=0.5), "F counts what is hidden, too"
+    assert not possible(**photographs, target=0.5, method="maskgs") and not possible(**photographs, target=0.5, views_by_loss=True)
+    assert not possible(**photographs, max_drop=0.5) and not possible(**photographs, target=0.5, time=60.0)
 
 
 def test_hidden_gaussians_are_counted(source):

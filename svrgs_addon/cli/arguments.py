@@ -33,14 +33,15 @@ LARGE = {
     "score": "Sums up what a part of the views sees of each Gaussian. Any number of machines may do the parts, in any order.",
     "reduce": "Adds the sums of all parts.",
     "merge": "Orders removals and merges in a part of the blocks. Any number of machines may do the parts, in any order.",
-    "cut": "Removes and merges up to one cost for the whole scene.",
+    "decide": "Lets the method decide on the photographs in a part of the blocks. Any number of machines may do the parts, in any order.",
+    "cut": "Removes and merges up to one cost for the whole scene; or joins what the method has left.",
     "tune": "Fine-tunes a part of the blocks. Any number of machines may do the parts, in any order. It may be left out.",
     "finish": "Joins the blocks into the result, and measures it.",
 }
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one sentence on stderr, and whose help lists the methods if it has the option --method."""
+    """A parser whose errors are one sentence on stderr, and whose help lists the methods if a job has the option --method."""
 
     options: type | None = None  # the dataclass of options of a job
 
@@ -57,7 +58,7 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {printable(message)}\n")
 
     def format_help(self) -> str:
-        if any(action.dest == "method" for action in self._actions):
+        if self.options is not None and any(action.dest == "method" for action in self._actions):
             self.formatter_class = argparse.RawDescriptionHelpFormatter  # keeps the lines of the list
             self.epilog = method_list(shutil.get_terminal_size().columns - 2)
         return super().format_help()
@@ -268,6 +269,7 @@ def _large(commands):
         command.add_argument("--messages", choices=MESSAGES, default=MESSAGES[0], help=f"how progress is told (default: {MESSAGES[0]}, on stderr)")
         if name in ("prune", "divide"):
             command.add_argument("scene", type=extended, help="splat file")
+            _learning(command)
             cameras = command.add_mutually_exclusive_group()
             cameras.add_argument("--colmap", type=extended, metavar="DIR", help="dataset, COLMAP model or transforms.json, for its cameras")
             help_ = "cameras.json of 3DGS, or transforms.json (default: as svrgs rig places cameras)"
@@ -279,14 +281,14 @@ def _large(commands):
             command.add_argument("--work", type=extended, required=True, metavar="DIR", help="folder for the blocks")
         else:
             command.add_argument("work", type=extended, metavar="WORK", help="folder of the blocks")
-        if name in ("score", "merge", "tune"):
+        if name in ("score", "merge", "decide", "tune"):
             command.add_argument("--part", type=_reader(COUNT), default=0, metavar="K", help="number of the part of the work, from 0 (default: 0)")
             command.add_argument("--parts", type=_reader(POSITIVE), default=1, metavar="N", help="number of all parts (default: 1)")
         if name in ("prune", "tune"):
             help_ = "steps of fine-tuning, on one view each; 0: none (default: two for each view)"
             command.add_argument("--steps", type=_reader(COUNT), metavar="N", help=help_)
-        if name in ("prune", "cut"):
-            size = command.add_mutually_exclusive_group(required=True)
+        if name in ("prune", "cut", "decide"):
+            size = command.add_mutually_exclusive_group()
             size.add_argument("--target", type=_reader(SHARE), metavar="SHARE", help="share of the Gaussians to keep, up to 1")
             size.add_argument("--target-count", type=_reader(POSITIVE), metavar="N", help="number of Gaussians to keep")
         if name == "prune":
@@ -294,6 +296,14 @@ def _large(commands):
             command.add_argument("--levels", type=_reader(SHARES), default=(), metavar="SHARES", help="levels of detail, as of svrgs prune")
         if name in ("prune", "finish"):
             command.add_argument("--out", type=extended, required=True, metavar="FILE", help="splat file to write")
+
+
+def _learning(command: Parser):
+    """The options of a method that decides on photographs, block by block."""
+    help_ = "with --colmap: the method that decides on the photographs: removal, saliency or an svr method (default: removals and merges by their costs)"
+    command.add_argument("--method", default="", metavar="NAME", help=help_)
+    for name in ("lambda_f", "iterations", "recovery", "min_contribution", "images", "holdout", "background", "image_memory", "seed"):
+        _add(command, name, options_of(PruneOptions)[name], default_of(PruneOptions, name))
 
 
 def _bench(commands):

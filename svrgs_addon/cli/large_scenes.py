@@ -1,5 +1,5 @@
-"""`svrgs large`: scenes larger than memory. `prune` does all of it; `divide`, `score`, `reduce`, `merge`, `cut`, `tune` and `finish` are its steps, for a
-farm."""
+"""`svrgs large`: scenes larger than memory. `prune` does all of it; `divide`, `score`, `reduce`, `merge`, `decide`, `cut`, `tune` and `finish` are its steps,
+for a farm."""
 
 from __future__ import annotations
 
@@ -13,24 +13,32 @@ from ..camera import Camera
 from ..errors import SceneError
 from ..farm.engine_messages import Messages
 from ..files.registry import format_to_read
-from ..large.blocks import Divided, clear, divide
+from ..jobs.by_blocks import request_of
+from ..jobs.options import PruneOptions
+from ..large.blocks import Divided, clear, divide, gathered
 from ..large.folder import measured_views, prepare, refuse_foreign, scored_views
+from ..large.learning import clear_learned, decide, recover, targets
 from ..large.likeness import Likeness
 from ..large.merging import merge, reduce
-from ..large.pruning import finish
+from ..large.pruning import finish, finish_learned
+from ..large.request import Request
 from ..large.sample import finer, refuse_hidden, sample_of
 from ..large.scoring import score
-from ..large.tuning import EPOCHS, TUNED, cut, tune
+from ..large.tuning import CUT, EPOCHS, TUNED, cut, tune
 from ..large.whole import Goal, check_out, prune_by_blocks
+from ..option_kinds import default_of
 from ..photographs.camera_files import load_cameras
 from ..photographs.dataset import HOLDOUT, load_dataset
 from ..rig import place_rig
+from .arguments import options_from
+
+OF_METHODS = ("lambda_f", "iterations", "recovery", "min_contribution")  # options
 
 
 def large(words: argparse.Namespace) -> dict[str, Any]:
     """Does one step, or all. Raises SplatError."""
     native.set_threads(words.threads)
-    steps = {"divide": _divide, "score": _score, "reduce": _reduce, "merge": _merge, "cut": _cut, "tune": _tune, "finish": _finish}
+    steps = {"divide": _divide, "score": _score, "reduce": _reduce, "merge": _merge, "decide": _decide, "cut": _cut, "tune": _tune, "finish": _finish}
     return (steps | {"prune": _prune})[words.action](words)
 
 
@@ -39,11 +47,12 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
         return f"{result['count']:,} Gaussians in {result['blocks']} blocks, {result['views']} views; saved {result['work']}"
     if words.action == "score":
         return result["scores"]
-    if words.action in ("reduce", "merge", "cut", "tune"):
+    if words.action in ("reduce", "merge", "decide", "cut", "tune"):
         return f"{result['blocks']} blocks done in {result['work']}"
     before, after = result["before"], result["after"]
+    measure = f"the photographs, the original {before['psnr']:.2f} dB" if "psnr" in before else "the original"
     merged = f" ({result['psnr_merged']:.2f} dB before fine-tuning)" if result["psnr_merged"] is not None else ""
-    against = f"; PSNR {result['psnr']:.2f} dB against the original{merged}" if result["views"] else ""
+    against = f"; PSNR {result['psnr']:.2f} dB against {measure}{merged}" if result["views"] else ""
     lines = [f"kept {after['count']:,} of {before['count']:,} Gaussians ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"]
     for level in result.get("levels", ()):
         lines.append(f"level {level['share']:g}: {level['count']:,} Gaussians, PSNR {level['psnr']:.2f} dB; saved {level['out']}")
@@ -53,16 +62,34 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
 def _prune(words: argparse.Namespace) -> dict[str, Any]:
     format_to_read(words.scene)
     told = functools.partial(_told, words)
-    goal = Goal(words.target_count or 0, words.target or 0.0, words.max_drop or 0.0, words.levels)
-    return prune_by_blocks(words.scene, words.out, functools.partial(_views, words), goal, words.steps, told, words.work, words.block)
+    goal, request = Goal(words.target_count or 0, words.target or 0.0, words.max_drop or 0.0, words.levels), _request(words)
+    if request is None and not (goal.count or goal.share or goal.max_drop):
+        raise SceneError("how many Gaussians stay is not given: add --target, --target-count or --max-drop")
+    if request is not None and (words.steps is not None or goal.max_drop or goal.levels):
+        raise SceneError("--steps, --max-drop and --levels are for removals and merges: leave them out, or --method")
+    return prune_by_blocks(words.scene, words.out, functools.partial(_views, words), goal, words.steps, told, words.work, words.block, request)
+
+
+def _request(words: argparse.Namespace) -> Request | None:
+    """What is asked of a method on photographs. Raises SceneError for options that do not go together."""
+    if words.method:
+        if not words.colmap:
+            raise SceneError("--method decides on photographs: add --colmap, or leave it out")
+        return request_of(options_from(PruneOptions, words))
+    given = [name for name in OF_METHODS if getattr(words, name, None) not in (None, default_of(PruneOptions, name))]
+    if given:
+        raise SceneError(f"--{given[0].replace('_', '-')} is for methods that decide on photographs: add --method, or leave it out")
+    return None
 
 
 def _divide(words: argparse.Namespace) -> dict[str, Any]:
     format_to_read(words.scene)
     refuse_foreign(words.work)
-    scored, measured = _views(words)
-    prepare(words.work, scored, measured)
+    request, (scored, measured) = _request(words), _views(words)
+    prepare(words.work, scored, measured, request)
     divided = divide(words.scene.absolute(), words.work, words.block, _told(words, "divide"))
+    if request is not None:
+        clear_learned(divided)
     return {"work": str(words.work), "count": divided.count, "blocks": len(divided.blocks), "views": len(scored)}
 
 
@@ -86,15 +113,35 @@ def _merge(words: argparse.Namespace) -> dict[str, Any]:
     return {"work": str(words.work), "blocks": len(numbers)}
 
 
+def _decide(words: argparse.Namespace) -> dict[str, Any]:
+    divided, request, goal = Divided.read(words.work), Request.read(words.work), Goal(words.target_count or 0, words.target or 0.0)
+    if request is None:
+        raise SceneError(f"{words.work}: was divided without --method, so no method decides: merge and cut it")
+    wanted = goal.number(divided.count) if goal.count or goal.share else 0
+    plan, dataset, targets_of = request.plan, request.dataset, targets(divided, wanted)
+    numbers = range(len(divided.blocks))[words.part :: words.parts]
+    for number in numbers:
+        decide(divided, number, dataset, plan, targets_of[number], _told(words, "decide"))
+    return {"work": str(words.work), "blocks": len(numbers)}
+
+
 def _cut(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
+    if Request.read(words.work) is not None:
+        clear(words.work / TUNED)
+        left = gathered(words.work / CUT, divided)
+        return {"work": str(words.work), "blocks": len(left.blocks), "count": left.count}
     goal = Goal(words.target_count or 0, words.target or 0.0)
+    if not (goal.count or goal.share):
+        raise SceneError("how many Gaussians stay is not given: add --target or --target-count")
     left = cut(divided, scored_views(words.work), goal.number(divided.count), _told(words, "cut"))
     return {"work": str(words.work), "blocks": len(left.blocks), "count": left.count}
 
 
 def _tune(words: argparse.Namespace) -> dict[str, Any]:
-    divided, cameras = Divided.read(words.work), scored_views(words.work)
+    divided, cameras, request = Divided.read(words.work), scored_views(words.work), Request.read(words.work)
+    if request is not None:
+        return _recover(words, divided, request)
     steps = EPOCHS * len(cameras) if words.steps is None else words.steps
     if not steps:
         clear(words.work / TUNED)  # no steps: remove what an earlier call has tuned
@@ -104,17 +151,28 @@ def _tune(words: argparse.Namespace) -> dict[str, Any]:
     return {"work": str(words.work), "blocks": len(numbers)}
 
 
+def _recover(words: argparse.Namespace, divided: Divided, request: Request) -> dict[str, Any]:
+    if words.steps is not None:
+        raise SceneError("--steps is for removals and merges: leave it out; --recovery of svrgs large divide gives the steps of a method")
+    numbers, plan, dataset = range(len(divided.blocks) if request.recovery else 0)[words.part :: words.parts], request.plan, request.dataset
+    for number in numbers:
+        recover(divided, number, dataset, plan, _told(words, "recover"))
+    return {"work": str(words.work), "blocks": len(numbers)}
+
+
 def _finish(words: argparse.Namespace) -> dict[str, Any]:
-    divided = Divided.read(words.work)
+    divided, request = Divided.read(words.work), Request.read(words.work)
     check_out(words.out, divided.source)
     told = functools.partial(_told, words)
+    if request is not None:
+        return finish_learned(divided, request, request.dataset, words.out, told)
     return finish(divided, Likeness(divided, measured_views(words.work), told), words.out, told)
 
 
 def _views(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:
     """The views that are scored, and those on which the result is measured: given, or placed. Raises SceneError."""
     if words.colmap:
-        dataset = load_dataset(words.colmap, holdout=HOLDOUT, cameras_only=True)
+        dataset = load_dataset(words.colmap, words.images or None, holdout=words.holdout, cameras_only=True)
         scored, measured = ([dataset.cameras[k] for k in indices] for indices in (dataset.train_indices, dataset.test_indices))
     elif words.cameras:
         cameras = load_cameras(words.cameras)

@@ -11,13 +11,11 @@ any order gives the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from .. import memory
-from ..errors import SceneError
 from ..files.registry import invisible
 from ..finetune import loop, scores
 from ..finetune.engine import NativeEngine
@@ -30,7 +28,7 @@ from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..scene import Scene
 from .around import Around
-from .blocks import Divided, Tell, clear, scene_of, write_block
+from .blocks import Divided, Tell, clear, write_block
 from .merging import counts
 from .tuning import CUT, TUNED, write_own
 
@@ -143,7 +141,7 @@ def _run(divided: Divided, number: int, scene: Scene, views: BlockViews, plan: P
     run = Run(Model.of(scene), views, plan, NativeEngine(), scene.antialiased)
 
     def observe(progress: loop.Progress):
-        tell(f"block {number}, {progress.count:,} Gaussians, {progress.label.lower()}", 0.5 + 0.5 * progress.iteration / progress.total)
+        tell(f"block {number}, {progress.count:,} Gaussians: {progress.label}", 0.5 + 0.5 * progress.iteration / progress.total)
 
     loop.run_to_end(run, observe, lambda: False, lambda: None, lambda: None)
     assert plan.own is not None

@@ -10,9 +10,9 @@ from statistics import fmean
 import numpy as np
 
 from ..camera import Camera, evenly
+from ..files.images import to_float
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import picture_options, rounded_to_8_bits
-from ..files.images import to_float
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from .blocks import Divided, Tell

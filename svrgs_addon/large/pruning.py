@@ -13,10 +13,13 @@ from ..files import streamed_sog
 from ..files.opened import MAX_IN_PARTS
 from ..files.registry import load_parts, size_on_disk, write_scene
 from ..files.spooled import spooled
+from ..metrics.explained import mismatch_of
 from ..metrics.format_loss import loss_notes
+from ..photographs.dataset import Dataset
 from .blocks import Divided, Tell, divide, scene_of
 from .folder import RESULT
 from .likeness import Likeness, PhotographLikeness
+from .opened import BlockRasterizer
 from .request import Request
 from .tuning import CUT, best_share, mixed, tuned_blocks
 
@@ -31,13 +34,13 @@ def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str]
     return result | {"notes": loss_notes(result["psnr_values"], result["psnr"])}
 
 
-def finish_learned(divided: Divided, request: Request, likeness: PhotographLikeness, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
+def finish_learned(divided: Divided, request: Request, dataset: Dataset, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
     """finish() of what a method has decided on photographs, which are the measure. Raises SplatError."""
+    likeness = PhotographLikeness(dataset, told)
     result = finish(divided, likeness, out, told)
     before = {**likeness.measured(divided), "lpips": None, "ms_per_frame": None, **result["before"]}
-    plan = request.plan
-    used = plan.lambda_f if plan.method.uses_lambda_f(plan) else None
-    return result | {"method": request.method, "lambda_f": used, "seed": request.seed, "before": before, "after": result["after"]}
+    notes = [*dataset.notes, *filter(None, [mismatch_of(divided, dataset, BlockRasterizer())]), *result["notes"]]
+    return result | {"method": request.method, "seed": request.seed, "before": before, "notes": notes}
 
 
 def write_left(divided: Divided, likeness: Likeness, out: Path) -> dict[str, Any]:

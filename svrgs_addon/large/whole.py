@@ -18,7 +18,7 @@ from .allowed_drop import drop, errors_of_format, fewest_within
 from .blocks import MOST, Divided, Tell, divide, gathered
 from .folder import LEVEL, SCORED, measured_views, prepare, refuse_foreign, remove, scored_views
 from .learning import clear_learned, decide, recover, targets
-from .likeness import Likeness, PhotographLikeness
+from .likeness import Likeness
 from .merging import merge, reduce
 from .pruning import finish, finish_learned, join_levels, write_left
 from .request import Request
@@ -105,7 +105,7 @@ def _learned(divided: Divided, scored: Sequence[Camera], request: Request, goal:
     gathered(divided.folder / CUT, divided)
     for number in range(len(divided.blocks) if request.recovery else 0):
         recover(divided, number, dataset, plan, told("recover"))
-    return finish_learned(divided, request, PhotographLikeness(dataset, told), out, told)
+    return finish_learned(divided, request, dataset, out, told)
 
 
 def _results(

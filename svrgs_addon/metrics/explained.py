@@ -11,9 +11,8 @@ from ..camera import Camera
 from ..files.images import to_float
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
-from ..scene import Scene
 from .arrays import image_pair
-from .evaluate import picture_options
+from .evaluate import Renderable, Renderer, picture_options
 from .psnr import psnr
 
 # Splats of four captures explain 0.82 to 0.98 of their own photographs, and less than -0.6 of those of another capture. Objects before a
@@ -47,12 +46,13 @@ def _reduced(camera: Camera, photo: np.ndarray) -> tuple[Camera, np.ndarray]:
     return small, blocks.mean(axis=(1, 3), dtype=np.float32)
 
 
-def fit(scene: Scene, views: Sequence[tuple[Camera, np.ndarray]], background=(0.0, 0.0, 0.0)) -> dict:
+def fit(scene: Renderable, views: Sequence[tuple[Camera, np.ndarray]], background=(0.0, 0.0, 0.0), rasterizer: Renderer | None = None) -> dict:
     """How well the splat fits photographs: a dict of medians over the views, explained (R²) and psnr (dB).
 
-    views: (camera, photograph (H, W, 3) in [0, 1]), at least one. background: display sRGB 0..1. Raises SceneError.
+    views: (camera, photograph (H, W, 3) in [0, 1]), at least one. background: display sRGB 0..1. rasterizer: renders the scene; None: native.Rasterizer.
+    Raises SceneError.
     """
-    rasterizer, options, rows = Rasterizer(), picture_options(scene, background), []
+    rasterizer, options, rows = rasterizer or Rasterizer(), picture_options(scene, background), []
     for camera, photo in views:
         image = np.clip(rasterizer.forward(scene, camera, options)["rgb"], 0, 1)
         rows.append((explained(image, photo), psnr(image, photo)))
@@ -70,6 +70,6 @@ def mismatch(found: dict) -> str:
     )
 
 
-def mismatch_of(scene: Scene, dataset: Dataset) -> str:
-    """As mismatch(), for some views of the dataset. Raises FormatError, SceneError."""
-    return mismatch(fit(scene, sample_views(dataset), dataset.background))
+def mismatch_of(scene: Renderable, dataset: Dataset, rasterizer: Renderer | None = None) -> str:
+    """As mismatch(), for some views of the dataset. rasterizer: as for fit(). Raises FormatError, SceneError."""
+    return mismatch(fit(scene, sample_views(dataset), dataset.background, rasterizer))
