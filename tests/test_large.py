@@ -211,7 +211,7 @@ def test_one_block_is_tuned_as_the_scene_in_memory(ordered, source, cameras):
 
 def test_tuned_blocks_are_as_good_as_the_tuned_whole_in_any_order(ordered, cameras):
     likeness, left = Likeness(ordered, cameras), cut(ordered, cameras, FEW)
-    with pytest.raises(SceneError, match="the block 0 is missing; tune it first") if len(left.blocks) > 1 else contextlib.nullcontext():
+    with pytest.raises(SceneError, match="the block 0 is missing; do the step before it first") if len(left.blocks) > 1 else contextlib.nullcontext():
         tune(ordered, len(left.blocks) - 1, cameras, 60)
         tuned_blocks(ordered)
     for number in reversed(range(len(left.blocks) - 1)):

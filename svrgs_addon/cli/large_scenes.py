@@ -75,7 +75,9 @@ def _request(words: argparse.Namespace) -> Request | None:
     if words.method:
         if not words.colmap:
             raise SceneError("--method decides on photographs: add --colmap, or leave it out")
-        return request_of(options_from(PruneOptions, words))
+        request = request_of(options_from(PruneOptions, words))
+        _ = request.dataset  # refused before anything is written
+        return request
     given = [name for name in OF_METHODS if getattr(words, name, None) not in (None, default_of(PruneOptions, name))]
     if given:
         raise SceneError(f"--{given[0].replace('_', '-')} is for methods that decide on photographs: add --method, or leave it out")

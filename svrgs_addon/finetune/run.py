@@ -158,7 +158,7 @@ class Run:
         if self.controller and not _densifying(phase, number):
             self.controller.before_step(self)
 
-    def _step(self, phase: Phase, number: int, camera: Camera, target: np.ndarray, window: tuple[slice, slice] | None) -> Step:
+    def _step(self, phase: Phase, number: int, camera: Camera, target: np.ndarray, window: tuple[slice, slice] | None = None) -> Step:
         s = self.settings
         step = Step(
             camera=camera,

@@ -138,7 +138,7 @@ def arrays_of(geometry: np.ndarray) -> dict[str, Any]:
 
 def scene_of(divided: Divided, block: Block) -> Scene:
     """The Gaussians of a block, in memory."""
-    return Scene(**arrays_of(block.geometry), sh=np.array(block.sh(divided.coefficients)), antialiased=divided.antialiased)
+    return Scene(**arrays_of(np.array(block.geometry)), sh=np.array(block.sh(divided.coefficients)), antialiased=divided.antialiased)
 
 
 def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_: None, read: Callable[[Path], Iterator[Scene]] = load_parts) -> Divided:
@@ -183,7 +183,7 @@ def gathered(folder: Path, like: Divided) -> Divided:
         try:
             count = (folder / f"{number}.rows").stat().st_size // 4
         except OSError:
-            raise SceneError(f"{folder}: the block {number} is missing; tune it first") from None
+            raise SceneError(f"{folder}: the block {number} is missing; do the step before it first") from None
         one = Block(folder, number, count, np.zeros(3), np.zeros(3), 0.0)
         means = one.geometry[:, :3]
         blocks.append(replace(one, low=means.min(axis=0), high=means.max(axis=0), largest=float(one.geometry[:, 3:6].max())))

@@ -46,7 +46,13 @@ class Request:
             raise SceneError(f"method '{self.method}' needs the scene in memory; by blocks, choose one of {', '.join(methods())}")
         if not self.iterations:
             raise SceneError("by blocks, a method decides in steps: give --iterations a number above 0")
-        settings: dict[str, Any] = {"lambda_f": self.lambda_f, "seed": self.seed, "full": False, "background": self.background, "min_contribution": self.min_contribution}
+        settings: dict[str, Any] = {
+            "lambda_f": self.lambda_f,
+            "seed": self.seed,
+            "full": False,
+            "background": self.background,
+            "min_contribution": self.min_contribution,
+        }
         return prune_plan(method_named(self.method), self.iterations, self.recovery, **settings)
 
     @property

@@ -14,6 +14,7 @@ from ..files.level_files import holds_levels, level_files
 from ..files.registry import format_to_write, refuse_input
 from ..finetune.quality import LEAST
 from ..metrics.format_loss import loss_notes
+from ..photographs.dataset import Dataset
 from .allowed_drop import drop, errors_of_format, fewest_within
 from .blocks import MOST, Divided, Tell, divide, gathered
 from .folder import LEVEL, SCORED, measured_views, prepare, refuse_foreign, remove, scored_views
@@ -69,13 +70,14 @@ def prune_by_blocks(
         for path in outs:
             stack.enter_context(reserved(path))
         refuse_foreign(work)
+        dataset = request.dataset if request is not None else None
         try:
             prepare(work, *views(), request)
             divided, scored = divide(source.absolute(), work, block, told("divide")), scored_views(work)
             share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else LEAST
             check_space(work / SCORED, int((SUMS + COPIES * share) * divided.bytes))
-            if request is not None:
-                return _learned(divided, scored, request, goal, out, told)
+            if request is not None and dataset is not None:
+                return _learned(divided, scored, request, dataset, goal, out, told)
             likeness = Likeness(divided, measured_views(work), told)
             errors = errors_of_format(divided, likeness, goal.max_drop, out, told) if goal.max_drop else []
             _order(divided, scored, told)
@@ -94,9 +96,9 @@ def _order(divided: Divided, scored: Sequence[Camera], told: Told):
         merge(divided, number)
 
 
-def _learned(divided: Divided, scored: Sequence[Camera], request: Request, goal: Goal, out: Path, told: Told) -> dict[str, Any]:
-    """The result of a method that decides on photographs."""
-    plan, dataset, wanted = request.plan, request.dataset, goal.number(divided.count) if goal.count or goal.share else 0
+def _learned(divided: Divided, scored: Sequence[Camera], request: Request, dataset: Dataset, goal: Goal, out: Path, told: Told) -> dict[str, Any]:
+    """The result of a method that decides on the photographs of the dataset."""
+    plan, wanted = request.plan, goal.number(divided.count) if goal.count or goal.share else 0
     if wanted:
         _order(divided, scored, told)
     clear_learned(divided)

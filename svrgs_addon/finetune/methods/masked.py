@@ -13,7 +13,7 @@ from ..quality import fewest_within
 from ..settings import Phase, Rates
 from .base import Keep, Method, RunView, learning_phase
 
-CERTAIN = 40.0  # logit of Gaussians that stay: no sample leaves them out, and their gradient is 0
+CERTAIN = 100.0  # logit of Gaussians that stay: no sample leaves them out, and they have no gradient
 
 
 @dataclass

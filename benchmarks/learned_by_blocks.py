@@ -1,0 +1,71 @@
+"""Pruning on photographs in memory and by blocks, side by side, on the photographs that are held out.
+
+python benchmarks/learned_by_blocks.py SPLAT:DATASET... [--method removal svr] [--target 0.4] [--iterations 300] [--recovery 500] [--blocks 1 4] [--seeds 0 1 2]
+
+Prints a row for each splat, method and seed: Gaussians, seconds and mean PSNR in dB of the splat, of pruning in memory, and with each number of blocks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from svrgs_addon.files.registry import describe, load_scene
+from svrgs_addon.metrics.evaluate import evaluate
+from svrgs_addon.native import Rasterizer
+from svrgs_addon.photographs.dataset import Dataset, load_dataset
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main():
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("scenes", nargs="+", metavar="SPLAT:DATASET")
+    words.add_argument("--method", nargs="+", default=["removal", "svr"])
+    words.add_argument("--target", default="0.4")
+    words.add_argument("--iterations", default="300")
+    words.add_argument("--recovery", default="500")
+    words.add_argument("--blocks", type=int, nargs="+", default=[1, 4])
+    words.add_argument("--seeds", nargs="+", default=["0", "1", "2"])
+    given = words.parse_args()
+    print("| scene | method | seed | Gaussians | before, dB | in memory, dB (s) |", *(f"{n} blocks, dB (s) |" for n in given.blocks), flush=True)
+    print("|---|---|---:|---:|---:|---:|" + "---:|" * len(given.blocks), flush=True)
+    for scene in given.scenes:
+        splat, folder = map(Path, scene.split(":"))
+        dataset, whole = load_dataset(folder), describe(splat)["count"]
+        before = quality(splat, dataset)
+        for method in given.method:
+            for seed in given.seeds:
+                same = ["--colmap", folder, "--method", method, "--target", given.target, "--seed", seed]
+                same += ["--iterations", given.iterations, "--recovery", given.recovery]
+                ways = [["prune", splat, *same, "--visible-mask", "--quiet"]]
+                ways += [["large", "prune", splat, *same, "--block", math.ceil(whole / n)] for n in given.blocks]
+                results = [run(way, dataset) for way in ways]
+                counts = {count for count, _, _ in results}
+                cells = [f"{psnr:.2f} ({seconds:.0f}) |" for _, psnr, seconds in results]
+                print(f"| {splat.stem} | {method} | {seed} | {', '.join(f'{n:,}' for n in sorted(counts))} | {before[1]:.2f} |", *cells, flush=True)
+
+
+def run(words: list, dataset: Dataset) -> tuple[int, float, float]:
+    """Gaussians, PSNR in dB and seconds of a command."""
+    with tempfile.TemporaryDirectory() as folder:
+        out, started = Path(folder) / "out.ply", time.perf_counter()
+        subprocess.run([sys.executable, "-m", "svrgs_addon", *map(str, words), "--out", str(out)], check=True, capture_output=True, cwd=ROOT)
+        return *quality(out, dataset), time.perf_counter() - started
+
+
+def quality(splat: Path, dataset: Dataset) -> tuple[int, float]:
+    """Gaussians, and PSNR in dB on the test views."""
+    scene = load_scene(splat).scene
+    return scene.count, evaluate(scene, dataset, dataset.test_indices, Rasterizer())["psnr"]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,216 @@
+"""Methods with lambda_F on photographs, block by block: one block is as the scene in memory, more of them differ little, in any order."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plans import prune_settings
+from svrgs_addon.errors import FormatError, MemoryShort, SceneError
+from svrgs_addon.files.registry import read_scene, write_scene
+from svrgs_addon.finetune.engine import NativeEngine
+from svrgs_addon.finetune.methods import METHODS
+from svrgs_addon.finetune.methods.masked import CERTAIN
+from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
+from svrgs_addon.finetune.run import Run
+from svrgs_addon.jobs import run_job
+from svrgs_addon.large.blocks import Divided, divide, gathered, scene_of
+from svrgs_addon.large.learning import clear_learned, decide, recover, targets
+from svrgs_addon.large.likeness import PhotographLikeness
+from svrgs_addon.large.request import FILE, Request, methods
+from svrgs_addon.large.tuning import CUT, TUNED
+from svrgs_addon.metrics.evaluate import evaluate
+from svrgs_addon.native import Rasterizer
+from tiny_dataset import COUNT, FAINT, SEEN
+
+STEPS = ("--iterations", 40, "--recovery", 20)
+SHORT = MemoryShort("a.ply: fine-tuning needs 90 GB of memory, but only 1 GB is available; svrgs large prunes it by blocks, with less")
+
+
+def learned(tiny, data, folder, most: int, plan, order=None, wanted: int = 0) -> tuple[Divided, Divided]:
+    """What is decided on, and what is recovered; in this order of the blocks."""
+    divided = divide(tiny.splat, folder, most)
+    clear_learned(divided)
+    shares = [round(wanted * block.count / divided.count) for block in divided.blocks]
+    numbers = [block.number for block in divided.blocks]
+    for number in order(numbers) if order else numbers:
+        decide(divided, number, data, plan, shares[number])
+    left = gathered(folder / CUT, divided)
+    for number in order(numbers) if order else numbers:
+        recover(divided, number, data, plan)
+    return left, gathered(folder / TUNED, left)
+
+
+def together(divided: Divided) -> dict[str, np.ndarray]:
+    parts = [scene_of(divided, block) for block in divided.blocks]
+    return {name: np.concatenate([getattr(part, name) for part in parts]) for name in PARAMETERS}
+
+
+@pytest.mark.parametrize("method", ["removal", "saliency", "svr", "svr-b"])
+def test_one_block_is_decided_as_the_scene_in_memory(tiny, data, tmp_path, svrgs, method):
+    """To the bit: with all photographs and all Gaussians, nothing is left out."""
+    words = ["--colmap", tiny.folder, "--method", method, "--iterations", 40, "--recovery", 0, "--visible-mask", "--lambda-f", 0.02]
+    assert svrgs("prune", tiny.splat, *words, "--out", tmp_path / "o.ply").status == 0
+    plan = Request(str(tiny.folder), method, 40, 0, 0.02 * METHODS[method].first_cut, lambda_f=0.02).plan
+    left, _ = learned(tiny, data, tmp_path / "blocks", COUNT, plan)
+    whole, found = read_scene(tmp_path / "o.ply"), together(left)
+    assert 20 < whole.count < COUNT - FAINT and left.count == whole.count
+    for name in PARAMETERS:
+        assert (found[name] == getattr(whole, name)).all(), name
+
+
+def test_blocks_are_decided_and_recovered_in_any_order_and_nearly_as_well(tiny, data, tmp_path):
+    plan = prune_settings("removal", 40, 40, full=False)
+    quality = PhotographLikeness(data).psnr
+    one, best = learned(tiny, data, tmp_path / "one", COUNT, plan, wanted=SEEN)
+    left, recovered = learned(tiny, data, tmp_path / "many", COUNT // 4, plan, wanted=SEEN)
+    again = learned(tiny, data, tmp_path / "again", COUNT // 4, plan, reversed, wanted=SEEN)
+    assert len(left.blocks) == 6 and abs(left.count - SEEN) <= 8 and one.count == SEEN
+    for first, second in zip((left, recovered), again, strict=True):
+        assert all((array == together(second)[name]).all() for name, array in together(first).items())
+    assert quality(recovered) > quality(left) and abs(quality(recovered) - quality(best)) < 1.0, "of a scene whose Gaussians are all in each other's way"
+    assert quality(recovered) == pytest.approx(evaluate_of(recovered, data), abs=0.01)
+
+
+def evaluate_of(divided: Divided, data) -> float:
+    scene = replace(scene_of(divided, divided.blocks[0]), **together(divided))
+    return evaluate(scene, data, data.test_indices, Rasterizer())["psnr"]
+
+
+def test_lambda_f_is_the_same_price_in_all_blocks(tiny, data, tmp_path):
+    plan = prune_settings("saliency", 30, 0, full=False, lambda_f=2e-2)
+    counts = [learned(tiny, data, tmp_path / str(most), most, plan)[0].count for most in (COUNT, COUNT // 4)]
+    assert 20 < counts[0] < COUNT - FAINT and counts[0] == counts[1]
+
+
+@pytest.mark.parametrize("method", ["removal", "svr"])
+def test_a_run_decides_of_its_own_gaussians_alone(tiny, data, method):
+    """And the masks of the others neither move nor leave one out."""
+    scene, own = read_scene(tiny.splat), (40, 100)
+    plan = prune_settings(method, 30, 0, full=False, lambda_f=0.5, mask_init=0.0)
+    run = Run(Model.of(scene), data, replace(plan, own=own, target=scene.count - 40), NativeEngine(), scene.antialiased)
+    while not run.finished:
+        run.advance()
+        if run.model.learns_masks:
+            assert (run.model.values[MASK][run.protected] == CERTAIN).all()
+            assert run.method.terms(run, plan.phases[0], 1)["masks"][run.protected].all()
+    run.close()
+    kept = np.sort(run.model.origin)
+    assert len(kept) == scene.count - 40 and set(range(scene.count)) - set(range(*own)) <= set(kept.tolist())
+
+
+def test_a_block_that_no_view_sees_keeps_a_gaussian(tiny, data, tmp_path):
+    """As much as memory would keep, but one: no block is empty."""
+    scene = replace(read_scene(tiny.splat), attributes={}, property_order=())
+    far = replace(scene.select(np.arange(20)), means=scene.means[:20] + np.array([0, 50, 0], np.float32))
+    both = replace(scene, **{name: np.concatenate([getattr(scene, name), getattr(far, name)]) for name in PARAMETERS})
+    write_scene(tmp_path / "far.ply", both)
+    plan = prune_settings("svr", 20, 10, full=False, min_contribution=0.02)
+    left, recovered = learned(replace(tiny, splat=tmp_path / "far.ply"), data, tmp_path / "work", 20, plan)
+    lonely = [block.count for block in left.blocks if (block.geometry[:, 1] > 40).all()]
+    assert lonely and set(lonely) == {1} and recovered.count == left.count
+
+
+def test_steps_on_any_number_of_machines_give_the_bytes_of_one(tiny, tmp_path, svrgs):
+    words = ["--colmap", tiny.folder, "--method", "removal", *STEPS, "--block", 70]
+    one = svrgs("large", "prune", tiny.splat, *words, "--target", 0.4, "--out", tmp_path / "one.ply", "--json").json
+    assert one["after"]["count"] == 100 and one["method"] == "removal" and one["before"]["psnr"] > 15 and one["views"] == 2
+    assert not list(tmp_path.glob("*.blocks"))
+    work = tmp_path / "work"
+    steps = [["divide", tiny.splat, *words, "--work", work], ["score", work], ["reduce", work], ["merge", work]]
+    steps += [["decide", work, "--part", part, "--parts", 3, "--target", 0.4] for part in (2, 0, 1, 0)] + [["cut", work]]
+    steps += [["tune", work, "--part", part, "--parts", 2] for part in (1, 0)] + [["finish", work, "--out", tmp_path / "many.ply"]]
+    done = [svrgs("large", *step) for step in steps]
+    assert all(step.status == 0 for step in done), [step.err for step in done if step.status]
+    assert "dB against the photographs, the original" in done[-1].out
+    assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
+
+
+def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(tiny, tmp_path, svrgs, monkeypatch, caplog):
+    def short(*_):
+        raise SHORT
+
+    monkeypatch.setattr(run_job.train_and_prune, "prune", short)
+    words = ["--colmap", tiny.folder, *STEPS, "--out", tmp_path / "o.spz"]
+    result = svrgs("prune", tiny.splat, *words, "--target", 0.5, "--json").json
+    assert result["count"] == result["after"]["count"] == COUNT // 2 and result["method"] == "removal" and result["blocks"] == 1
+    assert result["before"]["count"] == COUNT and result["before"]["psnr"] > 15 and "so it was pruned by blocks" in result["notes"][0]
+    assert "svrgs large" not in caplog.text and [path.name for path in tmp_path.iterdir()] == ["o.spz"]
+    done = svrgs("prune", tiny.splat, *words, "--method", "svr", "--visible-mask")
+    assert done.status == 0 and "before  250 Gaussians, PSNR" in done.out and "of the Gaussians at" in done.out
+    refused = svrgs("prune", tiny.splat, *words, "--method", "svr")
+    assert refused.status == 2 and "with --visible-mask, or with removal to a number, it would be pruned by blocks" in refused.err
+    other = svrgs("prune", tiny.splat, *words, "--method", "maskgs")
+    assert other.status == 2 and other.err.count("svrgs large prunes it by blocks") == 1
+
+
+def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
+    other = tmp_path / "other"
+    shutil.copytree(tiny.folder, other)
+    names = sorted((other / "images").iterdir())
+    contents = [path.read_bytes() for path in names]
+    for path, bytes_ in zip(names, contents[5:] + contents[:5], strict=True):
+        path.write_bytes(bytes_)
+    with caplog.at_level(logging.WARNING):
+        result = svrgs("large", "prune", tiny.splat, "--colmap", other, "--method", "svr", *STEPS, "--out", tmp_path / "o.ply", "--json").json
+    assert "it may belong to another capture" in " ".join(result["notes"])
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--method", "svr"], "--method decides on photographs: add --colmap"),
+        (["--colmap", "DATA", "--method", "maskgs"], "'maskgs' needs the scene in memory; by blocks, choose one of removal, svr, "),
+        (["--colmap", "DATA", "--method", "pressure"], "'removal' replaces it"),
+        (["--colmap", "DATA", "--method", "svr", "--iterations", 0], "give --iterations a number above 0"),
+        (["--colmap", "DATA", "--method", "svr", "--steps", 5], "leave them out, or --method"),
+        (["--colmap", "DATA", "--method", "svr", "--max-drop", 0.5], "leave them out, or --method"),
+        (["--colmap", "DATA", "--method", "svr", "--holdout", 1], "all views of the dataset are held out"),
+        (["--colmap", "DATA", "--target", 0.5, "--recovery", 5], "--recovery is for methods that decide on photographs: add --method"),
+        (["--colmap", "DATA/sparse/0", "--method", "svr"], "has no image folder images"),
+        ([], "add --target, --target-count or --max-drop"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_before_anything_is_written(tiny, tmp_path, svrgs, words, sentence):
+    if "DATA/sparse/0" in words:
+        shutil.copytree(tiny.folder / "sparse", tmp_path / "model/sparse")
+    given = [str(word).replace("DATA/sparse/0", str(tmp_path / "model")).replace("DATA", str(tiny.folder)) for word in words]
+    done = svrgs("large", "prune", tiny.splat, *given, "--out", tmp_path / "o.ply")
+    assert done.status == 2 and sentence in done.err and done.err.count("\n") == 1, done.err
+    assert not (tmp_path / "o.ply").exists() and not list(tmp_path.glob("*.blocks"))
+
+
+def test_steps_that_lack_something_say_what(tiny, data, tmp_path, svrgs):
+    work = tmp_path / "work"
+    assert svrgs("large", "divide", tiny.splat, "--colmap", tiny.folder, "--work", work, "--block", 70).status == 0
+    assert "was divided without --method" in svrgs("large", "decide", work).err
+    assert "add --target or --target-count" in svrgs("large", "cut", work).err
+    words = ["--colmap", tiny.folder, "--method", "svr", "--iterations", 20, "--recovery", 10, "--work", work, "--block", 70]
+    assert svrgs("large", "divide", tiny.splat, *words).status == 0
+    assert "is not there; merge the block 0 first" in svrgs("large", "decide", work, "--target", 0.5).err
+    assert "block 0 is missing; do the step before it first" in svrgs("large", "cut", work).err
+    assert svrgs("large", "decide", work).status == 0 and svrgs("large", "cut", work).status == 0
+    assert "--recovery of svrgs large divide" in svrgs("large", "tune", work, "--steps", 5).err
+    (work / FILE).write_text("{}")
+    with pytest.raises(FormatError, match="divide the scene again"):
+        Request.read(work)
+    assert svrgs("large", "decide", work).err.count("\n") == 1
+
+
+def test_a_request_comes_back_as_it_was_written(tmp_path):
+    request = Request("data", "svr", 30, 20, 0.02, lambda_f=0.5, background=(1.0, 0.5, 0.0), holdout=4)
+    request.write(tmp_path)
+    assert Request.read(tmp_path) == request and Request.read(tmp_path / "no") is None
+    assert set(methods()) == {"removal", "saliency", "svr", "svr-a", "svr-b", "svr-even", "svr-self"} and not request.plan.full
+    assert json.loads((tmp_path / FILE).read_text())["method"] == "svr"
+    with pytest.raises(SceneError, match="choose one of"):
+        _ = replace(request, method="opacity").plan
+
+
+def test_targets_of_blocks_are_the_number_together(tiny, tmp_path):
+    assert targets(divide(tiny.splat, tmp_path, 70), 0) == [0, 0, 0, 0]
