@@ -186,6 +186,19 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
     assert len(json.loads((tmp_path / "work/blocks.json").read_text())["blocks"]) == 8
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
+def test_an_engine_lets_a_method_decide_on_a_large_scene_as_one_machine_does(tiny, tmp_path):
+    words = ["--colmap", str(tiny.folder), "--method", "svr", *STEPS, "--block", "70", "--target", "0.4", "--out", str(tmp_path / "one.ply")]
+    assert main(["large", "prune", str(tiny.splat), *words]) == 0
+    values = {"Scene": tiny.splat, "Dataset": tiny.folder, "Work": tmp_path / "work", "Out": tmp_path / "many.ply", "Target": 0.4, "Method": "svr"}
+    values |= {"Iterations": 40, "Recovery": 20, "Block": 70, "Parts": 2, "LastPart": 1}
+    (tmp_path / "work").mkdir()
+    run = engine_run(openjd.TEMPLATE.with_name("large_scene_photographs.json"), values, tmp_path, "--step", "Finish", "--run-dependencies")
+    said = run.communicate(timeout=180)[0]
+    assert run.returncode == 0 and "openjd_status: decide: " in said, said
+    assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
+
+
 def wait_for_task(job: Path) -> list[str]:
     """Process numbers of what does a task of the job."""
     end = time.monotonic() + 60

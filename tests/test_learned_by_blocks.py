@@ -19,6 +19,7 @@ from svrgs_addon.finetune.methods.masked import CERTAIN
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.jobs import run_job
+from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.large.blocks import Divided, divide, gathered, scene_of
 from svrgs_addon.large.learning import clear_learned, decide, recover, targets
 from svrgs_addon.large.likeness import PhotographLikeness
@@ -143,6 +144,10 @@ def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(tiny, tm
     assert "svrgs large" not in caplog.text and [path.name for path in tmp_path.iterdir()] == ["o.spz"]
     done = svrgs("prune", tiny.splat, *words, "--method", "svr", "--visible-mask")
     assert done.status == 0 and "before  250 Gaussians, PSNR" in done.out and "of the Gaussians at" in done.out
+    said: list[str] = []
+    options = PruneOptions(scene=tiny.splat, out=tmp_path / "o.ply", colmap=tiny.folder, target=0.5, iterations=20, recovery=10, quiet=True)
+    run_job.prune_scene(options, lambda job: replace(job, part=lambda text, _: said.append(text)))
+    assert any(text.startswith("decide: block 0, 125 Gaussians: Removing") for text in said) and any(text.startswith("recover: ") for text in said)
     refused = svrgs("prune", tiny.splat, *words, "--method", "svr")
     assert refused.status == 2 and "with --visible-mask, or with removal to a number, it would be pruned by blocks" in refused.err
     other = svrgs("prune", tiny.splat, *words, "--method", "maskgs")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -83,7 +83,7 @@ def request_of(options: PruneOptions) -> Request:
 
 
 def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str, Any]:
-    """Does `svrgs prune` by blocks; of the context, `stop` counts. reason: why, in a sentence. Returns the JSON result. Raises SplatError, Cancelled."""
+    """Does `svrgs prune` by blocks; of the context, `stop` and `part` count. reason: why, in a sentence. Returns the JSON result. Raises SplatError, Cancelled."""
     assert options.scene is not None and options.out is not None
     begun, reporter = time.perf_counter(), Reporter(options.quiet)
     reason = memory.without_advice(reason)
@@ -93,19 +93,20 @@ def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str
     train, test, more = _views(options, *sample_of(options.scene))
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
     left = NOT_FINISHED.format("the files that are there are complete" if level_files(options.out, options.levels) else "nothing was written")
-    told = lambda step: _told(step, reporter, job.stop, left)  # noqa: E731
+    told = lambda step: _told(step, reporter, job, left)  # noqa: E731
     result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, told, request=request)
     after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
     return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more, *result["notes"]]}
 
 
-def _told(step: str, reporter: Reporter, stop: Callable[[], bool], left: str) -> Tell:
+def _told(step: str, reporter: Reporter, job: JobContext, left: str) -> Tell:
     """Reports progress. left: a sentence on what a stop leaves."""
 
     def tell(text: str, share: float):
-        if stop():
+        if job.stop():
             raise Cancelled(left)
         reporter.part(f"{step}: {text}", share)
+        job.part(f"{step}: {text}", share)
 
     return tell
 

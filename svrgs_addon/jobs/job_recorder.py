@@ -47,7 +47,10 @@ class JobRecorder:
 
     def attached(self, job: JobContext) -> JobContext:
         """The context of the job, with this recorder as its observer."""
-        return replace(job, order=self.folder.path, begin=self.begin, observe=self.observe, tell=self._planned, recorded=RECORDED)
+        return replace(job, order=self.folder.path, begin=self.begin, observe=self.observe, part=self._part, tell=self._planned, recorded=RECORDED)
+
+    def _part(self, text: str, _):
+        self.listener.progress("looping", text)
 
     def _planned(self, planned: TimePlan, _):
         self.listener.tell("STATUS", asked=planned.asked, foreseen=planned.foreseen, schedule=planned.schedule)
