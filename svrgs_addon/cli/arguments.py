@@ -33,8 +33,8 @@ LARGE = {
     "score": "Sums up what a part of the views sees of each Gaussian. Any number of machines may do the parts, in any order.",
     "reduce": "Adds the sums of all parts.",
     "merge": "Orders removals and merges in a part of the blocks. Any number of machines may do the parts, in any order.",
+    "cut": "Removes and merges up to one cost for the whole scene. For a method, this stands for the blocks around one.",
     "decide": "Lets the method decide on the photographs in a part of the blocks. Any number of machines may do the parts, in any order.",
-    "cut": "Removes and merges up to one cost for the whole scene; or joins what the method has left.",
     "tune": "Fine-tunes a part of the blocks. Any number of machines may do the parts, in any order. It may be left out.",
     "finish": "Joins the blocks into the result, and measures it.",
 }

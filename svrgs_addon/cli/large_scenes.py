@@ -15,16 +15,16 @@ from ..farm.engine_messages import Messages
 from ..files.registry import format_to_read
 from ..jobs.by_blocks import request_of
 from ..jobs.options import PruneOptions
-from ..large.blocks import Divided, clear, divide, gathered
+from ..large.blocks import Divided, clear, divide
 from ..large.folder import measured_views, prepare, refuse_foreign, scored_views
-from ..large.learning import clear_learned, decide, recover, targets
+from ..large.learning import decide, prepare_around, recover, targets
 from ..large.likeness import Likeness
 from ..large.merging import merge, reduce
 from ..large.pruning import finish, finish_learned
 from ..large.request import Request
 from ..large.sample import finer, refuse_hidden, sample_of
 from ..large.scoring import score
-from ..large.tuning import CUT, EPOCHS, TUNED, cut, tune
+from ..large.tuning import EPOCHS, TUNED, cut, tune
 from ..large.whole import Goal, check_out, prune_by_blocks
 from ..option_kinds import default_of
 from ..photographs.camera_files import load_cameras
@@ -90,8 +90,6 @@ def _divide(words: argparse.Namespace) -> dict[str, Any]:
     request, (scored, measured) = _request(words), _views(words)
     prepare(words.work, scored, measured, request)
     divided = divide(words.scene.absolute(), words.work, words.block, _told(words, "divide"))
-    if request is not None:
-        clear_learned(divided)
     return {"work": str(words.work), "count": divided.count, "blocks": len(divided.blocks), "views": len(scored)}
 
 
@@ -130,9 +128,8 @@ def _decide(words: argparse.Namespace) -> dict[str, Any]:
 def _cut(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
     if Request.read(words.work) is not None:
-        clear(words.work / TUNED)
-        left = gathered(words.work / CUT, divided)
-        return {"work": str(words.work), "blocks": len(left.blocks), "count": left.count}
+        prepare_around(divided, _told(words, "cut"))
+        return {"work": str(words.work), "blocks": len(divided.blocks), "count": divided.count}
     goal = Goal(words.target_count or 0, words.target or 0.0)
     if not (goal.count or goal.share):
         raise SceneError("how many Gaussians stay is not given: add --target or --target-count")

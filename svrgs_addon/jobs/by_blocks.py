@@ -83,7 +83,8 @@ def request_of(options: PruneOptions) -> Request:
 
 
 def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str, Any]:
-    """Does `svrgs prune` by blocks; of the context, `stop` and `part` count. reason: why, in a sentence. Returns the JSON result. Raises SplatError, Cancelled."""
+    """Does `svrgs prune` by blocks; of the context, `stop` and `part` count. reason: why, in a sentence. Returns the JSON result. Raises SplatError,
+    Cancelled."""
     assert options.scene is not None and options.out is not None
     begun, reporter = time.perf_counter(), Reporter(options.quiet)
     reason = memory.without_advice(reason)

@@ -15,7 +15,7 @@ from ..errors import FormatError
 from ..files.atomic import atomic_write
 from ..native import Rasterizer
 from ..scene import Scene
-from .blocks import Divided, Tell, arrays_of
+from .blocks import Block, Divided, Tell, arrays_of
 from .discs import Discs, Window
 from .views import shown
 
@@ -28,23 +28,29 @@ class Around:
 
     divided: Divided
     number: int  # of the block
+    blocks: list[Block]  # it, and those that are around it
     windows: list[Window | None]  # of each view; None: it does not show the block
     there: list[np.ndarray]  # of each block, (n,) bool: the Gaussians that are blended into a window
 
     @classmethod
-    def of(cls, divided: Divided, number: int, views: Sequence[Camera], tell: Tell = lambda *_: None) -> Around:
-        """Raises SplatError."""
+    def of(cls, divided: Divided, number: int, views: Sequence[Camera], tell: Tell = lambda *_: None, others: Divided | None = None) -> Around:
+        """others: what stands for the other blocks, divided alike; None: they themselves. Raises SplatError."""
         rasterizer, windows = Rasterizer(), list[Window | None]()
-        there = [np.zeros(block.count, bool) for block in divided.blocks]
+        blocks = list((others or divided).blocks)
+        blocks[number] = divided.blocks[number]
+        there = [np.zeros(block.count, bool) for block in blocks]
         for view, camera in enumerate(views):
             tell(f"block {number}, view {camera.name or view}", 0.5 * view / len(views))
-            windows.append(_window(divided, number, camera, _blended(divided, view, camera, rasterizer), there))
-        return cls(divided, number, windows, there)
+            places = _blended(divided, view, camera, rasterizer)
+            if others is not None:
+                places = [*(around := _blended(others, view, camera, rasterizer))[:number], places[number], *around[number + 1 :]]
+            windows.append(_window(blocks, number, camera, places, there))
+        return cls(divided, number, blocks, windows, there)
 
     @property
     def scene(self) -> Scene:
         """The Gaussians that are there, of all blocks, in their order."""
-        marked = [(block, np.flatnonzero(some)) for block, some in zip(self.divided.blocks, self.there, strict=True)]
+        marked = [(block, np.flatnonzero(some)) for block, some in zip(self.blocks, self.there, strict=True)]
         geometry = np.concatenate([block.geometry[rows] for block, rows in marked])
         sh = np.concatenate([block.sh(self.divided.coefficients)[rows] for block, rows in marked])
         return Scene(**arrays_of(geometry), sh=sh, antialiased=self.divided.antialiased)
@@ -56,28 +62,27 @@ class Around:
         return first, first + int(self.there[self.number].sum())
 
 
-def _window(divided: Divided, number: int, camera: Camera, blended: np.ndarray, there: list[np.ndarray]) -> Window | None:
-    """The window of a view in which it shows the block. blended: places through all blocks, which the view blends. there: those that are blended into the
+def _window(blocks: Sequence[Block], number: int, camera: Camera, places: Sequence[np.ndarray], there: Sequence[np.ndarray]) -> Window | None:
+    """The window of a view in which it shows the block. places: of each block, those that the view blends. there: those that are blended into the
     window are added."""
-    firsts = np.cumsum([0, *(block.count for block in divided.blocks)])
-    places = [some - first for some, first in zip(np.split(blended, np.searchsorted(blended, firsts[1:-1])), firsts, strict=False)]
-    window = Discs.of_geometry(divided.blocks[number].geometry[places[number]], camera).around(camera, MARGIN)
+    window = Discs.of_geometry(blocks[number].geometry[places[number]], camera).around(camera, MARGIN)
     if window is not None:
-        for block, some, marked in zip(divided.blocks, places, there, strict=True):
+        for block, some, marked in zip(blocks, places, there, strict=True):
             marked[some[Discs.of_geometry(block.geometry[some], camera).touch(window)]] = True
     return window
 
 
-def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer) -> np.ndarray:
-    """The places of the Gaussians that a view blends, counted through all blocks, ascending, int64. Whoever needs them first writes them into the folder.
-    Raises SplatError."""
-    path = divided.folder / f"{view}.blended.npy"
+def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer) -> list[np.ndarray]:
+    """Of each block, the places of the Gaussians that a view blends, ascending, int64. Whoever needs them first writes them into the folder. Raises
+    SplatError."""
+    path, firsts = divided.folder / f"{view}.blended.npy", np.cumsum([0, *(block.count for block in divided.blocks)])
     if not path.exists():
-        firsts, found = np.cumsum([0, *(block.count for block in divided.blocks)]), shown(divided, camera, rasterizer)
+        found = shown(divided, camera, rasterizer)
         places = [firsts[block.number] + some for block, some in zip(found.blocks, found.places, strict=True)]
         with atomic_write(path) as file:
             np.save(file, np.concatenate([np.zeros(0, np.uint32), *places]).astype(np.uint32))
     try:
-        return np.load(path, allow_pickle=False).astype(np.int64)
+        blended = np.load(path, allow_pickle=False).astype(np.int64)
     except (OSError, ValueError, EOFError) as error:
         raise FormatError(f"{path}: cannot be read ({error}); remove it, and start the step again") from None
+    return [some - first for some, first in zip(np.split(blended, np.searchsorted(blended, firsts[1:-1])), firsts, strict=False)]

@@ -12,6 +12,7 @@ from ..errors import SceneError
 from ..photographs.camera_files import load_cameras
 from ..photographs.cameras_json import write_cameras_json
 from .blocks import clear
+from .learning import AROUND
 from .request import FILE as REQUEST
 from .request import Request
 from .tuning import CUT, MIXED, TUNED
@@ -49,7 +50,7 @@ def measured_views(work: Path) -> list[Camera]:
 
 def remove(work: Path):
     """Removes what was written into the folder, and the folder, if nothing else is in it."""
-    for folder in (work / RESULT, work / CUT, work / TUNED, work / MIXED, work):
+    for folder in (work / RESULT, work / AROUND, work / CUT, work / TUNED, work / MIXED, work):
         clear(folder)
         shutil.rmtree(folder / HELD, ignore_errors=True)
         for path in (folder / SCORED, folder / MEASURED, folder / REQUEST, *folder.glob(LEVEL.format("[0-9]*"))):

@@ -5,8 +5,8 @@ photograph where it is seen. The others are trained along, but only the block's 
 scene would have on these views. So a Gaussian is seen as often, and lambda_F is the same price for all blocks. A number of Gaussians to keep is divided among
 the blocks by the costs of merging.py.
 
-All blocks decide from the original. Then each recovers with what the others have kept around it. No block uses what another has learned in the same step, so
-any order gives the same bits.
+All blocks decide from the original; while one does, a merged level of detail stands for the others (around/). Then each recovers with what the others have
+kept. No block uses what another has learned in the same step, so any order gives the same bits.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..scene import Scene
 from .around import Around
-from .blocks import Divided, Tell, clear, write_block
+from .blocks import Divided, Tell, gathered, write_block
 from .merging import counts
-from .tuning import CUT, TUNED, write_own
+from .tuning import CUT, TUNED, emptied, level, write_own
 
 
 @dataclass
@@ -55,11 +55,15 @@ class BlockViews(Dataset):
         return (self.windows or {})[index]
 
 
-def clear_learned(divided: Divided):
-    """Makes the folders of what decide() and recover() write, and empties them."""
-    for folder in (divided.folder / CUT, divided.folder / TUNED):
-        folder.mkdir(exist_ok=True)
-        clear(folder)
+AROUND, LEVEL = "around", 0.25  # folder of the level of detail that stands for other blocks, and its share of the Gaussians
+
+
+def prepare_around(divided: Divided, tell: Tell = lambda *_: None):
+    """Writes the level of detail that stands for other blocks, and empties the folders of decide() and recover(). Raises SplatError."""
+    for name in (AROUND, CUT, TUNED):
+        emptied(divided, name)
+    if len(divided.blocks) > 1:
+        level(divided, max(1, round(LEVEL * divided.count)), AROUND, tell)
 
 
 def targets(divided: Divided, wanted: int) -> list[int]:
@@ -70,7 +74,8 @@ def targets(divided: Divided, wanted: int) -> list[int]:
 def decide(divided: Divided, number: int, dataset: Dataset, plan: Plan, target: int, tell: Tell = lambda *_: None):
     """Writes what is left of a block after the steps in which the method decides. target: Gaussians to keep of it; 0: the method decides. Raises
     SplatError."""
-    around, views = _around(divided, number, dataset, tell)
+    others = Divided.read(divided.folder / AROUND) if len(divided.blocks) > 1 else None
+    around, views = _around(divided, number, dataset, tell, others)
     scene, (first, end) = around.scene, around.own
     inside = np.zeros(scene.count, bool)
     inside[first:end] = True
@@ -88,7 +93,7 @@ def decide(divided: Divided, number: int, dataset: Dataset, plan: Plan, target: 
 
 def recover(divided: Divided, number: int, dataset: Dataset, plan: Plan, tell: Tell = lambda *_: None):
     """Writes a block of what was decided on, after the recovery steps. Raises SplatError."""
-    left = Divided.read(divided.folder / CUT)
+    left = gathered(divided.folder / CUT, divided)
     around, views = _around(left, number, dataset, tell)
     scene, own = around.scene, around.own
     plan = _of_part(plan, False, _share(views, dataset), own, 0)
@@ -100,9 +105,9 @@ def recover(divided: Divided, number: int, dataset: Dataset, plan: Plan, tell: T
     write_own(left, number, around.there[number], scene.select(rows))
 
 
-def _around(divided: Divided, number: int, dataset: Dataset, tell: Tell) -> tuple[Around, BlockViews]:
-    """What is around a block in the training views, with all of the block; and the views that show it."""
-    around = Around.of(divided, number, [dataset.cameras[view] for view in dataset.train_indices], tell)
+def _around(divided: Divided, number: int, dataset: Dataset, tell: Tell, others: Divided | None = None) -> tuple[Around, BlockViews]:
+    """What is around a block in the training views, with all of the block; and the views that show it. others: as for Around.of()."""
+    around = Around.of(divided, number, [dataset.cameras[view] for view in dataset.train_indices], tell, others)
     around.there[number][:] = True
     return around, BlockViews.of(dataset, around)
 

@@ -16,7 +16,7 @@ from ..files.spooled import spooled
 from ..metrics.explained import mismatch_of
 from ..metrics.format_loss import loss_notes
 from ..photographs.dataset import Dataset
-from .blocks import Divided, Tell, divide, scene_of
+from .blocks import Divided, Tell, divide, gathered, scene_of
 from .folder import RESULT
 from .likeness import Likeness, PhotographLikeness
 from .opened import BlockRasterizer
@@ -37,6 +37,7 @@ def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str]
 def finish_learned(divided: Divided, request: Request, dataset: Dataset, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
     """finish() of what a method has decided on photographs, which are the measure. Raises SplatError."""
     likeness = PhotographLikeness(dataset, told)
+    gathered(divided.folder / CUT, divided)
     result = finish(divided, likeness, out, told)
     before = {**likeness.measured(divided), "lpips": None, "ms_per_frame": None, **result["before"]}
     notes = [*dataset.notes, *filter(None, [mismatch_of(divided, dataset, BlockRasterizer())]), *result["notes"]]

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from statistics import fmean
 
 import numpy as np
@@ -44,17 +45,28 @@ EPOCHS = 2  # times that each view is shown, if nothing else is asked for
 def cut(divided: Divided, cameras: Sequence[Camera], wanted: int, tell: Tell = lambda *_: None) -> Divided:
     """Removes and merges until `wanted` Gaussians are left. Writes what is left of each block, and how large the error is in some views. Raises
     SplatError."""
-    folder, kept, start = divided.folder / CUT, counts(divided, wanted), 0
-    for one in (folder, divided.folder / TUNED):
-        one.mkdir(exist_ok=True)
-        clear(one)
+    emptied(divided, TUNED)
+    left = level(divided, wanted, CUT, tell)
+    with atomic_write(left.folder / ERROR) as file:
+        file.write(json.dumps({"error": _error(divided, left, reduced(cameras))}).encode())
+    return left
+
+
+def level(divided: Divided, wanted: int, name: str, tell: Tell = lambda *_: None) -> Divided:
+    """Removes and merges until `wanted` Gaussians are left, and writes what is left of each block into the folder `name`. Raises SplatError."""
+    folder, kept, start = emptied(divided, name), counts(divided, wanted), 0
     for number, scene in enumerate(merged(divided, kept, tell)):
         write_block(folder, number, scene, start)
         start += scene.count
-    left = gathered(folder, divided)
-    with atomic_write(folder / ERROR) as file:
-        file.write(json.dumps({"error": _error(divided, left, reduced(cameras))}).encode())
-    return left
+    return gathered(folder, divided)
+
+
+def emptied(divided: Divided, name: str) -> Path:
+    """The folder `name` beside the blocks, without what an earlier run left there."""
+    folder = divided.folder / name
+    folder.mkdir(exist_ok=True)
+    clear(folder)
+    return folder
 
 
 def _error(divided: Divided, left: Divided, views: Sequence[Camera]) -> float:

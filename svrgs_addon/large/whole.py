@@ -16,15 +16,15 @@ from ..finetune.quality import LEAST
 from ..metrics.format_loss import loss_notes
 from ..photographs.dataset import Dataset
 from .allowed_drop import drop, errors_of_format, fewest_within
-from .blocks import MOST, Divided, Tell, divide, gathered
+from .blocks import MOST, Divided, Tell, divide
 from .folder import LEVEL, SCORED, measured_views, prepare, refuse_foreign, remove, scored_views
-from .learning import clear_learned, decide, recover, targets
+from .learning import decide, prepare_around, recover, targets
 from .likeness import Likeness
 from .merging import merge, reduce
 from .pruning import finish, finish_learned, join_levels, write_left
 from .request import Request
 from .scoring import score
-from .tuning import CUT, EPOCHS, cut, tune
+from .tuning import EPOCHS, cut, tune
 
 SUMS, COPIES = 1.2, 4  # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
 Told = Callable[[str], Tell]  # of the name of a step
@@ -99,12 +99,10 @@ def _order(divided: Divided, scored: Sequence[Camera], told: Told):
 def _learned(divided: Divided, scored: Sequence[Camera], request: Request, dataset: Dataset, goal: Goal, out: Path, told: Told) -> dict[str, Any]:
     """The result of a method that decides on the photographs of the dataset."""
     plan, wanted = request.plan, goal.number(divided.count) if goal.count or goal.share else 0
-    if wanted:
-        _order(divided, scored, told)
-    clear_learned(divided)
+    _order(divided, scored, told)
+    prepare_around(divided, told("merge"))
     for number, target in enumerate(targets(divided, wanted)):
         decide(divided, number, dataset, plan, target, told("decide"))
-    gathered(divided.folder / CUT, divided)
     for number in range(len(divided.blocks) if request.recovery else 0):
         recover(divided, number, dataset, plan, told("recover"))
     return finish_learned(divided, request, dataset, out, told)
