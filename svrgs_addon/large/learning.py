@@ -11,6 +11,7 @@ kept. No block uses what another has learned in the same step, so any order give
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -80,7 +81,7 @@ def decide(divided: Divided, number: int, dataset: Dataset, plan: Plan, target: 
     inside = np.zeros(scene.count, bool)
     inside[first:end] = True
     kept = ~inside | _first_cut(scene, inside, views, plan, target)
-    scene, own = scene.select(kept), (first, first + int(kept[first:end].sum()))
+    scene, own = scene if kept.all() else scene.select(kept), (first, first + int(kept[first:end].sum()))
     run_plan = _of_part(plan, True, _share(views, dataset), own, target and target + scene.count - (own[1] - own[0]))
     rows = np.arange(*own)
     if views.train_indices and run_plan.phases and len(rows) > 1:
@@ -96,7 +97,7 @@ def recover(divided: Divided, number: int, dataset: Dataset, plan: Plan, tell: T
     left = gathered(divided.folder / CUT, divided)
     around, views = _around(left, number, dataset, tell)
     scene, own = around.scene, around.own
-    plan = _of_part(plan, False, _share(views, dataset), own, 0)
+    plan = replace(_of_part(plan, False, _share(views, dataset), own, 0), method=copy(plan.method))
     if "count" in plan.method.state():  # of the Gaussians before pruning
         plan.method.restore(plan.method.state() | {"count": round(scene.count * divided.count / left.count)})
     rows = np.arange(*own)
@@ -139,11 +140,11 @@ def _shortened(phase: Phase, share: float) -> Phase:
 
 
 def _run(divided: Divided, number: int, scene: Scene, views: BlockViews, plan: Plan, tell: Tell) -> tuple[Scene, np.ndarray]:
-    """The scene after all steps of the plan, and the rows of the block in it."""
+    """The scene after all steps of the plan, and the rows of the block in it. The arrays of the given scene are changed."""
     cameras = [views.cameras[view] for view in views.train_indices]
     needed = memory.tuning(scene.count, divided.coefficients, cameras, views.memory_budget)
     memory.refuse_excess(f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}", needed)
-    run = Run(Model.of(scene), views, plan, NativeEngine(), scene.antialiased)
+    run = Run(Model.of(scene, copy=False), views, plan, NativeEngine(), scene.antialiased)
 
     def observe(progress: loop.Progress):
         tell(f"block {number}, {progress.count:,} Gaussians: {progress.label}", 0.5 + 0.5 * progress.iteration / progress.total)
