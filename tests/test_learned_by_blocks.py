@@ -6,10 +6,13 @@ import json
 import logging
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import room_dataset
+from job_checks import create
 from plans import prune_settings
 from svrgs_addon.errors import FormatError, MemoryShort, SceneError
 from svrgs_addon.files.registry import read_scene, write_scene
@@ -19,6 +22,7 @@ from svrgs_addon.finetune.methods.masked import CERTAIN
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.jobs import run_job
+from svrgs_addon.jobs.job_recorder import PruneRecorder
 from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.large.blocks import Divided, divide, gathered, scene_of
 from svrgs_addon.large.learning import decide, prepare_around, recover, targets
@@ -29,7 +33,8 @@ from svrgs_addon.large.scoring import score
 from svrgs_addon.large.tuning import CUT, TUNED
 from svrgs_addon.metrics.evaluate import evaluate
 from svrgs_addon.native import Rasterizer
-from tiny_dataset import COUNT, FAINT, SEEN
+from svrgs_addon.photographs.dataset import Dataset, load_dataset
+from tiny_dataset import COUNT, FAINT
 
 STEPS = ("--iterations", 40, "--recovery", 20)
 SHORT = MemoryShort("a.ply: fine-tuning needs 90 GB of memory, but only 1 GB is available; svrgs large prunes it by blocks, with less")
@@ -71,20 +76,32 @@ def test_one_block_is_decided_as_the_scene_in_memory(tiny, data, tmp_path, svrgs
         assert (found[name] == getattr(whole, name)).all(), name
 
 
-def test_blocks_are_decided_and_recovered_in_any_order_and_nearly_as_well(tiny, data, tmp_path):
-    plan = prune_settings("removal", 40, 40, full=False)
-    quality = PhotographLikeness(data).psnr
-    one, best = learned(tiny, data, tmp_path / "one", COUNT, plan, wanted=SEEN)
-    left, recovered = learned(tiny, data, tmp_path / "many", COUNT // 4, plan, wanted=SEEN)
-    again = learned(tiny, data, tmp_path / "again", COUNT // 4, plan, reversed, wanted=SEEN)
-    assert len(left.blocks) == 6 and abs(left.count - SEEN) <= 8 and one.count == SEEN
+@pytest.fixture(scope="module")
+def inside(tmp_path_factory) -> tuple[SimpleNamespace, Dataset]:
+    """A room and its photographs, each of which shows a part of it."""
+    folder = tmp_path_factory.mktemp("room")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(room_dataset, "WIDTH", 240)
+        patch.setattr(room_dataset, "HEIGHT", 160)
+        room_dataset.write_room(folder, 6_000, 16)
+    return SimpleNamespace(splat=folder / "scene.ply", folder=folder), load_dataset(folder)
+
+
+def test_blocks_are_decided_and_recovered_in_any_order_and_nearly_as_well(inside, tmp_path):
+    room, photographs = inside
+    plan = prune_settings("removal", 60, 160, full=False)
+    quality = PhotographLikeness(photographs).psnr
+    _, best = learned(room, photographs, tmp_path / "one", 6_000, plan, wanted=3_000)
+    left, recovered = learned(room, photographs, tmp_path / "many", 2_000, plan, wanted=3_000)
+    again = learned(room, photographs, tmp_path / "again", 2_000, plan, reversed, wanted=3_000)
+    assert len(left.blocks) == 4 and left.count == recovered.count == best.count == 3_000
     for first, second in zip((left, recovered), again, strict=True):
         assert all((array == together(second)[name]).all() for name, array in together(first).items())
-    assert quality(recovered) > quality(left) and abs(quality(recovered) - quality(best)) < 1.0, "of a scene whose Gaussians are all in each other's way"
-    assert quality(recovered) == pytest.approx(evaluate_of(recovered, data), abs=0.01)
+    assert quality(recovered) > quality(left) + 0.2 and abs(quality(recovered) - quality(best)) < 0.5
+    assert quality(recovered) == pytest.approx(evaluate_of(recovered, photographs), abs=0.01)
 
 
-def evaluate_of(divided: Divided, data) -> float:
+def evaluate_of(divided: Divided, data: Dataset) -> float:
     scene = replace(scene_of(divided, divided.blocks[0]), **together(divided))
     return evaluate(scene, data, data.test_indices, Rasterizer())["psnr"]
 
@@ -158,6 +175,29 @@ def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(tiny, tm
     assert refused.status == 2 and "with --visible-mask, or with removal to a number, it would be pruned by blocks" in refused.err
     other = svrgs("prune", tiny.splat, *words, "--method", "maskgs")
     assert other.status == 2 and other.err.count("svrgs large prunes it by blocks") == 1
+
+
+def test_a_job_of_blender_goes_over_to_blocks_too_and_tells_what_it_does(tiny, tmp_path, monkeypatch):
+    class Listener:
+        said: list[str] = []  # noqa: RUF012
+
+        def tell(self, kind: str, **facts):
+            pass
+
+        def progress(self, stage: str, label: str, **facts):
+            assert stage == "looping", "so a stop removes the blocks"
+            self.said.append(label)
+
+    def short(*_):
+        raise SHORT
+
+    monkeypatch.setattr(run_job.train_and_prune, "prune", short)
+    folder = create(tmp_path / "job", tiny, method="removal", iterations=20, recovery=10, target=0.5)
+    recorder = PruneRecorder(folder, Listener())
+    result = recorder.finish(run_job.prune_scene(folder.options(), recorder.attached))
+    assert any(text.startswith("decide: block 0") for text in Listener.said)
+    assert result["merged"] and result["count"] == COUNT // 2 and result["before"]["psnr"] > 15
+    assert read_scene(folder / "pruned.ply").count == COUNT // 2 and not list((tmp_path / "job").glob("*.blocks"))
 
 
 def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):

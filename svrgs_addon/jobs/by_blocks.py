@@ -29,6 +29,7 @@ from .rendered_views import LONGEST, MOST, refuse_options, views_of
 
 TAKES = (  # options; with others, the scene must be read as a whole
     "colmap", "images", "holdout", "cameras", "seen_from_only", "threads", "seed", "target", "target_count", "quiet", "quick", "method", "scene", "out",
+    "resume",  # it begins again: nothing is saved
 )  # fmt: skip
 QUICK_VIEWS = 64  # that are placed for a quick job
 OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
