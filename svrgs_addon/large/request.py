@@ -46,14 +46,8 @@ class Request:
             raise SceneError(f"method '{self.method}' needs the scene in memory; by blocks, choose one of {', '.join(methods())}")
         if not self.iterations:
             raise SceneError("by blocks, a method decides in steps: give --iterations a number above 0")
-        settings: dict[str, Any] = {
-            "lambda_f": self.lambda_f,
-            "seed": self.seed,
-            "full": False,
-            "background": self.background,
-            "min_contribution": self.min_contribution,
-        }
-        return prune_plan(method_named(self.method), self.iterations, self.recovery, **settings)
+        settings: dict[str, Any] = {name: getattr(self, name) for name in ("lambda_f", "seed", "background", "min_contribution")}
+        return prune_plan(method_named(self.method), self.iterations, self.recovery, full=False, **settings)
 
     @property
     def dataset(self) -> Dataset:

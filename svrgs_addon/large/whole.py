@@ -99,7 +99,8 @@ def _order(divided: Divided, scored: Sequence[Camera], told: Told):
 def _learned(divided: Divided, scored: Sequence[Camera], request: Request, dataset: Dataset, goal: Goal, out: Path, told: Told) -> dict[str, Any]:
     """The result of a method that decides on the photographs of the dataset."""
     plan, wanted = request.plan, goal.number(divided.count) if goal.count or goal.share else 0
-    _order(divided, scored, told)
+    if wanted or len(divided.blocks) > 1:
+        _order(divided, scored, told)
     prepare_around(divided, told("merge"))
     for number, target in enumerate(targets(divided, wanted)):
         decide(divided, number, dataset, plan, target, told("decide"))
