@@ -271,7 +271,8 @@ def _large(commands):
             command.add_argument("scene", type=extended, help="splat file")
             _learning(command)
             cameras = command.add_mutually_exclusive_group()
-            cameras.add_argument("--colmap", type=extended, metavar="DIR", help="dataset, COLMAP model or transforms.json, for its cameras; with --method, for its photographs too")
+            help_ = "dataset, COLMAP model or transforms.json, for its cameras; with --method, for its photographs too"
+            cameras.add_argument("--colmap", type=extended, metavar="DIR", help=help_)
             help_ = "cameras.json of 3DGS, or transforms.json (default: as svrgs rig places cameras)"
             cameras.add_argument("--cameras", type=extended, metavar="JSON", help=help_)
             command.add_argument("--block", type=_reader(POSITIVE), default=2_000_000, metavar="N", help="Gaussians of a block, at most (default: 2000000)")
