@@ -68,7 +68,7 @@ def test_one_block_is_decided_as_the_scene_in_memory(tiny, data, tmp_path, svrgs
     """To the bit: with all photographs and all Gaussians, nothing is left out."""
     words = ["--colmap", tiny.folder, "--method", method, "--iterations", 40, "--recovery", 0, "--visible-mask", "--lambda-f", 0.02]
     assert svrgs("prune", tiny.splat, *words, "--out", tmp_path / "o.ply").status == 0
-    plan = Request(str(tiny.folder), method, 40, 0, 0.02 * METHODS[method].first_cut, lambda_f=0.02).plan
+    plan = Request(str(tiny.folder), method, 40, 0, 0.02 * METHODS[method].first_cut, lambda_f=0.02).plan()
     left, _ = learned(tiny, data, tmp_path / "blocks", COUNT, plan)
     whole, found = read_scene(tmp_path / "o.ply"), together(left)
     assert 20 < whole.count < COUNT - FAINT and left.count == whole.count
@@ -153,6 +153,8 @@ def test_steps_on_any_number_of_machines_give_the_bytes_of_one(tiny, tmp_path, s
     assert all(step.status == 0 for step in done), [step.err for step in done if step.status]
     assert "dB against the photographs, the original" in done[-1].out
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
+    fewer = [svrgs("large", *step) for step in (["decide", work, "--target", 0.2], ["tune", work], ["finish", work, "--out", tmp_path / "few.ply"])]
+    assert all(step.status == 0 for step in fewer) and read_scene(tmp_path / "few.ply").count == 50, "nothing of the first decision is left"
 
 
 def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(tiny, tmp_path, svrgs, monkeypatch, caplog):
@@ -258,10 +260,10 @@ def test_a_request_comes_back_as_it_was_written(tmp_path):
     request = Request("data", "svr", 30, 20, 0.02, lambda_f=0.5, background=(1.0, 0.5, 0.0), holdout=4)
     request.write(tmp_path)
     assert Request.read(tmp_path) == request and Request.read(tmp_path / "no") is None
-    assert set(methods()) == {"removal", "saliency", "svr", "svr-a", "svr-b", "svr-even", "svr-self"} and not request.plan.full
+    assert set(methods()) == {"removal", "saliency", "svr", "svr-a", "svr-b", "svr-even", "svr-self"} and not request.plan().full
     assert json.loads((tmp_path / FILE).read_text())["method"] == "svr"
     with pytest.raises(SceneError, match="choose one of"):
-        _ = replace(request, method="opacity").plan
+        replace(request, method="opacity").plan()
 
 
 def test_targets_of_blocks_are_the_number_together(tiny, tmp_path):

@@ -76,7 +76,7 @@ def _request(words: argparse.Namespace) -> Request | None:
         if not words.colmap:
             raise SceneError("--method decides on photographs: add --colmap, or leave it out")
         request = request_of(options_from(PruneOptions, words))
-        _ = request.dataset  # refused before anything is written
+        request.dataset()  # raises before anything is written
         return request
     given = [name for name in OF_METHODS if getattr(words, name, None) not in (None, default_of(PruneOptions, name))]
     if given:
@@ -118,7 +118,7 @@ def _decide(words: argparse.Namespace) -> dict[str, Any]:
     if request is None:
         raise SceneError(f"{words.work}: was divided without --method, so no method decides: merge and cut it")
     wanted = goal.number(divided.count) if goal.count or goal.share else 0
-    plan, dataset, targets_of = request.plan, request.dataset, targets(divided, wanted)
+    plan, dataset, targets_of = request.plan(), request.dataset(), targets(divided, wanted)
     numbers = range(len(divided.blocks))[words.part :: words.parts]
     for number in numbers:
         decide(divided, number, dataset, plan, targets_of[number], _told(words, "decide"))
@@ -153,7 +153,7 @@ def _tune(words: argparse.Namespace) -> dict[str, Any]:
 def _recover(words: argparse.Namespace, divided: Divided, request: Request) -> dict[str, Any]:
     if words.steps is not None:
         raise SceneError("--steps is for removals and merges: leave it out; --recovery of svrgs large divide gives the steps of a method")
-    numbers, plan, dataset = range(len(divided.blocks) if request.recovery else 0)[words.part :: words.parts], request.plan, request.dataset
+    numbers, plan, dataset = range(len(divided.blocks) if request.recovery else 0)[words.part :: words.parts], request.plan(), request.dataset()
     for number in numbers:
         recover(divided, number, dataset, plan, _told(words, "recover"))
     return {"work": str(words.work), "blocks": len(numbers)}
@@ -164,7 +164,7 @@ def _finish(words: argparse.Namespace) -> dict[str, Any]:
     check_out(words.out, divided.source)
     told = functools.partial(_told, words)
     if request is not None:
-        return finish_learned(divided, request, request.dataset, words.out, told)
+        return finish_learned(divided, request, request.dataset(), words.out, told)
     return finish(divided, Likeness(divided, measured_views(words.work), told), words.out, told)
 
 

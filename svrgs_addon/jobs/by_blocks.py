@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from .. import memory
@@ -79,7 +80,7 @@ def request_of(options: PruneOptions) -> Request:
         first_cut = MIN_CONTRIBUTION * method_named(method).first_cut
     same = ("iterations", "recovery", "images", "holdout", "lambda_f", "seed", "image_memory", "background")
     request = Request(str(options.colmap), method, min_contribution=first_cut, **{name: getattr(options, name) for name in same})
-    _ = request.plan
+    request.plan()
     return request
 
 
@@ -95,7 +96,7 @@ def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str
     train, test, more = _views(options, *sample_of(options.scene))
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
     left = NOT_FINISHED.format("the files that are there are complete" if level_files(options.out, options.levels) else "nothing was written")
-    told = lambda step: _told(step, reporter, job, left)  # noqa: E731
+    told = partial(_told, reporter=reporter, job=job, left=left)
     result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, told, request=request)
     after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
     return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more, *result["notes"]]}

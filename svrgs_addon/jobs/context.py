@@ -32,7 +32,7 @@ class JobContext:
     lpips: Callable | None = None  # (image, photograph) -> float
     lpips_missing: str = ""  # why lpips is None
     observe: Callable[[Progress], None] = lambda _: None  # called after each step
-    part: Callable[[str, float], None] = lambda *_: None  # of a job by blocks: called with what is done now, and the share of the work that is done
+    part: Callable[[str, float], None] = lambda *_: None  # progress of a job by blocks: called with a text and the share that is done, 0 to 1
     stop: Callable[[], bool] = lambda: False  # asked after each step
     begin: Callable[[Run], None] = lambda _: None  # called before the first step, after a checkpoint was restored
 

@@ -19,12 +19,13 @@ from .blocks import Block, Divided, Tell, arrays_of
 from .discs import Discs, Window
 from .views import shown
 
-MARGIN = 32  # pixels around what counts: so what is next to the block is tuned as in the whole scene
+MARGIN = 32  # pixels around the block in a window: so SSIM, and Gaussians beside the block, are nearly as with the whole picture
+BLENDED = "{}.blended.npy"  # file of a view
 
 
 @dataclass(frozen=True)
 class Around:
-    """Where views show a block, and what they blend there."""
+    """The parts of the views that show a block, and the Gaussians of all blocks that are blended into these parts."""
 
     divided: Divided
     number: int  # of the block
@@ -34,7 +35,7 @@ class Around:
 
     @classmethod
     def of(cls, divided: Divided, number: int, views: Sequence[Camera], tell: Tell = lambda *_: None, others: Divided | None = None) -> Around:
-        """others: what stands for the other blocks, divided alike; None: they themselves. Raises SplatError."""
+        """others: a scene with as many blocks, whose blocks take the place of the others; None: the others are those of `divided`. Raises SplatError."""
         rasterizer, windows = Rasterizer(), list[Window | None]()
         blocks = list((others or divided).blocks)
         blocks[number] = divided.blocks[number]
@@ -75,7 +76,7 @@ def _window(blocks: Sequence[Block], number: int, camera: Camera, places: Sequen
 def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer) -> list[np.ndarray]:
     """Of each block, the places of the Gaussians that a view blends, ascending, int64. Whoever needs them first writes them into the folder. Raises
     SplatError."""
-    path, firsts = divided.folder / f"{view}.blended.npy", np.cumsum([0, *(block.count for block in divided.blocks)])
+    path, firsts = divided.folder / BLENDED.format(view), np.cumsum([0, *(block.count for block in divided.blocks)])
     if not path.exists():
         found = shown(divided, camera, rasterizer)
         places = [firsts[block.number] + some for block, some in zip(found.blocks, found.places, strict=True)]

@@ -1,12 +1,12 @@
 """Decides on photographs, block by block, which Gaussians of a divided scene stay, with a method that has lambda_F; and recovers the quality.
 
 A block is a run of its own (finetune/run.py): of its Gaussians and of those that are blended around it, in the views that show the block, on the part of each
-photograph where it is seen. The others are trained along, but only the block's own may be removed, and only they are kept. A run has the steps that the whole
+photograph where it is seen. The others are trained, too, but only the block's own may be removed, and only they are kept. A run has the steps that the whole
 scene would have on these views. So a Gaussian is seen as often, and lambda_F is the same price for all blocks. A number of Gaussians to keep is divided among
 the blocks by the costs of merging.py.
 
-All blocks decide from the original; while one does, a merged level of detail stands for the others (around/). Then each recovers with what the others have
-kept. No block uses what another has learned in the same step, so any order gives the same bits.
+All blocks decide from the original; meanwhile a merged level of detail takes the place of the blocks around it (around/). Then each recovers with what the
+others have kept. No block uses what another has learned in the same step, so any order gives the same bits.
 """
 
 from __future__ import annotations
@@ -28,10 +28,12 @@ from ..metrics.evaluate import render_options
 from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..scene import Scene
-from .around import Around
-from .blocks import Divided, Tell, gathered, write_block
+from .around import BLENDED, Around
+from .blocks import Divided, Tell, clear, gathered, write_block
 from .merging import counts
 from .tuning import CUT, TUNED, emptied, level, write_own
+
+AROUND, AROUND_SHARE = "around", 0.25  # folder of the level of detail that takes the place of other blocks, and its share of the Gaussians
 
 
 @dataclass
@@ -56,15 +58,12 @@ class BlockViews(Dataset):
         return (self.windows or {})[index]
 
 
-AROUND, LEVEL = "around", 0.25  # folder of the level of detail that stands for other blocks, and its share of the Gaussians
-
-
 def prepare_around(divided: Divided, tell: Tell = lambda *_: None):
-    """Writes the level of detail that stands for other blocks, and empties the folders of decide() and recover(). Raises SplatError."""
+    """Writes the level of detail that takes the place of other blocks, and empties the folders of decide() and recover(). Raises SplatError."""
     for name in (AROUND, CUT, TUNED):
         emptied(divided, name)
     if len(divided.blocks) > 1:
-        level(divided, max(1, round(LEVEL * divided.count)), AROUND, tell)
+        level(divided, max(1, round(AROUND_SHARE * divided.count)), AROUND, tell)
 
 
 def targets(divided: Divided, wanted: int) -> list[int]:
@@ -89,6 +88,9 @@ def decide(divided: Divided, number: int, dataset: Dataset, plan: Plan, target: 
     if not len(rows):
         scene, rows = around.scene, np.array([first + int(np.argmax(around.scene.opacity_logits[first:end]))])
     start = sum(block.count for block in divided.blocks[:number])
+    clear(divided.folder / TUNED)  # what an earlier decision led to
+    for path in (divided.folder / CUT).glob(BLENDED.format("[0-9]*")):
+        path.unlink(missing_ok=True)
     write_block(divided.folder / CUT, number, scene.select(rows), start)
 
 

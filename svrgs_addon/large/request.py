@@ -39,7 +39,6 @@ class Request:
     image_memory: float = 4.0  # GB
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    @property
     def plan(self) -> Plan:
         """Raises SceneError for a method that cannot decide block by block, and for no steps."""
         if self.method not in methods():
@@ -49,7 +48,6 @@ class Request:
         settings: dict[str, Any] = {name: getattr(self, name) for name in ("lambda_f", "seed", "background", "min_contribution")}
         return prune_plan(method_named(self.method), self.iterations, self.recovery, full=False, **settings)
 
-    @property
     def dataset(self) -> Dataset:
         """Raises SceneError, FormatError."""
         found = load_dataset(

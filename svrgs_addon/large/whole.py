@@ -18,7 +18,7 @@ from ..photographs.dataset import Dataset
 from .allowed_drop import drop, errors_of_format, fewest_within
 from .blocks import MOST, Divided, Tell, divide
 from .folder import LEVEL, SCORED, measured_views, prepare, refuse_foreign, remove, scored_views
-from .learning import decide, prepare_around, recover, targets
+from .learning import AROUND_SHARE, decide, prepare_around, recover, targets
 from .likeness import Likeness
 from .merging import merge, reduce
 from .pruning import finish, finish_learned, join_levels, write_left
@@ -70,12 +70,12 @@ def prune_by_blocks(
         for path in outs:
             stack.enter_context(reserved(path))
         refuse_foreign(work)
-        dataset = request.dataset if request is not None else None
+        dataset = request.dataset() if request is not None else None
         try:
             prepare(work, *views(), request)
             divided, scored = divide(source.absolute(), work, block, told("divide")), scored_views(work)
             share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else LEAST
-            check_space(work / SCORED, int((SUMS + COPIES * share) * divided.bytes))
+            check_space(work / SCORED, int((SUMS + COPIES * share + (AROUND_SHARE if request else 0)) * divided.bytes))
             if request is not None and dataset is not None:
                 return _learned(divided, scored, request, dataset, goal, out, told)
             likeness = Likeness(divided, measured_views(work), told)
@@ -98,7 +98,7 @@ def _order(divided: Divided, scored: Sequence[Camera], told: Told):
 
 def _learned(divided: Divided, scored: Sequence[Camera], request: Request, dataset: Dataset, goal: Goal, out: Path, told: Told) -> dict[str, Any]:
     """The result of a method that decides on the photographs of the dataset."""
-    plan, wanted = request.plan, goal.number(divided.count) if goal.count or goal.share else 0
+    plan, wanted = request.plan(), goal.number(divided.count) if goal.count or goal.share else 0
     if wanted or len(divided.blocks) > 1:
         _order(divided, scored, told)
     prepare_around(divided, told("merge"))
