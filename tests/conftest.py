@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,6 +87,25 @@ def svrgs(capfd):
         return Outcome(status, *capfd.readouterr())
 
     return run
+
+
+@pytest.fixture
+def stop_at(monkeypatch):
+    """Sends Ctrl-C, once, when a job by blocks tells of a step, at or after this share of it."""
+    from svrgs_addon.jobs.progress import Reporter
+
+    told = Reporter.part
+
+    def stop(step: str, at: float = 0.0):
+        def part(self, text: str, share: float):
+            told(self, text, share)
+            if text.startswith(step) and share >= at:
+                monkeypatch.setattr(Reporter, "part", told)
+                signal.raise_signal(signal.SIGINT)
+
+        monkeypatch.setattr(Reporter, "part", part)
+
+    return stop
 
 
 @pytest.fixture

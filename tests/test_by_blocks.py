@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -175,23 +174,6 @@ def test_what_blocks_cannot_do_is_refused_as_before(svrgs, monkeypatch, short, s
     monkeypatch.setattr(ply.read_ply, "__defaults__", (COUNT - 1,))
     many = svrgs("prune", source, *words, "--out", tmp_path / "o.ply")
     assert many.status == 2 and "more than the limit" in many.err and many.err.count("svrgs large prunes it by blocks") == 1
-
-
-@pytest.fixture
-def stop_at(monkeypatch):
-    """Sends Ctrl-C when progress tells of a step."""
-
-    def stop(step: str):
-        told = by_blocks.Reporter.part
-
-        def part(self, text: str, share: float):
-            told(self, text, share)
-            if text.startswith(step):
-                signal.raise_signal(signal.SIGINT)
-
-        monkeypatch.setattr(by_blocks.Reporter, "part", part)
-
-    return stop
 
 
 def test_a_stop_leaves_nothing_behind(svrgs, short, stop_at, source, tmp_path):

@@ -19,6 +19,7 @@ from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.files import disk_space
 from svrgs_addon.files.disk_space import CAN_HOLD, HeldSpace, refuse_shortage
 from svrgs_addon.files.ply import read_ply
+from svrgs_addon.finetune import loop
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.jobs.job_folder import JobFolder
 from tiny_jobs import SETTINGS, TRAINING
@@ -71,7 +72,7 @@ def test_the_room_is_held_until_it_is_used_and_then_free_again(tiny, data, tmp_p
         write(path, scene)
 
     monkeypatch.setattr(train_and_prune, "write_scene", last)
-    monkeypatch.setattr(train_and_prune, "CHECKPOINT_SECONDS", 0)
+    monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)
     job = train_and_prune.JobContext(tmp_path / "o.ply", observe=lambda _: seen.append(held_in(tmp_path)))
     if command == "prune":
         train_and_prune.prune(tiny.splat, data, SETTINGS, job)

@@ -19,7 +19,7 @@ from faults import WRITERS, digest
 from plans import prune_settings
 from svrgs_addon.errors import SceneError, SplatError
 from svrgs_addon.files.ply import read_ply
-from svrgs_addon.finetune import checkpoint
+from svrgs_addon.finetune import checkpoint, loop
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.photographs.dataset import load_dataset
 
@@ -32,7 +32,7 @@ SETTINGS = replace(prune_settings("svr", 30, 10, prune_every=15, lambda_f=1e-3),
 # --- killed
 
 
-@pytest.mark.parametrize("target", ["run", *WRITERS])
+@pytest.mark.parametrize("target", ["run", "blocks", *WRITERS])
 def test_killed_at_random_moments(target, tmp_path):
     """A few here; `python -m tests.faults` for 200 each."""
     environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "TMPDIR": str(tmp_path)}
@@ -145,7 +145,7 @@ def test_photographs_that_vanish_lose_no_work(tiny, data, tmp_path, damage):
 
 def test_a_full_disk_at_the_end_leaves_the_last_checkpoint(tiny, data, tmp_path, monkeypatch):
     out = tmp_path / "o.ply"
-    monkeypatch.setattr(train_and_prune, "CHECKPOINT_SECONDS", 0)
+    monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def write(path, scene):
@@ -168,7 +168,7 @@ def test_a_full_disk_at_the_end_leaves_the_last_checkpoint(tiny, data, tmp_path,
 
 def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tiny, data, tmp_path, monkeypatch):
     out = tmp_path / "o.ply"
-    monkeypatch.setattr(train_and_prune, "CHECKPOINT_SECONDS", 0)
+    monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
         with pytest.raises(SceneError, match="arrays.npz: cannot be written"):
@@ -187,8 +187,8 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tiny, data, t
 FULL_DISK = """
 import resource, sys
 from svrgs_addon.cli.main import main
-from svrgs_addon.jobs import train_and_prune
-train_and_prune.CHECKPOINT_SECONDS = 0
+from svrgs_addon.finetune import loop
+loop.CHECKPOINT_SECONDS = 0
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
 sys.exit(main(sys.argv[1:]))
 """

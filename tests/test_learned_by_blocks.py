@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import room_dataset
+from block_checks import ready
 from job_checks import create
 from plans import prune_settings
 from svrgs_addon.errors import FormatError, MemoryShort, SceneError
@@ -25,11 +26,9 @@ from svrgs_addon.jobs import run_job
 from svrgs_addon.jobs.job_recorder import PruneRecorder
 from svrgs_addon.jobs.options import PruneOptions
 from svrgs_addon.large.blocks import Divided, divide, gathered, scene_of
-from svrgs_addon.large.learning import decide, prepare_around, recover, targets
+from svrgs_addon.large.learning import decide, recover, targets
 from svrgs_addon.large.likeness import PhotographLikeness
-from svrgs_addon.large.merging import merge, reduce
 from svrgs_addon.large.request import FILE, Request, methods
-from svrgs_addon.large.scoring import score
 from svrgs_addon.large.tuning import CUT, TUNED
 from svrgs_addon.metrics.evaluate import evaluate
 from svrgs_addon.native import Rasterizer
@@ -42,12 +41,7 @@ SHORT = MemoryShort("a.ply: fine-tuning needs 90 GB of memory, but only 1 GB is 
 
 def learned(tiny, data, folder, most: int, plan, order=None, wanted: int = 0) -> tuple[Divided, Divided]:
     """What is decided on, and what is recovered; in this order of the blocks."""
-    divided, views = divide(tiny.splat, folder, most), [data.cameras[index] for index in data.train_indices]
-    score(divided, views, 0, 1)
-    reduce(divided, views)
-    for block in divided.blocks:
-        merge(divided, block.number)
-    prepare_around(divided)
+    divided = ready(tiny.splat, data, folder, most)
     shares = [round(wanted * block.count / divided.count) for block in divided.blocks]
     numbers = [block.number for block in divided.blocks]
     for number in order(numbers) if order else numbers:
@@ -187,7 +181,7 @@ def test_a_job_of_blender_goes_over_to_blocks_too_and_tells_what_it_does(tiny, t
             pass
 
         def progress(self, stage: str, label: str, **facts):
-            assert stage == "looping", "so a stop removes the blocks"
+            assert stage == "looping", "so a stop saves a checkpoint"
             self.said.append(label)
 
     def short(*_):

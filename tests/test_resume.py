@@ -17,6 +17,7 @@ import tiny_dataset
 from plans import prune_settings
 from svrgs_addon.errors import Cancelled, FormatError
 from svrgs_addon.files.ply import read_ply, write_ply
+from svrgs_addon.finetune import loop
 from svrgs_addon.finetune.checkpoint import read_manifest
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.memory import checkpoint as checkpoint_bytes
@@ -107,7 +108,7 @@ def test_resume_without_a_checkpoint_starts_anew(tiny, data, whole, tmp_path):
 
 def stopped(tiny, data, out: Path, monkeypatch, iteration: int = 45):
     """Leaves checkpoints of the two last iterations."""
-    monkeypatch.setattr(train_and_prune, "CHECKPOINT_SECONDS", 0)
+    monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)
     with pytest.raises(Cancelled):
         train_and_prune.prune(tiny.splat, data, SETTINGS, StopAt(iteration).options(out))
     assert checkpoints(out) == [f"{iteration - 1:07d}", f"{iteration:07d}"]

@@ -22,8 +22,15 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 ENDLESS = 3000
-RUN = "import sys, time\nfrom svrgs_addon.cli.main import main\nfrom svrgs_addon.jobs import train_and_prune\n{change}\nsys.exit(main(sys.argv[1:]))"
-FREQUENT = RUN.format(change="train_and_prune.CHECKPOINT_SECONDS = 0")
+RUN = """
+import sys, time
+from svrgs_addon.cli.main import main
+from svrgs_addon.finetune import loop
+from svrgs_addon.jobs import train_and_prune
+{change}
+sys.exit(main(sys.argv[1:]))
+"""
+FREQUENT = RUN.format(change="loop.CHECKPOINT_SECONDS = 0")
 
 
 def words_for(tiny, out: Path, iterations: int, recovery: int) -> list[str]:

@@ -277,7 +277,7 @@ def _large(commands):
             cameras.add_argument("--cameras", type=extended, metavar="JSON", help=help_)
             command.add_argument("--block", type=_reader(POSITIVE), default=2_000_000, metavar="N", help="Gaussians of a block, at most (default: 2000000)")
         if name == "prune":
-            command.add_argument("--work", type=extended, metavar="DIR", help="folder for the blocks, which are deleted at the end (default: OUT.blocks)")
+            command.add_argument("--work", type=extended, metavar="DIR", help="folder for the blocks, deleted at the end (default: OUT.blocks)")
         elif name == "divide":
             command.add_argument("--work", type=extended, required=True, metavar="DIR", help="folder for the blocks")
         else:
@@ -295,6 +295,7 @@ def _large(commands):
         if name == "prune":
             size.add_argument("--max-drop", type=_reader(DECIBELS), metavar="DB", help="keep as few as lose so many dB at most, as svrgs prune --quick does")
             command.add_argument("--levels", type=_reader(SHARES), default=(), metavar="SHARES", help="levels of detail, as of svrgs prune")
+            command.add_argument("--resume", action="store_true", help="with --method: continue the same job after a stop; without it, the job starts again")
         if name in ("prune", "finish"):
             command.add_argument("--out", type=extended, required=True, metavar="FILE", help="splat file to write")
 

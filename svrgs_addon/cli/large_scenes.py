@@ -10,11 +10,12 @@ from typing import Any
 
 from .. import native
 from ..camera import Camera
-from ..errors import SceneError
+from ..errors import Cancelled, SceneError
 from ..farm.engine_messages import Messages
 from ..files.registry import format_to_read
-from ..jobs.by_blocks import request_of
+from ..jobs.by_blocks import left_by_a_stop, request_of
 from ..jobs.options import PruneOptions
+from ..jobs.stop_request import StopRequest
 from ..large.blocks import Divided, clear, divide
 from ..large.folder import measured_views, prepare, refuse_foreign, scored_views
 from ..large.learning import decide, prepare_around, recover, targets
@@ -61,13 +62,17 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
 
 def _prune(words: argparse.Namespace) -> dict[str, Any]:
     format_to_read(words.scene)
-    told = functools.partial(_told, words)
     goal, request = Goal(words.target_count or 0, words.target or 0.0, words.max_drop or 0.0, words.levels), _request(words)
     if request is None and not (goal.count or goal.share or goal.max_drop):
         raise SceneError("how many Gaussians stay is not given: add --target, --target-count or --max-drop")
     if request is not None and (words.steps is not None or goal.max_drop or goal.levels):
         raise SceneError("--steps, --max-drop and --levels are for removals and merges: leave them out, or --method")
-    return prune_by_blocks(words.scene, words.out, functools.partial(_views, words), goal, words.steps, told, words.work, words.block, request)
+    if words.resume and request is None:
+        raise SceneError("--resume is for methods that decide on photographs: removals and merges begin again")
+    left = left_by_a_stop(request, words.out, words.levels)
+    with StopRequest() as stop:
+        told, views = functools.partial(_told, words, stop=stop, left=left), functools.partial(_views, words)
+        return prune_by_blocks(words.scene, words.out, views, goal, words.steps, told, words.work, words.block, request, words.resume)
 
 
 def _request(words: argparse.Namespace) -> Request | None:
@@ -187,6 +192,13 @@ def _views(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:
     return scored, measured
 
 
-def _told(words: argparse.Namespace, step: str) -> Callable[[str, float], None]:
+def _told(words: argparse.Namespace, step: str, stop: Callable[[], bool] = lambda: False, left: str = "") -> Callable[[str, float], None]:
+    """Reports progress of a step. left: a sentence on what a stop leaves."""
     messages = Messages(words.messages)
-    return lambda text, share: messages.progress(f"{step}: {text}", share)
+
+    def tell(text: str, share: float):
+        if stop():
+            raise Cancelled(left)
+        messages.progress(f"{step}: {text}", share)
+
+    return tell

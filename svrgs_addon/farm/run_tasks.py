@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SceneError, SplatError
-from ..files.registry import INDEXES
+from ..files.digests import scene_sha256, sha256
 from ..finetune.loop import Progress
 from ..jobs.context import JobContext
 from ..jobs.run_job import prune_scene
@@ -50,7 +50,10 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
         def observe(progress: Progress):
             messages.progress(f"{task.name}: {progress.phase}", progress.iteration / progress.total)
 
-        return replace(context, observe=observe)
+        def part(text: str, share: float):
+            messages.progress(f"{task.name}: {text}", share)
+
+        return replace(context, observe=observe, part=part)
 
     try:
         result = prune_scene(options, observed)
@@ -61,13 +64,6 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     write_json(job.result_path(task), facts)
     messages.tell(f"{task.name}: keeps {result['after']['count']:,} of {result['before']['count']:,} Gaussians", 1.0)
     return {"name": task.name, "out": str(out), "sha256": digest, "done_before": False}
-
-
-def scene_sha256(path: Path) -> str:
-    """Of a splat, in hexadecimal digits: of its file, or of all files in its folder. Empty if there is none; reading it then says so."""
-    folder = path if path.is_dir() else path.parent if path.name in INDEXES else None
-    files = [path] if folder is None else sorted(one for one in folder.rglob("*") if one.is_file())
-    return hashlib.sha256("".join(sha256(one) for one in files if one.is_file()).encode()).hexdigest() if files and files[0].is_file() else ""
 
 
 def dataset_sha256(folder: Path | None, images: str) -> str:
@@ -85,9 +81,3 @@ def dataset_sha256(folder: Path | None, images: str) -> str:
         photographs = sorted(one for one in source.image_folder.rglob("*") if one.is_file())
         facts += [f"{one.relative_to(source.image_folder).as_posix()} {one.stat().st_size}" for one in photographs]
     return hashlib.sha256("\n".join(facts).encode(errors="surrogateescape")).hexdigest()
-
-
-def sha256(path: Path) -> str:
-    """Of a file, in hexadecimal digits."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -18,8 +18,11 @@ import numpy as np
 from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write, check_space
 from ..files.npz import write_arrays
+from ..photographs.dataset import Dataset
 from .averaging import Average
 from .densify import Statistics
+from .model import Model
+from .plan import Plan
 from .recovery_pruning import RecoveryPruning
 from .run import Curves, Run
 from .strength_controller import StrengthController
@@ -78,6 +81,16 @@ def _write(run: Run, target: Path, identity: str, time: dict | None):
     manifest["digest"] = text_digest(manifest)
     with atomic_write(target / "manifest.json") as file:
         file.write(json.dumps(manifest).encode())
+
+
+def identity_of(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
+    """Digest of everything that must be the same in a resumed run: plan, engine, scene, cameras, photographs. Raises SceneError."""
+    digest = hashlib.sha256(repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode())
+    for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
+        digest.update(np.ascontiguousarray(array).data)
+    for part in dataset.inputs():
+        digest.update(part)
+    return digest.hexdigest()
 
 
 def restore(run: Run, folder: Path, identity: str) -> bool:

@@ -11,6 +11,7 @@ from ..errors import Cancelled, SplatError
 from .run import Run
 
 CURVE_POINTS, LEAST_BETWEEN = 40, 20  # points of the curves; least number of steps between two: a point takes as long as one or two steps
+CHECKPOINT_SECONDS = 120.0  # between two checkpoints
 
 
 @dataclass
@@ -34,12 +35,13 @@ def run_to_end(
     checkpoint: Callable[[], object],
     measure: Callable[[], float | None],  # a PSNR for the curves
 ):
-    """Advances the run until it is finished. Its curves get about CURVE_POINTS points, fewer in a short run.
+    """Advances the run until it is finished, and saves checkpoints. Its curves get about CURVE_POINTS points, fewer in a short run.
 
     When stop() returns True, it saves a checkpoint and raises Cancelled. A SplatError, for example of a photograph that can no longer
     be read, is raised on after a checkpoint, if a step was done and none is half done.
     """
     total, begun, first, counted_from = run.settings.total, time.perf_counter(), run.iteration, run.iteration
+    saved = time.monotonic()
     every = max(LEAST_BETWEEN, total // CURVE_POINTS)
     try:
         while not run.finished:
@@ -51,6 +53,9 @@ def run_to_end(
             if run.iteration == first + 1:  # the first step also ranks Gaussians and fills caches: what follows is faster
                 begun, counted_from = time.perf_counter(), run.iteration
             observe(Progress(run.iteration, total, phase.name, phase.label, run.model.count, run.loss, rate, (total - run.iteration) / rate))
+            if time.monotonic() - saved > CHECKPOINT_SECONDS:
+                checkpoint()
+                saved = time.monotonic()
             if stop() and not run.finished:
                 checkpoint()
                 raise Cancelled

@@ -7,6 +7,7 @@ import time
 from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from .. import memory
@@ -30,7 +31,7 @@ from .rendered_views import LONGEST, MOST, refuse_options, views_of
 
 TAKES = (  # options; with others, the scene must be read as a whole
     "colmap", "images", "holdout", "cameras", "seen_from_only", "threads", "seed", "target", "target_count", "quiet", "quick", "method", "scene", "out",
-    "resume",  # it begins again: nothing is saved
+    "resume",
 )  # fmt: skip
 QUICK_VIEWS = 64  # that are placed for a quick job
 OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
@@ -95,11 +96,17 @@ def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str
     notes = [f"{reason}; so it was pruned by blocks" + (f", and fine-tuned in {EPOCHS} steps for each view" if request is None else "")]
     train, test, more = _views(options, *sample_of(options.scene))
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
-    left = NOT_FINISHED.format("the files that are there are complete" if level_files(options.out, options.levels) else "nothing was written")
-    told = partial(_told, reporter=reporter, job=job, left=left)
-    result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, told, request=request)
+    told = partial(_told, reporter=reporter, job=job, left=left_by_a_stop(request, options.out, options.levels))
+    result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, told, request=request, resume=options.resume)
     after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
     return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more, *result["notes"]]}
+
+
+def left_by_a_stop(request: Request | None, out: Path, levels: tuple[float, ...]) -> str:
+    """A sentence on what a job that is stopped leaves; empty for one that --resume continues."""
+    if request is not None:
+        return ""
+    return NOT_FINISHED.format("the files that are there are complete" if level_files(out, levels) else "nothing was written")
 
 
 def _told(step: str, reporter: Reporter, job: JobContext, left: str) -> Tell:

@@ -9,6 +9,7 @@
     previews/ITERATION.png
     ranking.npz        of a job that prunes: when each Gaussian was removed, and its last probability (ranking.py)
     recovered.ply.job  checkpoints; recovered.ply is the splat after the last step
+    recovered.ply.blocks    of a job by blocks (large/): the blocks, and which of its tasks are done
     stop               flag file: the parent creates it, the child obeys (job_main.py)
     cameras.json       given views of a job without photographs, if there are any
     merged.ply, order.npy   of a quick job: its order (decimate/saved_order.py)
@@ -49,15 +50,18 @@ from ..files.atomic import atomic_write
 from ..files.ply_header import MAX_HEADER_BYTES, parse_header
 from ..files.registry import write_scene
 from ..finetune.methods import FORMER_NAMES
+from ..large import folder as blocks
+from ..large import tasks
 from ..option_kinds import check_mapping
 from ..scene import Scene
-from ..system.file_names import extended, is_link
+from ..system.file_names import extended, is_link, remove_link
 from ..system.replacing import read_bytes
 from .disk_room import check_room
 from .options import PruneOptions, TrainOptions, refuse_time_and_steps
 
 SCHEMA = 2
 ROW = "svrgs_row"  # column of scene.ply
+BLOCKS = "recovered.ply.blocks"
 HEARTBEAT = 2.0  # seconds between two writes of state.json
 STALE = 15.0  # seconds: a process that has not renewed its state for so long is gone
 LARGEST_JSON = 1 << 20  # bytes; larger files are not read
@@ -266,6 +270,10 @@ class JobFolder:
         """The step of the newest checkpoint; 0 if there is none. Damaged checkpoints count: they are found when the job is resumed."""
         return max((int(path.name) for path in self._checkpoints() if (path / "manifest.json").is_file()), default=0)
 
+    def tasks(self) -> tuple[int, int]:
+        """How many tasks of a job by blocks are done, and how many it has, 0 if that is not known or the job is none."""
+        return tasks.progress(self / BLOCKS)
+
     def size(self) -> int:
         """Bytes on disk of the files in the folder. Links are not followed."""
         total = 0
@@ -282,10 +290,10 @@ class JobFolder:
         if not (self / "job.json").is_file():
             raise FormatError(f"{self.path}: holds no job")
         for folder in (self / "previews", self / "recovered.ply.job"):
-            if os.path.lexists(folder) and is_link(folder):  # the patterns would be searched behind it
-                folder.unlink() if folder.is_symlink() else folder.rmdir()
+            remove_link(folder)  # else the patterns would be searched behind it
         for checkpoint in self._checkpoints():
             shutil.rmtree(checkpoint, ignore_errors=True)
+        blocks.remove(self / BLOCKS)
         for pattern in _FILES:
             for file in self.path.glob(pattern):
                 file.unlink(missing_ok=True)
@@ -296,7 +304,7 @@ class JobFolder:
     def _entries(self) -> Iterator[os.DirEntry]:
         """Files, folders and links in the folders of the job."""
         checkpoints = self / "recovered.ply.job"
-        for folder in (self.path, self / "previews", checkpoints, *checkpoints.glob("[0-9]" * 7)):
+        for folder in (self.path, self / "previews", checkpoints, *checkpoints.glob("[0-9]" * 7), *blocks.folders(self / BLOCKS)):
             with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
                 yield from entries
 

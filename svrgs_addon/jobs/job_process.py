@@ -88,6 +88,9 @@ class Job:
 
     def resume_point(self) -> tuple[str, dict]:
         """From where a job that has not ended well would be continued: a sentence with named fields, and their values."""
+        tasks, of = self.folder.tasks()
+        if tasks and of:
+            return "Resume continues: {done} of {tasks} tasks by blocks are done", {"done": tasks, "tasks": of}
         saved, total, done = self.folder.checkpoint(), self.facts.get("total", 0), self.facts.get("iteration", 0)
         if not saved:
             return ("Resume starts it from the beginning: no checkpoint was saved" if done > 0 else "Resume starts it from the beginning"), {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import logging
 import time
 from dataclasses import asdict, replace
@@ -37,7 +36,6 @@ from .disk_room import DiskRoom
 from .job_folder import ROW
 
 CURVE_VIEWS = 4  # test views on which the PSNR of the curves is measured
-CHECKPOINT_SECONDS = 120.0  # between two checkpoints
 CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
 
 
@@ -246,27 +244,19 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
     run = Run(model, dataset, plan, make_engine(job.engine), model.metadata["antialiased"])
     if run.recovery_pruning:
         run.recovery_pruning.start = held
-    identity = run_identity(model, dataset, plan, job.engine)
+    identity = checkpoint.identity_of(model, dataset, plan, job.engine)
     if job.resume:
         checkpoint.restore(run, job.folder, identity)
         clock.earlier = sum(run.seconds.values())
     else:
         checkpoint.delete_all(job.folder)
     job.begin(run)
-    saved = time.monotonic()
 
     def save():
         with room.for_checkpoint(run.model.count):
             checkpoint.save(run, job.folder, identity, asdict(job.planned) if job.planned else None)
 
-    def observe(progress: loop.Progress):
-        nonlocal saved
-        job.observe(progress)
-        if time.monotonic() - saved > CHECKPOINT_SECONDS:
-            save()
-            saved = time.monotonic()
-
-    loop.run_to_end(run, observe, job.stop, save, lambda: curve_psnr(run))
+    loop.run_to_end(run, job.observe, job.stop, save, lambda: curve_psnr(run))
     clock.phases |= run.seconds
     run.engine = make_engine(job.engine)  # a new engine frees the buffers of the old one
     scene = model.into_scene(source_order=not plan.nested)
@@ -275,16 +265,6 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
         write_scene(job.out, scene)
     checkpoint.delete_all(job.folder)
     return run, scene
-
-
-def run_identity(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
-    """Digest of everything that must be the same in a resumed run: plan, engine, scene, cameras, photographs. Raises SceneError."""
-    digest = hashlib.sha256(repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode())
-    for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
-        digest.update(np.ascontiguousarray(array).data)
-    for part in dataset.inputs():
-        digest.update(part)
-    return digest.hexdigest()
 
 
 def curve_psnr(run: Run) -> float | None:

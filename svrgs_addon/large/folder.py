@@ -11,10 +11,12 @@ from ..camera import Camera
 from ..errors import SceneError
 from ..photographs.camera_files import load_cameras
 from ..photographs.cameras_json import write_cameras_json
+from ..system.file_names import remove_link
 from .blocks import clear
-from .learning import AROUND
+from .learning import AROUND, RUNS
 from .request import FILE as REQUEST
 from .request import Request
+from .tasks import FILE as TASKS
 from .tuning import CUT, MIXED, TUNED
 
 SCORED, MEASURED, RESULT, LEVEL, HELD = "scored_views.json", "measured_views.json", "result", "level_{}.ply", "held"
@@ -27,7 +29,8 @@ def prepare(work: Path, scored: Sequence[Camera], measured: Sequence[Camera], re
     work.mkdir(parents=True, exist_ok=True)
     write_cameras_json(work / SCORED, scored)
     write_cameras_json(work / MEASURED, measured)
-    (work / REQUEST).unlink(missing_ok=True)
+    for name in (REQUEST, TASKS):
+        (work / name).unlink(missing_ok=True)
     if request is not None:
         request.write(work)
 
@@ -48,11 +51,26 @@ def measured_views(work: Path) -> list[Camera]:
     return load_cameras(work / MEASURED)
 
 
+def folders(work: Path) -> list[Path]:
+    """The folders in which a job writes, whether they are there or not: of scenes, and of checkpoints."""
+    scenes = _scenes(work)
+    return [*scenes, *(folder / HELD for folder in scenes), *(found for folder in scenes for found in folder.glob(f"{RUNS}/**/"))]
+
+
+def _scenes(work: Path) -> list[Path]:
+    return [work / RESULT, work / AROUND, work / CUT, work / TUNED, work / MIXED, work]
+
+
 def remove(work: Path):
-    """Removes what was written into the folder, and the folder, if nothing else is in it."""
-    for folder in (work / RESULT, work / AROUND, work / CUT, work / TUNED, work / MIXED, work):
+    """Removes what was written into the folder, and the folder, if nothing else is in it. A link is removed, not what it leads to."""
+    if remove_link(work):
+        return
+    (work / TASKS).unlink(missing_ok=True)  # first: what is named there lies in the other files
+    for folder in (found for found in _scenes(work) if not remove_link(found)):
         clear(folder)
-        shutil.rmtree(folder / HELD, ignore_errors=True)
+        for name in (HELD, RUNS):
+            if not remove_link(folder / name):
+                shutil.rmtree(folder / name, ignore_errors=True)
         for path in (folder / SCORED, folder / MEASURED, folder / REQUEST, *folder.glob(LEVEL.format("[0-9]*"))):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):

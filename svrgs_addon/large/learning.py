@@ -6,19 +6,24 @@ scene would have on these views. So a Gaussian is seen as often, and lambda_F is
 the blocks by the costs of merging.py.
 
 All blocks decide from the original; meanwhile a merged level of detail takes the place of the blocks around it (around/). Then each recovers with what the
-others have kept. No block uses what another has learned in the same step, so any order gives the same bits.
+others have kept. No block uses what another has learned in the same step, so any order gives the same bits. A run saves checkpoints (runs/), from which the
+same task goes on when it is started again.
 """
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 
 from .. import memory
+from ..errors import Cancelled, FormatError, SceneError
 from ..files.registry import invisible
-from ..finetune import loop, scores
+from ..finetune import checkpoint, loop, scores
 from ..finetune.engine import NativeEngine
 from ..finetune.model import Model
 from ..finetune.plan import Plan, scaled
@@ -34,6 +39,7 @@ from .merging import counts
 from .tuning import CUT, TUNED, emptied, level, write_own
 
 AROUND, AROUND_SHARE = "around", 0.25  # folder of the level of detail that takes the place of other blocks, and its share of the Gaussians
+RUNS = "runs"  # folder of the checkpoints
 
 
 @dataclass
@@ -56,6 +62,21 @@ class BlockViews(Dataset):
 
     def window(self, index: int) -> tuple[slice, slice] | None:
         return (self.windows or {})[index]
+
+    def inputs(self) -> Iterator[bytes]:
+        """Texts of all cameras, windows and photographs; of a photograph its name, size and time, because each block would read all of them for a digest.
+        Raises SceneError if a photograph is missing."""
+        for index, window in (self.windows or {}).items():
+            yield repr((self.cameras[index].key, window, _stamp(self.photos[index].path))).encode()
+
+
+def _stamp(path: Path) -> tuple[str, int, int]:
+    """Name, size and time of a file. Raises SceneError."""
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
+    return path.name, found.st_size, found.st_mtime_ns
 
 
 def prepare_around(divided: Divided, tell: Tell = lambda *_: None):
@@ -83,8 +104,9 @@ def decide(divided: Divided, number: int, dataset: Dataset, plan: Plan, target: 
     scene, own = scene if kept.all() else scene.select(kept), (first, first + int(kept[first:end].sum()))
     run_plan = _of_part(plan, True, _share(views, dataset), own, target and target + scene.count - (own[1] - own[0]))
     rows = np.arange(*own)
+    kept_at = divided.folder / RUNS / f"decide.{number}"
     if views.train_indices and run_plan.phases and len(rows) > 1:
-        scene, rows = _run(divided, number, scene, views, run_plan, tell)
+        scene, rows = _run(divided, number, scene, views, run_plan, kept_at, tell)
     if not len(rows):
         scene, rows = around.scene, np.array([first + int(np.argmax(around.scene.opacity_logits[first:end]))])
     start = sum(block.count for block in divided.blocks[:number])
@@ -92,6 +114,7 @@ def decide(divided: Divided, number: int, dataset: Dataset, plan: Plan, target: 
     for path in (divided.folder / CUT).glob(BLENDED.format("[0-9]*")):
         path.unlink(missing_ok=True)
     write_block(divided.folder / CUT, number, scene.select(rows), start)
+    checkpoint.delete_all(kept_at)
 
 
 def recover(divided: Divided, number: int, dataset: Dataset, plan: Plan, tell: Tell = lambda *_: None):
@@ -102,10 +125,11 @@ def recover(divided: Divided, number: int, dataset: Dataset, plan: Plan, tell: T
     plan = replace(_of_part(plan, False, _share(views, dataset), own, 0), method=copy(plan.method))
     if "count" in plan.method.state():  # of the Gaussians before pruning
         plan.method.restore(plan.method.state() | {"count": round(scene.count * divided.count / left.count)})
-    rows = np.arange(*own)
+    rows, kept_at = np.arange(*own), divided.folder / RUNS / f"recover.{number}"
     if views.train_indices and plan.phases:
-        scene, rows = _run(divided, number, scene, views, plan, tell)
+        scene, rows = _run(divided, number, scene, views, plan, kept_at, tell)
     write_own(left, number, around.there[number], scene.select(rows))
+    checkpoint.delete_all(kept_at)
 
 
 def _around(divided: Divided, number: int, dataset: Dataset, tell: Tell, others: Divided | None = None) -> tuple[Around, BlockViews]:
@@ -141,17 +165,32 @@ def _shortened(phase: Phase, share: float) -> Phase:
     return replace(shorter, rates=replace(shorter.rates, mask=phase.rates.mask))
 
 
-def _run(divided: Divided, number: int, scene: Scene, views: BlockViews, plan: Plan, tell: Tell) -> tuple[Scene, np.ndarray]:
-    """The scene after all steps of the plan, and the rows of the block in it. The arrays of the given scene are changed."""
+def _run(divided: Divided, number: int, scene: Scene, views: BlockViews, plan: Plan, kept_at: Path, tell: Tell) -> tuple[Scene, np.ndarray]:
+    """The scene after all steps of the plan, and the rows of the block in it. The arrays of the given scene are changed. kept_at: folder of the checkpoints."""
     cameras = [views.cameras[view] for view in views.train_indices]
     needed = memory.tuning(scene.count, divided.coefficients, cameras, views.memory_budget)
     memory.refuse_excess(f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}", needed)
     run = Run(Model.of(scene, copy=False), views, plan, NativeEngine(), scene.antialiased)
+    identity = checkpoint.identity_of(run.model, views, plan, "native")
+    try:
+        checkpoint.restore(run, kept_at, identity)
+    except FormatError:  # of a run with other settings or inputs
+        checkpoint.delete_all(kept_at)
+
+    def save():
+        try:
+            checkpoint.save(run, kept_at, identity)
+        except SceneError as error:
+            logging.warning("%s; the block %d goes on without a checkpoint", error, number)
 
     def observe(progress: loop.Progress):
-        tell(f"block {number}, {progress.count:,} Gaussians: {progress.label}", 0.5 + 0.5 * progress.iteration / progress.total)
+        try:
+            tell(f"block {number}, {progress.count:,} Gaussians: {progress.label}", 0.5 + 0.5 * progress.iteration / progress.total)
+        except Cancelled:
+            save()
+            raise
 
-    loop.run_to_end(run, observe, lambda: False, lambda: None, lambda: None)
+    loop.run_to_end(run, observe, lambda: False, save, lambda: None)
     assert plan.own is not None
     origin = np.sort(run.model.origin)
     return run.model.into_scene(), np.flatnonzero((origin >= plan.own[0]) & (origin < plan.own[1]))

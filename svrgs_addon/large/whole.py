@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..camera import Camera
 from ..files.atomic import check_space, check_writable, reserved
+from ..files.digests import scene_sha256
 from ..files.level_files import holds_levels, level_files
 from ..files.registry import format_to_write, refuse_input
 from ..finetune.quality import LEAST
@@ -24,9 +27,11 @@ from .merging import merge, reduce
 from .pruning import finish, finish_learned, join_levels, write_left
 from .request import Request
 from .scoring import score
+from .tasks import Tasks
 from .tuning import EPOCHS, cut, tune
 
 SUMS, COPIES = 1.2, 4  # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
+ORDER = "order"  # the first task that takes long
 Told = Callable[[str], Tell]  # of the name of a step
 
 
@@ -53,14 +58,14 @@ def check_out(out: Path, source: Path):
 
 def prune_by_blocks(
     source: Path, out: Path, views: Callable[[], tuple[Sequence[Camera], Sequence[Camera]]], goal: Goal, steps: int | None, told: Told,
-    work: Path | None = None, block: int = MOST, request: Request | None = None,
+    work: Path | None = None, block: int = MOST, request: Request | None = None, resume: bool = False,
 ) -> dict[str, Any]:  # fmt: skip
     """Removes and merges Gaussians, fine-tunes what is left, writes and measures it.
 
     views: gives the views that are scored and tuned on, and those on which the result is measured; it is called after the outputs are checked.
     steps: of fine-tuning; None: EPOCHS for each view. work: folder for the blocks, which are removed at the end; None: beside the output. block: Gaussians of
-    a block, at most. request: a method that decides on photographs instead, in its own steps; the goal is then a number, or nothing. Returns the JSON result.
-    Raises SplatError, and what `told` raises.
+    a block, at most. request: a method that decides on photographs instead, in its own steps; the goal is then a number, or nothing. If it is stopped or fails
+    later than in its first minutes, the blocks stay, and `resume` goes on from there. Returns the JSON result. Raises SplatError, and what `told` raises.
     """
     work = work or out.with_name(out.name + ".blocks")
     outs = [out, *level_files(out, goal.levels).values()]
@@ -70,14 +75,13 @@ def prune_by_blocks(
         for path in outs:
             stack.enter_context(reserved(path))
         refuse_foreign(work)
-        dataset = request.dataset() if request is not None else None
+        if request is not None:
+            return _learned(source.absolute(), out, views(), goal, told, work, block, request, resume)
         try:
-            prepare(work, *views(), request)
-            divided, scored = divide(source.absolute(), work, block, told("divide")), scored_views(work)
-            share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else LEAST
-            check_space(work / SCORED, int((SUMS + COPIES * share + (AROUND_SHARE if request else 0)) * divided.bytes))
-            if request is not None and dataset is not None:
-                return _learned(divided, scored, request, dataset, goal, out, told)
+            prepare(work, *views())
+            divided = divide(source.absolute(), work, block, told("divide"))
+            _check_room(work, divided, goal)
+            scored = scored_views(work)
             likeness = Likeness(divided, measured_views(work), told)
             errors = errors_of_format(divided, likeness, goal.max_drop, out, told) if goal.max_drop else []
             _order(divided, scored, told)
@@ -96,17 +100,51 @@ def _order(divided: Divided, scored: Sequence[Camera], told: Told):
         merge(divided, number)
 
 
-def _learned(divided: Divided, scored: Sequence[Camera], request: Request, dataset: Dataset, goal: Goal, out: Path, told: Told) -> dict[str, Any]:
-    """The result of a method that decides on the photographs of the dataset."""
-    plan, wanted = request.plan(), goal.number(divided.count) if goal.count or goal.share else 0
-    if wanted or len(divided.blocks) > 1:
-        _order(divided, scored, told)
-    prepare_around(divided, told("merge"))
+def _check_room(work: Path, divided: Divided, goal: Goal, more: float = 0.0):
+    """more: space that is needed beside that for removals and merges, in sizes of all blocks. Raises SceneError if there is less."""
+    share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else LEAST
+    check_space(work / SCORED, int((SUMS + COPIES * share + more) * divided.bytes))
+
+
+def _learned(
+    source: Path, out: Path, views: tuple[Sequence[Camera], Sequence[Camera]], goal: Goal, told: Told, work: Path, block: int, request: Request, resume: bool
+) -> dict[str, Any]:
+    """The result of a method that decides on photographs, as prune_by_blocks()."""
+    dataset, finished = request.dataset(), False
+    tasks = Tasks(work, _identity(source, views, goal, block, request, dataset), resume)
+    try:
+        tasks.once("divide", lambda: (prepare(work, *views, request), divide(source, work, block, told("divide"))))
+        divided = replace(Divided.read(work), source=source)
+        if ORDER not in tasks.done:
+            _check_room(work, divided, goal, AROUND_SHARE)
+        _decide_and_recover(divided, request, dataset, goal, told, tasks)
+        result = finish_learned(divided, request, dataset, out, told)
+        finished = True
+        return result
+    finally:
+        if finished or ORDER not in tasks.done:
+            remove(work)
+
+
+def _decide_and_recover(divided: Divided, request: Request, dataset: Dataset, goal: Goal, told: Told, tasks: Tasks):
+    """All tasks on the blocks that are not done yet."""
+    plan, wanted, blocks = request.plan(), goal.number(divided.count) if goal.count or goal.share else 0, len(divided.blocks)
+    tasks.total = 3 + blocks * (2 if request.recovery else 1)
+    tasks.once(ORDER, lambda: _order(divided, scored_views(divided.folder), told) if wanted or blocks > 1 else None)
+    tasks.once("around", lambda: prepare_around(divided, told("merge")))
     for number, target in enumerate(targets(divided, wanted)):
-        decide(divided, number, dataset, plan, target, told("decide"))
-    for number in range(len(divided.blocks) if request.recovery else 0):
-        recover(divided, number, dataset, plan, told("recover"))
-    return finish_learned(divided, request, dataset, out, told)
+        tasks.once(f"decide {number}", partial(decide, divided, number, dataset, plan, target, told("decide")))
+    for number in range(blocks if request.recovery else 0):
+        tasks.once(f"recover {number}", partial(recover, divided, number, dataset, plan, told("recover")))
+
+
+def _identity(source: Path, views: tuple[Sequence[Camera], Sequence[Camera]], goal: Goal, block: int, request: Request, dataset: Dataset) -> str:
+    """Digest of all that must be the same in a job that is continued; where its files lie may differ. Raises SceneError."""
+    settings = replace(request, colmap="", images="", image_memory=0.0)
+    digest = hashlib.sha256(repr((scene_sha256(source), goal, block, settings, [[camera.key for camera in some] for some in views])).encode())
+    for part in dataset.inputs():
+        digest.update(part)
+    return digest.hexdigest()
 
 
 def _results(

@@ -60,6 +60,14 @@ def is_link(path: str | os.PathLike) -> bool:
     return os.path.islink(path) or getattr(os.lstat(path), "st_reparse_tag", 0) == JUNCTION
 
 
+def remove_link(path: Path) -> bool:
+    """Removes a symbolic link or a junction, not what it leads to. Returns whether it was one."""
+    if not os.path.lexists(path) or not is_link(path):
+        return False
+    path.unlink() if path.is_symlink() else path.rmdir()
+    return True
+
+
 def shown(text: str) -> str:
     """The text of a message, with its paths as the user wrote them: without the prefix of extended(). Python's own errors double each backslash."""
     if here.WINDOWS:

@@ -20,12 +20,14 @@ from pathlib import Path
 import numpy as np
 
 from plans import prune_settings
+from svrgs_addon.cli.main import main as svrgs
 from svrgs_addon.files.images import write_image
 from svrgs_addon.files.npz import write_arrays
 from svrgs_addon.files.ply import write_ply
+from svrgs_addon.finetune import loop
 from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.jobs.job_folder import JobFolder
-from svrgs_addon.photographs.dataset import Dataset
+from svrgs_addon.photographs.dataset import load_dataset
 from svrgs_addon.scene import Scene
 
 
@@ -131,21 +133,39 @@ def kill_writer(name: str, folder: Path, kills: int, seed: int = 0) -> Survived:
 # --- a run
 
 
-def kill_run(splat: Path, dataset: Dataset, folder: Path, kills: int, longest: float = 0.7, seed: int = 0) -> Survived:
+def kill_run(splat: Path, dataset: Path, folder: Path, kills: int, seed: int = 0) -> Survived:
     """A pruning job that saves a checkpoint each step, killed again and again, taken up each time: the same bytes in the end."""
-    train_and_prune.CHECKPOINT_SECONDS = 0
     settings = replace(prune_settings("svr", 40, 20, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
-    chance, survived, out = random.Random(seed), Survived(), folder / "o.ply"
-    job = folder / "o.ply.job"
+    out, data = folder / "o.ply", load_dataset(dataset)
 
     def prune():
-        train_and_prune.prune(splat, dataset, settings, train_and_prune.JobContext(out, resume=True))
+        train_and_prune.prune(splat, data, settings, train_and_prune.JobContext(out, resume=True))
 
+    return _kill_job(prune, out, "o.ply.job/*/manifest.json", kills, 0.7, seed)
+
+
+def kill_blocks(splat: Path, dataset: Path, folder: Path, kills: int, seed: int = 0) -> Survived:
+    """The same of a job by blocks."""
+    out = folder / "o.ply"
+    words = ["large", "prune", splat, "--colmap", dataset, "--method", "removal", "--target", 0.5, "--iterations", 20, "--recovery", 10, "--block", 130]
+
+    def prune():
+        for stream in (1, 2):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+        assert svrgs([*map(str, words), "--out", str(out), "--resume"]) == 0
+
+    return _kill_job(prune, out, "o.ply.blocks/**/manifest.json", kills, 1.0, seed)
+
+
+def _kill_job(prune: Callable[[], object], out: Path, checkpoints: str, kills: int, longest: float, seed: int) -> Survived:
+    """checkpoints: pattern of their files beside the output. longest: seconds until a kill, at most."""
+    loop.CHECKPOINT_SECONDS = 0
+    chance, survived = random.Random(seed), Survived()
     done(prune)
     expected = digest(out)
     out.unlink()
     while survived.kills < kills:
-        survived.resumed += any(job.glob("*/manifest.json"))
+        survived.resumed += any(out.parent.glob(checkpoints))
         code = killed(prune, chance.uniform(0, longest))
         assert code in (None, 0), "a run that was taken up has failed"
         if code is None:
