@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 from dataclasses import replace
@@ -18,6 +19,7 @@ from svrgs_addon.finetune.run import Run
 from svrgs_addon.jobs import run_job
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
+from svrgs_addon.large.folder import refuse_foreign, remove
 from svrgs_addon.large.learning import RUNS, decide, recover
 from svrgs_addon.large.tasks import FILE, progress
 from svrgs_addon.large.tuning import CUT, TUNED
@@ -209,3 +211,25 @@ def test_a_job_that_is_discarded_takes_its_blocks_along_and_nothing_else(tiny, t
         folder.refuse_links()
     folder.discard()
     assert not folder.path.exists() and sorted(elsewhere.iterdir()) == kept
+
+
+def test_a_removal_that_was_killed_leaves_a_folder_of_blocks(stopped, tmp_path, monkeypatch):
+    """Whichever file was the last to be removed. So the next job can take the folder."""
+    unlink = Path.unlink
+    for count in range(1000):
+        folder, left = tmp_path / f"copy{count}", [count]
+        shutil.copytree(stopped, folder)
+        (folder / ".svrgs-0123456789abcdef.rows").touch()  # of a killed writer
+
+        def killed(path: Path, missing_ok: bool = False, left=left):
+            left[0] -= path.exists()
+            if left[0] < 0:
+                raise KeyboardInterrupt
+            unlink(path, missing_ok)
+
+        with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
+            patch.setattr(Path, "unlink", killed)
+            remove(folder)
+            break
+        refuse_foreign(folder)
+    assert count > 20 and not folder.exists()

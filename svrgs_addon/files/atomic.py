@@ -119,7 +119,7 @@ def check_space(path: str | os.PathLike, needed_bytes: int) -> None:
         raise SceneError(f"{path}: cannot be written because {folder} is not a folder")
     try:
         with _hidden_file_next_to(folder / target.name):
-            _remove_abandoned(folder)
+            remove_abandoned(folder)
         free = shutil.disk_usage(folder).free
     except OSError as error:
         raise SceneError(f"{path}: cannot be written into {folder} ({error.strerror or error})") from error
@@ -158,8 +158,8 @@ def _hidden_file_next_to(target: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def _remove_abandoned(folder: Path) -> None:
-    """Removes hidden files in the folder that nobody owns."""
+def remove_abandoned(folder: Path) -> None:
+    """Removes the temporary files that killed writers left in the folder."""
     for path in folder.glob(f"{HIDDEN_PREFIX}*"):
         with contextlib.suppress(OSError):
             locks.remove_abandoned(path)

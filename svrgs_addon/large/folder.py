@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..camera import Camera
 from ..errors import SceneError
+from ..files.atomic import remove_abandoned
 from ..photographs.camera_files import load_cameras
 from ..photographs.cameras_json import write_cameras_json
 from ..system.file_names import remove_link
@@ -37,6 +38,8 @@ def prepare(work: Path, scored: Sequence[Camera], measured: Sequence[Camera], re
 
 def refuse_foreign(work: Path):
     """Raises SceneError for a folder with other things than blocks."""
+    if work.is_dir():
+        remove_abandoned(work)
     if work.exists() and not (work.is_dir() and (not any(work.iterdir()) or (work / SCORED).is_file())):
         raise SceneError(f"{work}: is not empty, and holds no blocks; name another folder with --work")
 
@@ -67,11 +70,12 @@ def remove(work: Path):
         return
     (work / TASKS).unlink(missing_ok=True)  # first: what is named there lies in the other files
     for folder in (found for found in _scenes(work) if not remove_link(found)):
+        remove_abandoned(folder)
         clear(folder)
         for name in (HELD, RUNS):
             if not remove_link(folder / name):
                 shutil.rmtree(folder / name, ignore_errors=True)
-        for path in (folder / SCORED, folder / MEASURED, folder / REQUEST, *folder.glob(LEVEL.format("[0-9]*"))):
+        for path in (folder / MEASURED, folder / REQUEST, *folder.glob(LEVEL.format("[0-9]*")), folder / SCORED):  # by SCORED the folder is known: last
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             folder.rmdir()
