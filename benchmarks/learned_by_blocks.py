@@ -1,8 +1,10 @@
 """Pruning on photographs in memory and by blocks, side by side, on the photographs that are held out.
 
-python benchmarks/learned_by_blocks.py SPLAT:DATASET... [--method removal svr] [--target 0.4] [--iterations 300] [--recovery 500] [--blocks 1 4] [--seeds 0 1 2]
+python benchmarks/learned_by_blocks.py SPLAT:DATASET... [--method removal svr] [--target 0.4 | --lambda-f 1e-3] [--iterations 300]
+    [--recovery 500] [--blocks 1 4] [--seeds 0 1 2]
 
-Prints a row for each splat, method and seed: Gaussians, seconds and mean PSNR in dB of the splat, of pruning in memory, and with each number of blocks.
+Prints a row for each splat, method and seed: mean PSNR in dB of the splat; and of pruning in memory, and with each number of blocks: Gaussians that are left,
+mean PSNR in dB, and seconds. With --lambda-f, the method decides how many are left.
 """
 
 from __future__ import annotations
@@ -29,28 +31,30 @@ def main():
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("scenes", nargs="+", metavar="SPLAT:DATASET")
     words.add_argument("--method", nargs="+", default=["removal", "svr"])
-    words.add_argument("--target", default="0.4")
+    size = words.add_mutually_exclusive_group()
+    size.add_argument("--target", default="0.4")
+    size.add_argument("--lambda-f")
     words.add_argument("--iterations", default="300")
     words.add_argument("--recovery", default="500")
     words.add_argument("--blocks", type=int, nargs="+", default=[1, 4])
     words.add_argument("--seeds", nargs="+", default=["0", "1", "2"])
     given = words.parse_args()
-    print("| scene | method | seed | Gaussians | before, dB | in memory, dB (s) |", *(f"{n} blocks, dB (s) |" for n in given.blocks), flush=True)
-    print("|---|---|---:|---:|---:|---:|" + "---:|" * len(given.blocks), flush=True)
+    print("| scene | method | seed | before, dB | in memory: Gaussians, dB (s) |", *(f"{n} blocks |" for n in given.blocks), flush=True)
+    print("|---|---|---:|---:|---:|" + "---:|" * len(given.blocks), flush=True)
+    goal = ["--lambda-f", given.lambda_f] if given.lambda_f else ["--target", given.target]
     for scene in given.scenes:
         splat, folder = map(Path, scene.split(":"))
         dataset, whole = load_dataset(folder), describe(splat)["count"]
-        before = quality(splat, dataset)
+        _, before = quality(splat, dataset)
         for method in given.method:
             for seed in given.seeds:
-                same = ["--colmap", folder, "--method", method, "--target", given.target, "--seed", seed]
+                same = ["--colmap", folder, "--method", method, *goal, "--seed", seed]
                 same += ["--iterations", given.iterations, "--recovery", given.recovery]
                 ways = [["prune", splat, *same, "--visible-mask", "--quiet"]]
                 ways += [["large", "prune", splat, *same, "--block", math.ceil(whole / n)] for n in given.blocks]
                 results = [run(way, dataset) for way in ways]
-                counts = {count for count, _, _ in results}
-                cells = [f"{psnr:.2f} ({seconds:.0f}) |" for _, psnr, seconds in results]
-                print(f"| {splat.stem} | {method} | {seed} | {', '.join(f'{n:,}' for n in sorted(counts))} | {before[1]:.2f} |", *cells, flush=True)
+                cells = [f"{count:,}, {psnr:.2f} ({seconds:.0f}) |" for count, psnr, seconds in results]
+                print(f"| {splat.stem} | {method} | {seed} | {before:.2f} |", *cells, flush=True)
 
 
 def run(words: list, dataset: Dataset) -> tuple[int, float, float]:

@@ -76,6 +76,7 @@ __all__ = [
 
 IMAGES = {output.name: output.channels for output in OUTPUTS.values() if not output.integer}  # trailing channels, 0: none
 COUNTS = tuple(output.name for output in OUTPUTS.values() if output.integer)
+Maybe = np.ndarray | None
 MOMENTS = ("uu", "uv", "vv", "uuu", "uuv", "uvv", "vvv", "uuuu", "uuuv", "uuvv", "uvvv", "vvvv")
 VISIBILITY = ("weights", "transmittance", "pixels", "squares", "red", "green", "blue", "views", "density")
 
@@ -201,20 +202,17 @@ class Rasterizer:
         _call("svrgs_backward_update", self._context, c.byref(grads_in), c.byref(update), c.byref(grads_out), c.byref(bad))
         return grads, bad.value
 
-    def add_scores(self, sum_: np.ndarray, max_: np.ndarray, hits: np.ndarray, transmittance: np.ndarray | None = None):
-        """Adds the last view to statistics (N,) of each Gaussian over the pixels in which it is blended: sum of alpha T float64,
-        maximum of alpha T float32, number of pixels int64, sum of T float64."""
+    def add_scores(self, sum_: Maybe = None, max_: Maybe = None, hits: Maybe = None, transmittance: Maybe = None, reached: Maybe = None):
+        """Adds the last view to those statistics (N,) of each Gaussian that are given, over the pixels in which it is blended: sum of alpha T float64,
+        maximum of alpha T float32, number of pixels int64, sum of T float64. Marks with 1 in `reached`, uint8, those that hit a ray before it stops (or, if
+        F was rendered to the end of rays, any ray); colours are the same without the others."""
         if self._view is None:
             raise NativeError("there is no rendered view to score: call forward() first")
-        n = (len(self._view[0]),)
-        _call(
-            "svrgs_scores",
-            self._context,
-            c.c_void_p(check_out(sum_, "sum", n, np.float64)),
-            c.c_void_p(check_out(max_, "max", n, np.float32)),
-            c.c_void_p(check_out(hits, "hits", n, np.int64)),
-            c.c_void_p(None if transmittance is None else check_out(transmittance, "transmittance", n, np.float64)),
-        )
+        given = {"sum": (sum_, np.float64), "max": (max_, np.float32), "hits": (hits, np.int64)}
+        given |= {"transmittance": (transmittance, np.float64), "reached": (reached, np.uint8)}
+        shape = (len(self._view[0]),)
+        outs = (None if array is None else check_out(array, name, shape, dtype) for name, (array, dtype) in given.items())
+        _call("svrgs_scores", self._context, *map(c.c_void_p, outs))
 
     def moments(self) -> np.ndarray:
         """Moments of each visible Gaussian of the last view, (V, 12) float64: sums over pixels of w u^a v^b in the order of MOMENTS.

@@ -193,9 +193,11 @@ CALLS = {  # call: {argument: (a right value, written to, may be None)}
         "mask": (real(5, 6), False, False),
     },
     Rasterizer.add_scores: {
-        "sum_": (np.zeros(7), True, False),
-        "max_": (real(7), True, False),
-        "hits": (np.zeros(7, np.int64), True, False),
+        "sum_": (np.zeros(7), True, True),
+        "max_": (real(7), True, True),
+        "hits": (np.zeros(7, np.int64), True, True),
+        "transmittance": (np.zeros(7), True, True),
+        "reached": (np.zeros(7, np.uint8), True, True),
     },
     Rasterizer.loss: {"image": (real(5, 6, 3), False, False), "target": (real(5, 6, 3), False, False)},
     call_adam: {

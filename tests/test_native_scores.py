@@ -9,6 +9,7 @@ import torch
 import scenes
 from native_helpers import CAMERA, LEVELS, assert_same_bits, backward, everything, image_weights, rasterizer, render
 from reference import rasterize as ref
+from svrgs_addon.scene import Scene
 
 
 def reference_weights(scene, masks, camera) -> np.ndarray:
@@ -58,6 +59,39 @@ def test_scores_add_up_over_views(level, name, full):
     np.testing.assert_allclose(sum_, weights.sum(0), rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(max_, weights.max(0), rtol=1e-5, atol=1e-7)
     np.testing.assert_array_equal(pixels, (weights > 0).sum(0))
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("name", SCORED)
+def test_pictures_do_not_change_without_what_no_open_ray_hits(level, name):
+    """To the bit: a Gaussian that is not blended anywhere may still stop a ray, so it counts as reached."""
+    scene, masks, weights = scored(name)
+    for view, camera in enumerate(SCORED[name][1]):
+        reached = np.zeros(scene.count, np.uint8)
+        colours = functools.partial(render, level, camera=camera, outputs=("rgb", "depth", "alpha"), full=False)
+        whole = colours(scene, masks=masks)
+        rasterizer(level).add_scores(reached=reached)
+        few = np.flatnonzero(reached)
+        assert set(few) >= set(np.flatnonzero(weights[view] > 0)) and masks[few].all()
+        assert_same_bits(colours(scene.select(few), masks=masks[few]), whole)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_gaussian_that_stops_all_its_rays_is_reached_though_it_is_blended_nowhere(level):
+    alphas = np.array([0.95, 0.95, 0.95, 0.95, 0.1])  # T: 5e-2, 2.5e-3, 1.25e-4, then it would be below 1e-4; only the last one would not stop the rays
+    places = np.stack([np.zeros(5), np.zeros(5), np.arange(1.0, 6.0)], 1).astype(np.float32)
+    colours = np.random.default_rng(0).normal(size=(5, 1, 3)).astype(np.float32)
+    logits = np.log(alphas / (1 - alphas)).astype(np.float32)
+    walls = Scene(places, np.full((5, 3), 5, np.float32), np.tile(np.float32([1, 0, 0, 0]), (5, 1)), logits, colours)
+    reached, pixels, outputs = np.zeros(5, np.uint8), np.zeros(5, np.int64), ("rgb", "depth", "alpha")
+    whole = render(level, walls, CAMERA, outputs=outputs, full=False)
+    rasterizer(level).add_scores(hits=pixels, reached=reached)
+    assert reached.tolist() == [1, 1, 1, 1, 0] and (pixels > 0).tolist() == [True, True, True, False, False]
+    assert_same_bits(render(level, walls.select(np.arange(4)), CAMERA, outputs=outputs, full=False), whole)
+    assert np.abs(render(level, walls.select(np.array([0, 1, 2, 4])), CAMERA, outputs=("alpha",), full=False)["alpha"] - whole["alpha"]).min() > 5e-6
+    render(level, walls, CAMERA, outputs=("mask",), full=True)
+    rasterizer(level).add_scores(reached=reached)
+    assert reached.all(), "F counts to the end of the rays"
 
 
 @pytest.mark.parametrize("level", LEVELS)

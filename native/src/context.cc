@@ -170,8 +170,8 @@ int64_t Context::backward(const svrgs_image_grads& in, const svrgs_grads& out, c
 }
 
 void Context::scores(const Scores& out) {
-  char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
-  for_each_tile([&](int64_t tile) { kernels_.scores_tile(frame_, tile, slots); });
+  char* slots = out.sums() ? slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size) : nullptr;
+  if (slots) for_each_tile([&](int64_t tile) { kernels_.scores_tile(frame_, tile, slots); });
   parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.scores_range(frame_, slots, begin, end, out); });
 }
 

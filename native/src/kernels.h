@@ -16,6 +16,8 @@ struct Scores {  // each (N,) and optional
   float* max;
   int64_t* hits;
   double* transmittance;
+  uint8_t* reached;
+  bool sums() const { return sum || max || hits || transmittance; }
 };
 
 struct Kernels {

@@ -60,7 +60,7 @@ def saliency(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer
         F = rasterizer.forward(scene, view, options, outputs=("mask",))["mask"]
         removal_error += _removal_error(rasterizer, view, n)
         pixels = np.zeros(n, np.int64)
-        rasterizer.add_scores(np.zeros(n), np.zeros(n, np.float32), pixels)
+        rasterizer.add_scores(hits=pixels)
         ids = rasterizer.visible()
         mask_penalty[ids] += SHARE * rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"] / np.maximum(pixels[ids], 1)
     return np.divide(removal_error, mask_penalty, out=np.zeros(n), where=mask_penalty > 0)

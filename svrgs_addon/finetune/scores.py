@@ -50,7 +50,7 @@ def importance(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasteriz
     for camera in cameras:
         sums, pixels, dominant = np.zeros(n), np.zeros(n, np.int64), np.zeros(n)
         rasterizer.forward(scene, camera, options, outputs=())
-        rasterizer.add_scores(sums, np.zeros(n, np.float32), pixels)
+        rasterizer.add_scores(sums, hits=pixels)
         rasterizer.add_dominance(dominant)
         total += np.where(dominant > 0, sums / np.maximum(pixels, 1), 0) if by_area else sums
         dominated |= dominant > 0

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from ..native import Rasterizer, RenderOptions
 from ..scene import Scene
 from ..system.processes import interrupting
 from .blocks import Divided, divide
-from .views import seen
+from .views import seen, spatial_mask
 
 
 class BlockRasterizer:
@@ -29,10 +30,12 @@ class BlockRasterizer:
         self._rasterizer = Rasterizer()
 
     def forward(self, divided: Divided, camera: Camera, options: RenderOptions = RenderOptions(), outputs=("rgb",)) -> dict[str, np.ndarray]:
-        """As Rasterizer.forward(). Raises SplatError, also if memory cannot hold what the view shows. For the output mask it must hold all Gaussians in
-        view, because F also counts hidden ones."""
-        scene, _ = seen(divided, camera, self._rasterizer, behind="mask" in outputs)
-        return self._rasterizer.forward(scene, camera, options, outputs=outputs)
+        """As Rasterizer.forward(), of the outputs rgb, depth, alpha and, with the mask_kind svr, mask. Raises SplatError, also if memory cannot hold what
+        the view blends."""
+        mask = spatial_mask(divided, camera, self._rasterizer) if "mask" in outputs else None
+        scene, _ = seen(divided, camera, self._rasterizer)
+        images = self._rasterizer.forward(scene, camera, replace(options, mask_kind="none"), outputs=[name for name in outputs if name != "mask"])
+        return images if mask is None else images | {"mask": mask}
 
 
 @contextlib.contextmanager

@@ -1,8 +1,8 @@
 """What a view shows of a divided scene: it reads the blocks that it may show, and of those the Gaussians that it may show.
 
-Which of these it blends into a pixel is found out first: without colours, and in parts of the picture that may show PORTION Gaussians at most, so memory need
-not hold all that is in view. Only those are then read with their colours, and rendered. The picture is the same: the others are behind what is opaque, or too
-small or too faint.
+Which of these hit a ray before it stops is found out first: without colours, and in parts of the picture that may show PORTION Gaussians at most, so memory
+need not hold all that is in view. Only those are then read with their colours, and rendered. The picture is the same: the others are behind what is opaque,
+or too small or too faint.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import memory
 from ..camera import Camera
-from ..metrics.evaluate import render_options
+from ..metrics.evaluate import picture_options, render_options
 from ..native import Rasterizer, threads
 from ..render.quads import colors, recolored
 from ..scene import Scene
@@ -29,7 +29,7 @@ REACH = 32.0  # pixels; what reaches farther is not tested in parts, at whose bo
 
 @dataclass(frozen=True)
 class Shown:
-    """The Gaussians that a view blends into a pixel, and perhaps a few others."""
+    """The Gaussians that a view blends into a pixel, or that stop a ray, and perhaps a few others."""
 
     blocks: list[Block]  # that may have some
     places: list[np.ndarray]  # of each block, the places of the Gaussians in it, ascending
@@ -38,13 +38,9 @@ class Shown:
     scene: Scene  # in the order of the file, without colours (SH degree 0)
 
 
-def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer, behind: bool = False) -> Shown:
-    """What a view shows. behind: with what it may show behind others, as F counts it. Raises SplatError."""
-    near = [block for block in divided.blocks if may_show(block, camera)]
-    with ThreadPoolExecutor(threads()) as pool:
-        places = list(pool.map(lambda block: places_in(block, camera), near))
-    if behind:
-        return Shown(near, places, *_read(divided, near, places, camera))
+def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> Shown:
+    """What a view shows. Raises SplatError."""
+    near, places = _in_view(divided, camera)
     blended = [np.zeros(block.count, bool) for block in near]
     for window, some in _parts(near, places, camera, Window.of(camera)):
         for marked, part, found in zip(blended, some, _blended(divided, near, some, camera, window, rasterizer), strict=True):
@@ -54,13 +50,34 @@ def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer, behind: bool
     return Shown(blocks, places, *_read(divided, blocks, places, camera))
 
 
-def seen(divided: Divided, camera: Camera, rasterizer: Rasterizer, behind: bool = False) -> tuple[Scene, np.ndarray]:
-    """The Gaussians that a view blends, and perhaps a few others, in the order of the file, in colours as it sees them (SH degree 0), and their rows in the
-    file (n,). behind: as for shown(). Raises SplatError."""
-    found = shown(divided, camera, rasterizer, behind)
+def seen(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> tuple[Scene, np.ndarray]:
+    """The Gaussians that a view blends or that stop its rays, and perhaps a few others, in the order of the file, in colours as it sees them (SH degree 0),
+    and their rows in the file (n,). Raises SplatError."""
+    found = shown(divided, camera, rasterizer)
     with ThreadPoolExecutor(threads()) as pool:
         sh = _joined(list(pool.map(lambda block, some: _colors(block, some, divided, camera), found.blocks, found.places)), (1, 3))
     return replace(found.scene, sh=sh[found.order]), found.rows
+
+
+def spatial_mask(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> np.ndarray:
+    """F of a view (H, W), float32, of all Gaussians on each ray, also those hidden behind others: hits of the blocks are added and their transmittances
+    multiplied (docs/methods.md, "Spatial mask", K = N). So memory holds one block at a time. Raises SplatError."""
+    shape = camera.height, camera.width
+    hits, transmittance = np.zeros(shape, np.int64), np.ones(shape, np.float64)
+    for block, places in zip(*_in_view(divided, camera), strict=True):
+        for start in range(0, len(places), PORTION):
+            _, _, scene = _read(divided, [block], [places[start : start + PORTION]], camera)
+            found = rasterizer.forward(scene, camera, picture_options(scene, mask_kind="svr"), outputs=("hits", "transmittance"))
+            hits += found["hits"]
+            transmittance *= found["transmittance"]
+    return np.divide(hits - 1 + transmittance, np.log1p(hits), out=np.zeros(shape), where=hits > 0).astype(np.float32)
+
+
+def _in_view(divided: Divided, camera: Camera) -> tuple[list[Block], list[np.ndarray]]:
+    """The blocks that a view may show, and of each the places of the Gaussians that it may show, ascending."""
+    near = [block for block in divided.blocks if may_show(block, camera)]
+    with ThreadPoolExecutor(threads()) as pool:
+        return near, list(pool.map(lambda block: places_in(block, camera), near))
 
 
 def _parts(blocks: Sequence[Block], places: Sequence[np.ndarray], camera: Camera, window: Window) -> Iterator[tuple[Window, Sequence[np.ndarray]]]:
@@ -77,16 +94,16 @@ def _parts(blocks: Sequence[Block], places: Sequence[np.ndarray], camera: Camera
 def _blended(
     divided: Divided, blocks: Sequence[Block], places: Sequence[np.ndarray], camera: Camera, window: Window, rasterizer: Rasterizer
 ) -> Iterator[np.ndarray]:
-    """Which Gaussians a part of the view blends into a pixel, (n,) bool of each block. It does not depend on colours."""
+    """Which Gaussians a part of the view blends into a pixel, or stop a ray there, (n,) bool of each block. It does not depend on colours."""
     _, order, scene = _read(divided, blocks, places, window.seen_by(camera))
-    pixels, blended = np.zeros(scene.count, np.int64), np.empty(scene.count, bool)
+    reached, needed = np.zeros(scene.count, np.uint8), np.empty(scene.count, bool)
     rasterizer.forward(scene, window.seen_by(camera), render_options(scene), outputs=())
-    rasterizer.add_scores(np.zeros(scene.count), np.zeros(scene.count, np.float32), pixels)
-    blended[order] = pixels > 0
+    rasterizer.add_scores(reached=reached)
+    needed[order] = reached > 0
     ends = np.cumsum([0, *map(len, places)])
     for block, some, start, end in zip(blocks, places, ends, ends[1:], strict=False):
         wide = _wide(block, some, camera) if window != Window.of(camera) else False
-        yield blended[start:end] | wide
+        yield needed[start:end] | wide
 
 
 def _wide(block: Block, some: np.ndarray, camera: Camera) -> np.ndarray:

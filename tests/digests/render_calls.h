@@ -51,8 +51,9 @@ class View {
     std::vector<double> sum(kCount), transmittance(kCount), cost(kCount), slopes(kCount), dominance(kCount), moments(SVRGS_MOMENTS * rows);
     std::vector<float> most(kCount);
     std::vector<int64_t> blended(kCount);
-    require(svrgs_scores(context, sum.data(), most.data(), blended.data(), transmittance.data()), "scores");
-    add("scores", digest().add(sum).add(most).add(blended).add(transmittance));
+    std::vector<uint8_t> reached(kCount);
+    require(svrgs_scores(context, sum.data(), most.data(), blended.data(), transmittance.data(), reached.data()), "scores");
+    add("scores", digest().add(sum).add(most).add(blended).add(transmittance).add(reached));
     require(svrgs_moments(context, moments.data()), "moments");
     add("moments", digest().add(moments));
     require(svrgs_removal(context, d_rgb.data(), cost.data()), "removal");
@@ -164,7 +165,7 @@ void refusals(Lines& lines, int32_t level) {
   refused("coefficients", SVRGS_INVALID, [](View<T>& v) { v.scene.coefficients = 5; });
   View<T> v(lines, "no_view", level, 4);
   std::vector<double> sums(SVRGS_MOMENTS * kCount);
-  lines.refuse("scores_without_view", svrgs_scores(v.context, sums.data(), nullptr, nullptr, nullptr), SVRGS_INVALID);
+  lines.refuse("scores_without_view", svrgs_scores(v.context, sums.data(), nullptr, nullptr, nullptr, nullptr), SVRGS_INVALID);
   lines.refuse("moments_without_view", svrgs_moments(v.context, sums.data()), SVRGS_INVALID);
   lines.refuse("visibility_without_view", svrgs_visibility(v.context, sums.data()), SVRGS_INVALID);
   const svrgs_image_grads none = {};

@@ -143,7 +143,8 @@ class View {
     std::vector<double> sum(c.count), transmittance(c.count), moments(SVRGS_MOMENTS * visible + 1), cost(c.count + 1);
     std::vector<float> most(c.count);
     std::vector<int64_t> blended(c.count);
-    require(svrgs_scores(context, sum.data(), most.data(), blended.data(), transmittance.data()) == SVRGS_OK, "scores");
+    std::vector<uint8_t> reached(c.count);
+    require(svrgs_scores(context, sum.data(), most.data(), blended.data(), transmittance.data(), reached.data()) == SVRGS_OK, "scores");
     require(svrgs_moments(context, moments.data()) == SVRGS_OK, "moments");
     require(svrgs_removal(context, d_rgb.data(), cost.data()) == SVRGS_OK, "costs of removal");
     require(svrgs_slopes(context, cost.data()) == SVRGS_OK && svrgs_dominance(context, cost.data()) == SVRGS_OK, "slopes and dominance");

@@ -69,6 +69,8 @@ void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end,
     if (f.masks && !f.masks[id]) continue;
     for (uint32_t k = 0; k < t.tiles; ++k) {
       if (!f.hits[t.slot + k]) continue;
+      if (out.reached) out.reached[id] = 1;
+      if (!slots) break;
       const R* slot = static_cast<const R*>(slots) + static_cast<int64_t>(t.slot + k) * kSlotWidth;
       if (out.sum) out.sum[id] += static_cast<double>(slot[0]);
       if (out.max) out.max[id] = std::max(out.max[id], static_cast<float>(slot[1]));
