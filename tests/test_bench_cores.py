@@ -30,8 +30,8 @@ def test_each_task_of_one_thread_is_timed():
     native.set_threads(1)
     took = []
     jobs = traced(lambda: took.append(seconds(rasterizer.forward, scene, camera, native.RenderOptions())))
-    tiles = -(-160 // 32) * -(-120 // 32)
-    assert len(jobs) >= 4 and any(len(job) == tiles for job in jobs) and all((job >= 0).all() for job in jobs)
+    bins = -(-160 // 128) * -(-120 // 128)  # of 16 tiles, each of which is a task, too
+    assert len(jobs) >= 4 and any(len(job) == 17 * bins for job in jobs) and all((job >= 0).all() for job in jobs)
     assert 0.2 * took[0] < sum(job.sum() for job in jobs) < took[0]
     assert len(traced(lambda: None)) == 0
     rasterizer.forward(scene, camera, native.RenderOptions())

@@ -170,7 +170,7 @@ typedef struct {
 } svrgs_work;
 SVRGS_API int32_t svrgs_count_work(svrgs_context*, int32_t count_pixels, svrgs_work*);
 
-/* Durations of the stages of the last calls, by enum svrgs_stage. */
+/* Durations of the stages of the last calls, by enum svrgs_stage. SORT ends when all lists are sorted; threads that find none left blend meanwhile. */
 SVRGS_API int32_t svrgs_stage_seconds(svrgs_context*, double seconds[SVRGS_STAGES]);
 
 /* Peaks that all threads of the pool reach together: fused multiply-adds at this level (2 operations a lane), reading memory, and

@@ -15,6 +15,9 @@ constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
 constexpr int64_t kMaskLossGrain = 16384;  // pixels
 
+using Time = std::chrono::steady_clock::time_point;
+double seconds_between(Time begin, Time end) { return std::chrono::duration<double>(end - begin).count(); }
+
 int64_t chunk_count(int64_t items, int64_t grain) { return (items + grain - 1) / grain; }
 
 }  // namespace
@@ -35,7 +38,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.fx = c.fx, f.fy = c.fy, f.cx = c.cx, f.cy = c.cy;
   f.orthographic = c.orthographic;
   f.width = c.width, f.height = c.height;
-  f.tiles_x = (c.width + kTile - 1) / kTile, f.tiles_y = (c.height + kTile - 1) / kTile;
+  f.bins_x = (c.width + kBin * kTile - 1) / (kBin * kTile), f.bins_y = (c.height + kBin * kTile - 1) / (kBin * kTile);
   f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.eps_a = o.eps_a, f.disabled_skips = o.disabled_skips;
   f.depth_limit = o.depth_limit;
   f.picture_only = o.picture_only || o.depth_limit;
@@ -90,60 +93,79 @@ int64_t Context::sum_before(int64_t ProjectionCounts::* what) {
   return sum;
 }
 
-void Context::list_tiles() {
+void Context::fill_bins() {
   Frame& f = frame_;
-  const int64_t tiles = f.tile_count();
-  int64_t* tile_begin = tile_begin_.reserve<int64_t>(tiles + 1);
-  TileEntry* entries = entries_.reserve<TileEntry>(pairs_);
-  static_assert(sizeof(uint64_t) == sizeof(TileIntersection));
-  TileIntersection* pairs = slots_.reserve<TileIntersection>(3 * pairs_);
-  parallel_for(static_cast<int64_t>(chunk_counts_.size()), [&](int64_t c) {
-    const int64_t begin = c * kProjectGrain;
-    write_intersections(f, begin, begin + chunk_counts_[c].visible, before_[c].pairs, before_[c].pairs + chunk_counts_[c].pairs, pairs);
-  });
-  svrgs::list_tiles(f, pairs, pairs_, depth_keys_.reserve<uint32_t>(f.count), reinterpret_cast<uint64_t*>(pairs + pairs_),
-                    counts_.reserve<uint32_t>(listing_chunks(pairs_) * tiles), tile_begin, entries);
-  f.tile_begin = tile_begin, f.entries = entries;
+  parts_.resize(chunk_counts_.size());
+  for (size_t c = 0; c < parts_.size(); ++c) {
+    const int64_t begin = static_cast<int64_t>(c) * kProjectGrain;
+    parts_[c] = {begin, begin + chunk_counts_[c].visible, before_[c].pairs, 0};
+  }
+  BinEntry* const written = slots_.reserve<BinEntry>(3 * pairs_);
+  uint64_t* const keys = reinterpret_cast<uint64_t*>(written + 2 * pairs_);
+  lists_ = {written,
+            written + pairs_,
+            keys,
+            keys + pairs_,
+            counts_.reserve<BinCount>(listing_groups(parts_) * f.bin_count()),
+            bin_begin_.reserve<int64_t>(f.bin_count() + 1),
+            tile_begin_.reserve<int64_t>(f.tile_count() + 1),
+            entries_.reserve<TileEntry>(pairs_)};
+  svrgs::fill_bins(f, parts_, depth_keys_.reserve<uint32_t>(f.count), lists_);
+  f.tile_begin = lists_.tile_begin, f.entries = lists_.entries;
 }
 
-template <class P, class F>
-void Context::for_each_tile(P&& prepare, F&& run) const {
+bool Context::cancelled() const { return cancel_ && __atomic_load_n(cancel_, __ATOMIC_RELAXED); }
+
+template <class F>
+void Context::for_each_tile(F&& run) const {
   std::atomic<bool> stopped{false};
-  parallel_for_workers(frame_.tile_count(), prepare, [&](int64_t tile, int worker) {
-    if (cancel_ && __atomic_load_n(cancel_, __ATOMIC_RELAXED)) stopped.store(true, std::memory_order_relaxed);
-    if (!stopped.load(std::memory_order_relaxed)) run(tile, worker);
+  parallel_for(frame_.tile_count(), [&](int64_t tile) {
+    if (cancelled()) stopped.store(true, std::memory_order_relaxed);
+    if (frame_.in_image(frame_.tile_origin(tile)) && !stopped.load(std::memory_order_relaxed)) run(tile);
   });
   if (stopped) throw Failure{SVRGS_CANCELLED, "cancelled"};
 }
 
-template <class F>
-void Context::for_each_tile(F&& run) const {
-  for_each_tile([](int) {}, [&](int64_t tile, int) { run(tile); });
-}
-
-// Without gradients or statistics to come, each thread needs the pixels of one tile at a time.
-void Context::blend(const svrgs_images& images) {
-  const int64_t tile_bytes = kTileState * kernels_.real_size;
-  const auto draw = [&](const Frame& f, int64_t tile) { kernels_.forward_tile(f, tile), kernels_.write_tile(f, tile, images); };
-  if (!frame_.picture_only) {
-    frame_.hits = hits_.reserve<BlockMask>(pairs_);
-    frame_.state = state_.reserve<char>(frame_.tile_count() * tile_bytes);
-    return for_each_tile([&](int64_t tile) { draw(frame_, tile); });
-  }
-  char* state = nullptr;
-  for_each_tile([&](int workers) { state = state_.reserve<char>(workers * tile_bytes); },
-                [&](int64_t tile, int worker) {
-                  Frame own = frame_;
-                  own.state = state + worker * tile_bytes;
-                  draw(own, tile);
-                });
+// Sorts the bins and blends their tiles, in one job: no thread waits for the last bin before it blends the tiles of the first ones. Without gradients or
+// statistics to come, each thread needs the pixels of one tile at a time.
+void Context::list_and_blend(const svrgs_images& images) {
+  const int64_t bins = frame_.bin_count(), tile_bytes = kTileState * kernels_.real_size;
+  uint8_t* const listed = listed_.reserve<uint8_t>(bins);
+  std::fill_n(listed, bins, uint8_t{0});
+  std::atomic<int64_t> left{bins};
+  std::atomic<bool> stopped{false};
+  const auto begun = std::chrono::steady_clock::now();
+  auto all_listed = begun;
+  if (!frame_.picture_only) frame_.hits = hits_.reserve<BlockMask>(pairs_), frame_.state = state_.reserve<char>(frame_.tile_count() * tile_bytes);
+  const auto prepare = [&](int workers) {
+    if (frame_.picture_only) frame_.state = state_.reserve<char>(workers * tile_bytes);
+  };
+  parallel_for_workers(bins + frame_.tile_count(), prepare, [&](int64_t task, int worker) {
+    if (task < bins) {
+      list_bin(lists_, task);
+      __atomic_store_n(listed + task, 1, __ATOMIC_RELEASE);
+      if (--left == 0) all_listed = std::chrono::steady_clock::now();
+      return;
+    }
+    const int64_t tile = task - bins;
+    wait_for_earlier_task([&] { return __atomic_load_n(listed + tile / kBinTiles, __ATOMIC_ACQUIRE); });
+    if (cancelled()) stopped.store(true, std::memory_order_relaxed);
+    if (!frame_.in_image(frame_.tile_origin(tile)) || stopped.load(std::memory_order_relaxed)) return;
+    const auto draw = [&](const Frame& f) { kernels_.forward_tile(f, tile), kernels_.write_tile(f, tile, images); };
+    if (!frame_.picture_only) return draw(frame_);
+    Frame own = frame_;
+    own.state = static_cast<char*>(own.state) + worker * tile_bytes;
+    draw(own);
+  });
+  seconds_[SVRGS_SORT] += seconds_between(begun, all_listed), seconds_[SVRGS_BLEND] = seconds_between(all_listed, std::chrono::steady_clock::now());
+  if (stopped) throw Failure{SVRGS_CANCELLED, "cancelled"};
 }
 
 template <class F>
 void Context::timed(svrgs_stage stage, F&& run) {
   const auto begin = std::chrono::steady_clock::now();
   run();
-  seconds_[stage] = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  seconds_[stage] = seconds_between(begin, std::chrono::steady_clock::now());
 }
 
 void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_options& o, const svrgs_images& images) {
@@ -152,8 +174,8 @@ void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_o
   cancel_ = o.cancel;
   timed(SVRGS_PROJECT, [&] { project(); });
   timed(SVRGS_TILES, [&] { find_tiles(o.max_pairs); });
-  timed(SVRGS_SORT, [&] { list_tiles(); });
-  timed(SVRGS_BLEND, [&] { blend(images); });
+  timed(SVRGS_SORT, [&] { fill_bins(); });
+  list_and_blend(images);
   holds_view_ = !o.picture_only;
 }
 

@@ -68,8 +68,9 @@ class Context {
   void set_frame(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);
   void project();
   void find_tiles(int64_t max_pairs);
-  void list_tiles();
-  void blend(const svrgs_images&);
+  void fill_bins();
+  void list_and_blend(const svrgs_images&);
+  bool cancelled() const;
   int64_t sum_before(int64_t ProjectionCounts::* what);
   void loss_tiles(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
   template <class F>
@@ -78,17 +79,17 @@ class Context {
   void add_sums(double* out, F&& run);
   template <class F>
   void for_each_tile(F&& run) const;  // run(tile), in any order, until the cancel flag is set
-  template <class P, class F>
-  void for_each_tile(P&& prepare, F&& run) const;  // the same with run(tile, worker), after prepare(workers)
 
   const Kernels& kernels_;
   Frame frame_ = {};
   const int32_t* cancel_ = nullptr;
   int64_t pairs_ = 0;
   std::vector<ProjectionCounts> chunk_counts_, before_;  // by chunk of projection: of it, and of all before it
+  std::vector<BinPart> parts_;                           // likewise
+  TileLists lists_ = {};
   bool holds_view_ = false;
   double seconds_[SVRGS_STAGES] = {};
-  Buffer gaussians_, rects_, tiles_, spans_, ids_, depth_keys_, visible_, places_, tile_begin_, entries_, counts_, hits_, state_;
+  Buffer gaussians_, rects_, tiles_, spans_, ids_, depth_keys_, visible_, places_, bin_begin_, tile_begin_, entries_, counts_, listed_, hits_, state_;
   Buffer slots_;  // of the pixels' sums; before, where tiles are listed
   Buffer loss_scratch_, tile_values_;
 };

@@ -46,6 +46,10 @@ struct TileEntry {
   uint32_t place, slot;
 };
 
+struct TileOrigin {
+  int x, y;  // tile coordinates
+};
+
 // Per-pixel results stored for the backward pass; axes: tile, block, field, 16 lanes.
 enum Field { kRed, kGreen, kBlue, kDepth, kFinalT, kFullT, kCount, kDropped, kSum0, kSum1, kSum2, kSum3, kFields };
 
@@ -57,7 +61,15 @@ constexpr int kSlotWidth = 12;  // reals per (Gaussian, tile) slot of the backwa
 enum Slot { kG, kGu, kGv, kGuu, kGuv, kGvv, kSlotRed, kSlotGreen, kSlotBlue, kSlotMask, kSlotDepth, kSlotSpatial };
 
 struct Frame {
-  int64_t tile_count() const { return static_cast<int64_t>(tiles_x) * tiles_y; }
+  // Tiles are numbered bin after bin, and row after row within one: tiles that follow each other show the same Gaussians. Bins at the borders may have
+  // tiles outside the image, which are empty.
+  int64_t bin_count() const { return static_cast<int64_t>(bins_x) * bins_y; }
+  int64_t tile_count() const { return bin_count() * kBinTiles; }
+  TileOrigin tile_origin(int64_t tile) const {
+    const int bin = static_cast<int>(tile / kBinTiles), in_bin = static_cast<int>(tile % kBinTiles);
+    return {bin % bins_x * kBin + in_bin % kBin, bin / bins_x * kBin + in_bin / kBin};
+  }
+  bool in_image(TileOrigin o) const { return o.x * kTile < width && o.y * kTile < height; }
 
   // scene
   int64_t count;
@@ -68,7 +80,7 @@ struct Frame {
   double viewmat[16], position[3];
   double fx, fy, cx, cy;
   bool orthographic;
-  int width, height, tiles_x, tiles_y;
+  int width, height, bins_x, bins_y;
   double background[3];
   // options
   bool antialiased, full, want_depth, picture_only;

@@ -44,20 +44,6 @@ void Job::traced_work() {
   }
 }
 
-// A view is a dozen short jobs. To wake a sleeping thread takes as long as some of them, so threads spin for a while before they sleep.
-constexpr int kSpins = 4000;  // some 50 microseconds; more on a processor with a longer pause
-
-template <class F>
-bool spin_until(F&& found) {
-  for (int i = 0; i < kSpins; ++i) {
-    if (found()) return true;
-#if defined(__x86_64__)
-    __builtin_ia32_pause();
-#endif
-  }
-  return false;
-}
-
 // The gate is one atomic word. Its low half counts the workers inside the job. Its high half is even while workers may enter, odd while they may not, and grows
 // by two with each job. A lock is taken only to sleep and to wake.
 class Pool {

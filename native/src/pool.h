@@ -1,6 +1,7 @@
 // The one thread pool of the library. Work is handed out by an atomic counter; the caller takes part.
 #pragma once
 #include <cstdint>
+#include <thread>
 #include <vector>
 
 namespace svrgs {
@@ -32,6 +33,25 @@ void parallel_for_workers(int64_t count, P&& prepare, F&& f) {
   run_tasks(
       count, [](void* a, int64_t i, int worker) { static_cast<Both*>(a)->f(i, worker); }, &both,
       [](void* a, int workers) { static_cast<Both*>(a)->prepare(workers); });
+}
+
+// A view is a dozen short jobs. To wake a sleeping thread takes as long as some of them, so threads spin for a while before they sleep.
+template <class F>
+bool spin_until(F&& found) {
+  constexpr int kSpins = 4000;  // some 50 microseconds; more on a processor with a longer pause
+  for (int i = 0; i < kSpins; ++i) {
+    if (found()) return true;
+#if defined(__x86_64__)
+    __builtin_ia32_pause();
+#endif
+  }
+  return false;
+}
+
+// Within a task: returns when found() is true. A task with a smaller index must make it so, and must not wait itself.
+template <class F>
+void wait_for_earlier_task(F&& found) {
+  while (!spin_until(found)) std::this_thread::yield();
 }
 
 // Calls f(begin, end) for fixed blocks of `grain` items: the split does not depend on the number of threads.

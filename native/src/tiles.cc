@@ -9,11 +9,11 @@
 namespace svrgs {
 namespace {
 
+constexpr int64_t kMostGroups = 32;
 constexpr int kMaxDigitBits = 11;       // of a digit
 constexpr int64_t kMaxMovesPerKey = 8;  // moves for each item before another way is taken
 
-// Sort key of an entry of a tile's list: depth, then slot. No two are equal, and equal depths are in the order of slots. The order of places is
-// the same, so the key of a picture that needs no slots has the place instead.
+// Sort key of an entry of a bin: depth, then where it is. No two are equal, and equal depths are in the order of places.
 uint64_t entry_key(uint32_t depth_key, int64_t index) { return static_cast<uint64_t>(depth_key) << 32 | static_cast<uint64_t>(index); }
 
 // For keys that are nearly sorted.
@@ -32,7 +32,7 @@ void sort_by_insertion(uint64_t* keys, int64_t n) {
 void sort_list(uint64_t* keys, uint64_t* scratch, int64_t n) {
   uint64_t low = ~uint64_t{0}, high = 0;
   for (int64_t i = 0; i < n; ++i) low = std::min(low, keys[i] >> 32), high = std::max(high, keys[i] >> 32);
-  if (low >= high) return;  // they are in the order of slots
+  if (low >= high) return;  // they are in the order of places
   const int bits = std::clamp(static_cast<int>(std::bit_width(static_cast<uint64_t>(n))) - 1, 4, kMaxDigitBits);
   const int second = std::max(static_cast<int>(std::bit_width(high - low)) - 2 * bits, 0), first = second + bits;
   const uint64_t mask = (1u << bits) - 1;
@@ -48,57 +48,139 @@ void sort_list(uint64_t* keys, uint64_t* scratch, int64_t n) {
   sort_by_insertion(keys, n);
 }
 
-}  // namespace
+struct BinTiles {
+  uint32_t bits, count;
+};
 
-void write_intersections(const Frame& f, int64_t begin, int64_t end, int64_t slot, int64_t slot_end, TileIntersection* pairs) {
-  constexpr int kAtOnce = 4;  // most spans have fewer tiles: their pairs are written without a branch, and those too many are overwritten
-  TileIntersection* next = pairs + slot;
-  const TileIntersection* const last = pairs + slot_end;
-  for (int64_t place = begin; place < end; ++place) {
+// Rows [row, end) of the tiles of a Gaussian, as far as they are in a bin whose first column is `left`.
+BinTiles tiles_in_bin(const TileRect& t, const Span* spans, int row, int end, int left) {
+  BinTiles tiles = {0, 0};
+  for (; row < end; ++row) {
+    const Span s = spans[row - t.row];
+    const int from = std::clamp(s.begin - left, 0, kBin), to = std::clamp(s.end - left, from, kBin);
+    tiles.bits |= ((1u << to) - (1u << from)) << kBin * (row % kBin), tiles.count += static_cast<uint32_t>(to - from);
+  }
+  return tiles;
+}
+
+// The same of all rows where no tile is outside the bin.
+BinTiles tiles_in_only_bin(const TileRect& t, const Span* spans) {
+  BinTiles tiles = {0, 0};
+  for (uint32_t k = 0; k < t.rows; ++k) {
+    const uint32_t count = spans[k].end - spans[k].begin;
+    tiles.bits |= ((1u << count) - 1) << (kBin * ((t.row + k) % kBin) + spans[k].begin % kBin), tiles.count += count;
+  }
+  return tiles;
+}
+
+// Writes the entries of a part from `next` on, at most one for each of its slots. Returns where they end.
+BinEntry* write_entries(const Frame& f, const BinPart& part, BinEntry* next) {
+  uint32_t slot = static_cast<uint32_t>(part.slot);
+  for (int64_t place = part.begin; place < part.end; ++place) {
     const TileRect& t = f.rects[place];
-    f.tiles[place].slot = static_cast<uint32_t>(next - pairs);
-    const Span* const spans = t.rows > 1 ? f.spans + f.tiles[place].span : &t.columns;
-    for (uint32_t r = 0; r < t.rows; ++r) {
-      const uint32_t first = (t.row + r) * static_cast<uint32_t>(f.tiles_x) + spans[r].begin, count = spans[r].end - spans[r].begin;
-      uint32_t k = 0;
-      if (last - next >= kAtOnce)
-        for (; k < kAtOnce; ++k) next[k] = {first + k, static_cast<uint32_t>(place)};
-      for (; k < count; ++k) next[k] = {first + k, static_cast<uint32_t>(place)};
-      next += count;
+    GaussianTiles& g = f.tiles[place];
+    g.slot = slot;
+    const Span* const spans = t.rows > 1 ? f.spans + g.span : &t.columns;
+    const auto write = [&](int x, int y, BinTiles tiles) {
+      if (!tiles.count) return;
+      *next++ = {static_cast<uint32_t>(y * f.bins_x + x), static_cast<uint32_t>(place), slot, static_cast<uint16_t>(tiles.bits),
+                 static_cast<uint16_t>(tiles.count)};
+      slot += tiles.count;
+    };
+    const int end = t.row + t.rows, x = t.columns.begin / kBin, y = t.row / kBin, last_x = (t.columns.end - 1) / kBin, last_y = (end - 1) / kBin;
+    if (x == last_x && y == last_y) {  // as most
+      write(x, y, tiles_in_only_bin(t, spans));
+    } else {
+      for (int b = y; b <= last_y; ++b)
+        for (int a = x; a <= last_x; ++a) write(a, b, tiles_in_bin(t, spans, std::max<int>(t.row, b * kBin), std::min(end, (b + 1) * kBin), a * kBin));
     }
-    f.tiles[place].tiles = static_cast<uint32_t>(next - pairs) - f.tiles[place].slot;
+    g.tiles = slot - g.slot;
+  }
+  return next;
+}
+
+// Adds how many entries each tile of their bin has.
+void count_tiles(const BinEntry* entry, const BinEntry* end, uint32_t counts[kBinTiles]) {
+  typedef uint16_t Half __attribute__((vector_size(16)));
+  constexpr int64_t kMost = UINT16_MAX;
+  const Half low = {1, 2, 4, 8, 16, 32, 64, 128}, high = low << 8;
+  while (entry < end) {
+    Half first = {}, second = {};
+    for (const BinEntry* const stop = entry + std::min<int64_t>(kMost, end - entry); entry < stop; ++entry) {
+      const Half tiles = Half{} + entry->tiles;
+      first -= (Half)((tiles & low) != 0), second -= (Half)((tiles & high) != 0);
+    }
+    for (int k = 0; k < kBinTiles / 2; ++k) counts[k] += first[k], counts[kBinTiles / 2 + k] += second[k];
   }
 }
 
-int64_t listing_chunks(int64_t pairs) { return std::clamp<int64_t>(pairs / 8192, 1, 16); }
-
-void list_tiles(const Frame& f, const TileIntersection* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin,
-                TileEntry* entries) {
-  const int64_t tiles = f.tile_count(), chunks = listing_chunks(count), grain = (count + chunks - 1) / chunks;
-  parallel_for(chunks, [&](int64_t c) {
-    uint32_t* const own = counts + c * tiles;
-    std::fill_n(own, tiles, 0u);
-    for (int64_t p = c * grain, end = std::min(count, p + grain); p < end; ++p) ++own[pairs[p].tile];
-  });
-  uint32_t total = 0;
-  for (int64_t tile = 0; tile < tiles; ++tile) {
-    tile_begin[tile] = total;
-    for (int64_t c = 0; c < chunks; ++c) total += std::exchange(counts[c * tiles + tile], total);
-  }
-  tile_begin[tiles] = total;
-  parallel_for(chunks, [&](int64_t c) {
-    uint32_t* const next = counts + c * tiles;
-    for (int64_t p = c * grain, end = std::min(count, p + grain); p < end; ++p)
-      keys[next[pairs[p].tile]++] = entry_key(depth_keys[pairs[p].place], f.picture_only ? pairs[p].place : p);
-  });
-  parallel_for(tiles, [&](int64_t tile) {
-    const int64_t begin = tile_begin[tile], end = tile_begin[tile + 1];
-    sort_list(keys + begin, keys + count + begin, end - begin);
-    for (int64_t i = begin; i < end; ++i) {
-      const uint32_t index = static_cast<uint32_t>(keys[i]);
-      entries[i] = f.picture_only ? TileEntry{index, 0} : TileEntry{pairs[index].place, index};
+// Deals the sorted entries of a bin out to its tiles. next[tile]: where the next entry of the tile goes.
+void deal_out(const BinEntry* binned, const uint64_t* keys, int64_t n, TileEntry* next[kBinTiles + 1]) {
+  TileEntry none;
+  next[kBinTiles] = &none;
+  for (int64_t i = 0; i < n; ++i) {
+    const BinEntry& e = binned[static_cast<uint32_t>(keys[i])];
+    uint32_t left = e.tiles, slot = e.slot;
+    for (int k = 0; k < 2; ++k) {  // without a branch, because the number of tiles cannot be foreseen
+      const int tile = __builtin_ctz(left | 1u << kBinTiles);
+      *next[tile] = {e.place, slot++};
+      next[tile] += tile < kBinTiles;
+      left &= left - 1;
     }
+    for (; left; left &= left - 1) *next[__builtin_ctz(left)]++ = {e.place, slot++};
+  }
+}
+
+}  // namespace
+
+int64_t listing_groups(const std::vector<BinPart>& parts) { return std::min<int64_t>(static_cast<int64_t>(parts.size()), kMostGroups); }
+
+void fill_bins(const Frame& f, std::vector<BinPart>& parts, const uint32_t* depth_keys, const TileLists& lists) {
+  const int64_t bins = f.bin_count(), groups = listing_groups(parts), grain = groups ? (static_cast<int64_t>(parts.size()) + groups - 1) / groups : 0;
+  const auto for_parts = [&](int64_t group, auto&& run) {
+    for (size_t k = static_cast<size_t>(group * grain), end = std::min(parts.size(), k + static_cast<size_t>(grain)); k < end; ++k) run(parts[k]);
+  };
+  parallel_for(groups, [&](int64_t group) {
+    BinCount* const own = lists.counts + group * bins;
+    std::fill_n(own, bins, BinCount{0, 0});
+    for_parts(group, [&](BinPart& part) {
+      BinEntry *e = lists.written + part.slot, *const end = write_entries(f, part, e);
+      part.entries = end - e;
+      for (; e < end; ++e) ++own[e->bin].entries, own[e->bin].pairs += e->count;
+    });
   });
+  BinCount total = {0, 0};
+  for (int64_t bin = 0; bin < bins; ++bin) {
+    lists.bin_begin[bin] = total.entries, lists.tile_begin[bin * kBinTiles] = total.pairs;
+    for (int64_t group = 0; group < groups; ++group) {
+      BinCount& own = lists.counts[group * bins + bin];
+      total.pairs += own.pairs, total.entries += std::exchange(own.entries, total.entries);
+    }
+  }
+  lists.bin_begin[bins] = total.entries, lists.tile_begin[bins * kBinTiles] = total.pairs;
+  parallel_for(groups, [&](int64_t group) {
+    BinCount* const next = lists.counts + group * bins;
+    for_parts(group, [&](const BinPart& part) {
+      for (const BinEntry *e = lists.written + part.slot, *const end = e + part.entries; e < end; ++e) {
+        const uint32_t to = next[e->bin].entries++;
+        lists.keys[to] = entry_key(depth_keys[e->place], to), lists.binned[to] = *e;
+      }
+    });
+  });
+}
+
+void list_bin(const TileLists& lists, int64_t bin) {
+  const int64_t begin = lists.bin_begin[bin], end = lists.bin_begin[bin + 1];
+  int64_t* const tile_begin = lists.tile_begin + bin * kBinTiles;
+  uint32_t counts[kBinTiles] = {};
+  count_tiles(lists.binned + begin, lists.binned + end, counts);
+  TileEntry* next[kBinTiles + 1];
+  for (int k = 0; k < kBinTiles; ++k) {
+    if (k) tile_begin[k] = tile_begin[k - 1] + counts[k - 1];
+    next[k] = lists.entries + tile_begin[k];
+  }
+  sort_list(lists.keys + begin, lists.scratch + begin, end - begin);
+  deal_out(lists.binned, lists.keys + begin, end - begin, next);
 }
 
 }  // namespace svrgs

@@ -1,22 +1,40 @@
 // Which Gaussians touch which tile, nearest first. Independent of the SIMD level and of the number of threads.
 #pragma once
+#include <vector>
+
 #include "frame.h"
 
 namespace svrgs {
 
-struct TileIntersection {  // a Gaussian and a tile it touches; their slot is the pair's index
-  uint32_t tile, place;
+struct BinEntry {  // a Gaussian and a bin whose tiles it touches
+  uint32_t bin, place;
+  uint32_t slot;          // of the first of these tiles
+  uint16_t tiles, count;  // a bit for each of them; how many
 };
 
-// The pairs of the visible Gaussians at places [begin, end), whose slots are [slot, slot_end), each into its slot.
-void write_intersections(const Frame& f, int64_t begin, int64_t end, int64_t slot, int64_t slot_end, TileIntersection* pairs);
+struct BinPart {  // the visible Gaussians at places [begin, end), the first of their slots, and how many entries they have in bins
+  int64_t begin, end, slot, entries;
+};
 
-// Number of chunks that pairs are counted in; counts: [chunks][tiles].
-int64_t listing_chunks(int64_t pairs);
+struct BinCount {
+  uint32_t entries, pairs;
+};
 
-// Fills tile_begin[tiles + 1] and entries: each tile's pairs by depth, equal ones in the order of slots. depth_keys: by place;
-// keys: room for twice the pairs.
-void list_tiles(const Frame& f, const TileIntersection* pairs, int64_t count, const uint32_t* depth_keys, uint64_t* keys, uint32_t* counts, int64_t* tile_begin,
-                TileEntry* entries);
+// Number of groups of parts that are counted apart.
+int64_t listing_groups(const std::vector<BinPart>& parts);
+
+struct TileLists {
+  BinEntry *written, *binned;       // room for as many entries as there are (Gaussian, tile) pairs
+  uint64_t *keys, *scratch;         // likewise
+  BinCount* counts;                 // [listing_groups][bins]
+  int64_t *bin_begin, *tile_begin;  // [bins + 1] of binned; [tiles + 1] of entries
+  TileEntry* entries;
+};
+
+// Gives the pairs of each Gaussian their slots and fills the bins. depth_keys: by place.
+void fill_bins(const Frame& f, std::vector<BinPart>& parts, const uint32_t* depth_keys, const TileLists& lists);
+
+// Fills tile_begin and entries of a bin: each tile's pairs by depth, equal ones in the order of places.
+void list_bin(const TileLists& lists, int64_t bin);
 
 }  // namespace svrgs

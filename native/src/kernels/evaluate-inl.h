@@ -5,12 +5,6 @@ struct LocalGaussian : GaussianShape<R> {
   R x, y;
 };
 
-struct TileOrigin {
-  int x, y;  // tile coordinates
-};
-
-inline TileOrigin tile_origin(const Frame& f, int64_t tile) { return {static_cast<int>(tile % f.tiles_x), static_cast<int>(tile / f.tiles_x)}; }
-
 inline const ProjectedGaussian<R>& gaussian_of(const Frame& f, TileEntry e) { return static_cast<const ProjectedGaussian<R>*>(f.gaussians)[e.place]; }
 
 inline LocalGaussian to_local(const ProjectedGaussian<R>& s, TileOrigin o) {

@@ -24,7 +24,7 @@ struct BlockPlace {
 // Calls visit(block, place) for every block of the tile with a pixel inside the image.
 template <class F>
 inline void for_blocks(const Frame& f, int64_t tile, F&& visit) {
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   for (int b = 0; b < kBlocks; ++b) {
     const int x = o.x * kTile + b % kBlockColumns * kBlockWidth, y = o.y * kTile + b / kBlockColumns * kBlockHeight;
     if (x >= f.width || y >= f.height) continue;
@@ -76,7 +76,7 @@ inline void write_block(const Frame& f, BlockPlace p, const R* block, T* image, 
 template <bool write>
 [[gnu::always_inline]] inline void fetch_image(const Frame& f, int64_t tile, const void* image, int channels) {
   if (!image) return;
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   const int left = o.x * kTile, columns = std::min(kTile, f.width - left), values = channels * columns;
   for (int y = o.y * kTile; y < std::min((o.y + 1) * kTile, f.height); ++y) {
     const R* const row = static_cast<const R*>(image) + (static_cast<int64_t>(y) * f.width + left) * channels;

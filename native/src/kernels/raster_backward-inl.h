@@ -209,7 +209,7 @@ inline
 
 template <bool spatial, bool scenario, bool depth_alpha>
 void backward_tile_as(const Frame& f, const WantedGradients& want, const svrgs_image_grads& in, int64_t tile, R* slots) {
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   const AllLanes& lanes = all_lanes();
   BackwardBlock blocks[kBlocks];
   start_backward(f, in, tile, blocks);

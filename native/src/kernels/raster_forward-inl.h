@@ -165,7 +165,7 @@ inline void end_with_colours(R* state) {
 
 template <WalkOptions walk>
 void forward_tile_as(const Frame& f, int64_t tile) {
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   R* const state = tile_state(f, tile);
   BlockMask inside = start_tile<walk>(f, o, state), open = inside;
   const TileEntry *entry = f.entries + f.tile_begin[tile], *const end = f.entries + f.tile_begin[tile + 1];

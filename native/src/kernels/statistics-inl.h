@@ -45,7 +45,7 @@ template <class F>
 
 // Writes to the slot of each (Gaussian, tile) pair: the sum of alpha T, its maximum, the pixels blended, and the sum of T.
 void scores_tile(const Frame& f, int64_t tile, void* slots) {
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   Transmittance t(f, o);
   for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     V total = broadcast(0), best = broadcast(0), pixels = broadcast(0), transmittance = broadcast(0);
@@ -84,7 +84,7 @@ void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end,
 struct RemainingColour {
   V T[kBlocks][kVectorsPerBlock], rgb[kBlocks][kVectorsPerBlock][3];
   RemainingColour(const Frame& f, int64_t tile) {
-    const TileOrigin o = tile_origin(f, tile);
+    const TileOrigin o = f.tile_origin(tile);
     R* const state = tile_state(f, tile);
     for (int b = 0; b < kBlocks; ++b)
       for (int h = 0; h < kVectorsPerBlock; ++h) {
@@ -122,7 +122,7 @@ inline V sensitivity(const LocalGaussian& l, const Hit& e, V& T, V left[3]) {
 
 // Writes to the slot of each pair the sums over pixels of alpha T, T, 1, |d|^2 and d.
 void visibility_tile(const Frame& f, int64_t tile, void* slots) {
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   RemainingColour t(f, tile);
   for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     V weights = broadcast(0), transmittance = broadcast(0), pixels = broadcast(0), squares = broadcast(0), d[3] = {};
@@ -163,7 +163,7 @@ void visibility_range(const Frame& f, const void* slots, int64_t begin, int64_t 
 
 // Writes to the slot of each pair by how much the sum of squared residuals (H, W, 3) would grow without the Gaussian: sum of d^2 - 2 r d.
 void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slots) {
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   RemainingColour t(f, tile);
   R residual[kBlocks][3][kBlockPixels] = {};
   for_blocks(f, tile, [&](int b, BlockPlace place) { read_block<3>(f, place, residuals, residual[b]); });
@@ -182,7 +182,7 @@ void removal_tile(const Frame& f, int64_t tile, const void* residuals, void* slo
 // Writes to the slot of each pair the sum over pixels of (sum over the channels of dC/dG)^2, G the value of the Gaussian, alpha = opacity G:
 // dC/dG = opacity d / alpha. As published, the clamp of alpha is not differentiated.
 void slopes_tile(const Frame& f, int64_t tile, void* slots) {
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   RemainingColour t(f, tile);
   for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     V total = broadcast(0);
@@ -201,7 +201,7 @@ void slopes_tile(const Frame& f, int64_t tile, void* slots) {
 // Writes to the slot of each pair the number of pixels in which the Gaussian has the largest alpha T of all; of equal ones the nearest.
 void dominance_tile(const Frame& f, int64_t tile, void* slots) {
   const int64_t end = f.tile_begin[tile + 1];
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   Transmittance t(f, o);
   V best[kBlocks][kVectorsPerBlock] = {};
   int64_t who[kBlocks][kBlockPixels];
@@ -233,7 +233,7 @@ void sums_range(const Frame& f, const void* slots, int64_t begin, int64_t end, d
 
 // Writes to the slot of each pair the moments of w in (u, v), in the order of svrgs_moments.
 void moments_tile(const Frame& f, int64_t tile, void* slots) {
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   RemainingColour t(f, tile);
   for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     V m[SVRGS_MOMENTS] = {};

@@ -2,9 +2,10 @@
 
 constexpr int64_t kPlacesAhead = 16;  // visible Gaussians fetched before they are needed
 
-struct TileRows {  // waiting rows of tiles: values of their Gaussians; dy of the row's first line of pixels, and of the image's last one
+struct TileRows {  // waiting rows of tiles: values of their Gaussians; dy of the row's first line of pixels, and of the image's last one; TileRect::columns
   static constexpr int kRoom = 64;
   R bound[kRoom], l22[kRoom], inv_l11[kRoom], slope[kRoom], y_extreme[kRoom], x[kRoom], low[kRoom], bottom[kRoom];
+  IntR begin_end[kRoom];
 };
 
 // Writes the spans of n <= W waiting rows, from `first` on; adds their tiles to `tiles`.
@@ -17,7 +18,12 @@ inline void find_spans(const Frame& f, const TileRows& rows, int first, int n, S
   const PixelRange columns = pixel_range(centre, half, f.width);
   const M crosses = both(at_least(e.depth, broadcast(0)), less(columns.begin, columns.end));
   const TileRange across = tile_range(columns);
-  const U words = (U)keep(crosses, (V)(across.begin | across.end << 16)), counts = (U)keep(crosses, (V)(across.end - across.begin));
+  U all;  // columns of the Gaussian: rounding can make a row wider
+  __builtin_memcpy(&all, rows.begin_end + first, sizeof all);
+  const auto larger = [](U a, U b) { return a > b ? a : b; };
+  const auto smaller = [](U a, U b) { return a < b ? a : b; };
+  const U begin = larger(across.begin, all & 0xffff), end = larger(smaller(across.end, all >> 16), begin);
+  const U words = (U)keep(crosses, (V)(begin | end << 16)), counts = (U)keep(crosses, (V)(end - begin));
   if (n == W && sizeof words == W * sizeof(Span)) {
     __builtin_memcpy(spans, &words, sizeof words);
     tiles += counts;
@@ -51,6 +57,7 @@ int64_t fill_spans(const Frame& f, int64_t begin, int64_t end, Span* spans) {
     for (int r = 0; r < t.rows; ++r) {
       rows.bound[waiting] = ellipse_bound(f, s.shape.log2_opacity), rows.l22[waiting] = s.shape.l22, rows.inv_l11[waiting] = s.shape.inv_l11;
       rows.slope[waiting] = s.shape.slope, rows.y_extreme[waiting] = s.shape.y_extreme, rows.x[waiting] = static_cast<R>(s.x);
+      rows.begin_end[waiting] = t.columns.begin | t.columns.end << 16;
       rows.low[waiting] = static_cast<R>((t.row + r) * kTile + 0.5 - s.y), rows.bottom[waiting] = static_cast<R>(f.height - 0.5 - s.y);
       if (++waiting < TileRows::kRoom) continue;
       for (int first = 0; first < waiting; first += W, spans += W) find_spans(f, rows, first, W, spans, tiles);

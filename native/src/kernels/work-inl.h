@@ -2,7 +2,7 @@
 
 // Adds the work of one tile.
 void count_tile(const Frame& f, int64_t tile, svrgs_work& work) {
-  const TileOrigin o = tile_origin(f, tile);
+  const TileOrigin o = f.tile_origin(tile);
   Transmittance t(f, o);
   Chunk c;
   const TileEntry *entry = f.entries + f.tile_begin[tile], *const end = f.entries + f.tile_begin[tile + 1];
