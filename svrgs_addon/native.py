@@ -76,7 +76,7 @@ __all__ = [
 
 IMAGES = {output.name: output.channels for output in OUTPUTS.values() if not output.integer}  # trailing channels, 0: none
 COUNTS = tuple(output.name for output in OUTPUTS.values() if output.integer)
-Maybe = np.ndarray | None
+Maybe = np.ndarray | None  # an output that is not asked for is None
 MOMENTS = ("uu", "uv", "vv", "uuu", "uuv", "uvv", "vvv", "uuuu", "uuuv", "uuvv", "uvvv", "vvvv")
 VISIBILITY = ("weights", "transmittance", "pixels", "squares", "red", "green", "blue", "views", "density")
 

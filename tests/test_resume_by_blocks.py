@@ -123,6 +123,33 @@ def test_a_job_that_was_stopped_goes_on_with_resume(svrgs, short, stop_at, tiny,
     assert sorted(path.name for path in tmp_path.iterdir()) == ["o.ply", "whole.ply"]
 
 
+@pytest.fixture
+def whole_and_stopped(svrgs, short, stop_at, tiny, tmp_path, monkeypatch) -> list:
+    """The words of a job. Memory was too short for it: whole.ply is its result by blocks; another start was stopped, and o.ply would be its output. Memory
+    suffices from here on."""
+    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.5, "--iterations", 40, "--recovery", 20]
+    assert svrgs(*words, "--out", tmp_path / "whole.ply").status == 0
+    stop_at("recover")
+    assert svrgs(*words, "--out", tmp_path / "o.ply").status == 130 and (tmp_path / "o.ply.blocks").is_dir()
+    monkeypatch.undo()
+    return words
+
+
+def test_what_was_begun_by_blocks_goes_on_by_blocks(svrgs, whole_and_stopped, tmp_path, caplog):
+    assert svrgs(*whole_and_stopped, "--out", tmp_path / "o.ply", "--resume").status == 0
+    assert "its blocks are there from an earlier start; it is pruned by blocks" in caplog.text
+    assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes() and not (tmp_path / "o.ply.blocks").exists()
+
+
+def test_a_job_that_begins_again_leaves_no_blocks(svrgs, whole_and_stopped, tmp_path):
+    (tmp_path / "p.ply.blocks").mkdir()
+    (tmp_path / "p.ply.blocks/0.rows").write_text("mine")
+    for name in ("o.ply", "p.ply"):
+        assert svrgs(*whole_and_stopped, "--out", tmp_path / name).status == 0
+    assert (tmp_path / "o.ply").read_bytes() != (tmp_path / "whole.ply").read_bytes(), "it was done in memory"
+    assert not (tmp_path / "o.ply.blocks").exists() and (tmp_path / "p.ply.blocks/0.rows").read_text() == "mine"
+
+
 def words_for(tiny, out: Path, *more) -> list:
     words = ["large", "prune", tiny.splat, "--colmap", tiny.folder, "--method", "removal", "--iterations", 40, "--recovery", 20]
     return [*words, "--block", 130, "--out", out, *more]

@@ -11,6 +11,7 @@ struct BinEntry {  // a Gaussian and a bin whose tiles it touches
   uint32_t slot;          // of the first of these tiles
   uint16_t tiles, count;  // a bit for each of them; how many
 };
+static_assert(kBinTiles == 16, "a bit for each tile");
 
 struct BinPart {  // the visible Gaussians at places [begin, end), the first of their slots, and how many entries they have in bins
   int64_t begin, end, slot, entries;

@@ -16,8 +16,10 @@ from ..errors import Cancelled, MemoryShort, SceneError, TooMany
 from ..files.level_files import level_files
 from ..finetune.methods import DEFAULT, method_named
 from ..large.blocks import Tell
+from ..large.folder import blocks_of
 from ..large.request import Request, methods
 from ..large.sample import finer, refuse_hidden, sample_of
+from ..large.tasks import progress
 from ..large.tuning import EPOCHS
 from ..large.whole import Goal, prune_by_blocks
 from ..metrics.evaluate import refuse_unseen
@@ -47,6 +49,12 @@ def possible(options: PruneOptions) -> bool:
         return _has_only(options, (*TAKES, *OF_METHODS)) and (options.visible_mask or _to_number(options))
     merges = options.quick or (options.colmap is None and options.method in ("", "merge"))
     return merges and bool(options.quick or _number(options)) and _has_only(options, (*TAKES, *(OF_QUICK if options.quick else ())))
+
+
+def was_begun(options: PruneOptions) -> bool:
+    """Whether a job that is resumed was begun by blocks."""
+    assert options.out is not None
+    return options.resume and _learns(options) and possible(options) and bool(progress(blocks_of(options.out))[0])
 
 
 def _learns(options: PruneOptions) -> bool:

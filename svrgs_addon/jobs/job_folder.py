@@ -61,7 +61,7 @@ from .options import PruneOptions, TrainOptions, refuse_time_and_steps
 
 SCHEMA = 2
 ROW = "svrgs_row"  # column of scene.ply
-BLOCKS = "recovered.ply.blocks"
+BLOCKS = blocks.blocks_of(Path("recovered.ply")).name
 HEARTBEAT = 2.0  # seconds between two writes of state.json
 STALE = 15.0  # seconds: a process that has not renewed its state for so long is gone
 LARGEST_JSON = 1 << 20  # bytes; larger files are not read

@@ -46,13 +46,15 @@ def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict:
 def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
     """Does `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint."""
     native.set_threads(options.threads)
-    try:
-        return _prune_whole(options, adapt)
-    except (MemoryShort, TooMany) as error:
-        if not by_blocks.possible(options):
-            raise by_blocks.with_advice(error, options) from None
-        reason = str(error)
-    assert options.out is not None  # outside of the except: there, the error still holds the scene in memory
+    assert options.out is not None
+    reason = f"{options.scene}: its blocks are there from an earlier start" if by_blocks.was_begun(options) else ""
+    if not reason:
+        try:
+            return _prune_whole(options, adapt)
+        except (MemoryShort, TooMany) as error:
+            if not by_blocks.possible(options):
+                raise by_blocks.with_advice(error, options) from None
+            reason = str(error)  # what follows is outside of the except: there, the error still holds the scene in memory
     with StopRequest() as stop:
         return by_blocks.prune_large(options, adapt(JobContext(options.out, stop=stop)), reason)
 

@@ -22,6 +22,7 @@ from ..finetune.plan import Plan
 from ..finetune.quality import quality_views
 from ..finetune.run import Run
 from ..finetune.settings import Densify
+from ..large.folder import remove_blocks
 from ..metrics.evaluate import any_in_view, evaluate, mean_psnr, refuse_unseen, render_options
 from ..metrics.explained import mismatch_of
 from ..metrics.format_loss import format_loss
@@ -250,6 +251,7 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
         clock.earlier = sum(run.seconds.values())
     else:
         checkpoint.delete_all(job.folder)
+        remove_blocks(job.out)
     job.begin(run)
 
     def save():

@@ -23,6 +23,11 @@ from .tuning import CUT, MIXED, TUNED
 SCORED, MEASURED, RESULT, LEVEL, HELD = "scored_views.json", "measured_views.json", "result", "level_{}.ply", "held"
 
 
+def blocks_of(out: Path) -> Path:
+    """The folder of the blocks of a job with this output, if no other is named."""
+    return out.with_name(out.name + ".blocks")
+
+
 def prepare(work: Path, scored: Sequence[Camera], measured: Sequence[Camera], request: Request | None = None):
     """Makes the folder, or takes that of a run that was killed, and writes the views into it, and what is asked of a method. Raises SceneError for a folder
     with other things."""
@@ -54,6 +59,12 @@ def measured_views(work: Path) -> list[Camera]:
     return load_cameras(work / MEASURED)
 
 
+def remove_blocks(out: Path):
+    """Removes the blocks of an earlier job with this output. A folder with other things stays."""
+    if (work := blocks_of(out)).is_dir() and (work / SCORED).is_file():
+        remove(work)
+
+
 def folders(work: Path) -> list[Path]:
     """The folders in which a job writes, whether they are there or not: of scenes, and of checkpoints."""
     scenes = _scenes(work)
@@ -65,17 +76,17 @@ def _scenes(work: Path) -> list[Path]:
 
 
 def remove(work: Path):
-    """Removes what was written into the folder, and the folder, if nothing else is in it. A link is removed, not what it leads to."""
+    """Removes the files of a job, and the folder if nothing else is in it. A link is removed, not what it leads to."""
     if remove_link(work):
         return
-    (work / TASKS).unlink(missing_ok=True)  # first: what is named there lies in the other files
+    (work / TASKS).unlink(missing_ok=True)  # first, because it says that the other files are there
     for folder in (found for found in _scenes(work) if not remove_link(found)):
         remove_abandoned(folder)
         clear(folder)
         for name in (HELD, RUNS):
             if not remove_link(folder / name):
                 shutil.rmtree(folder / name, ignore_errors=True)
-        for path in (folder / MEASURED, folder / REQUEST, *folder.glob(LEVEL.format("[0-9]*")), folder / SCORED):  # by SCORED the folder is known: last
+        for path in (folder / MEASURED, folder / REQUEST, *folder.glob(LEVEL.format("[0-9]*")), folder / SCORED):  # SCORED last: by it, the folder is known
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             folder.rmdir()

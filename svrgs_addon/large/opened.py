@@ -32,10 +32,12 @@ class BlockRasterizer:
     def forward(self, divided: Divided, camera: Camera, options: RenderOptions = RenderOptions(), outputs=("rgb",)) -> dict[str, np.ndarray]:
         """As Rasterizer.forward(), of the outputs rgb, depth, alpha and, with the mask_kind svr, mask. Raises SplatError, also if memory cannot hold what
         the view blends."""
-        mask = spatial_mask(divided, camera, self._rasterizer) if "mask" in outputs else None
+        mask = {"mask": spatial_mask(divided, camera, self._rasterizer)} if "mask" in outputs else {}
+        colours = [name for name in outputs if name != "mask"]
+        if not colours:
+            return mask
         scene, _ = seen(divided, camera, self._rasterizer)
-        images = self._rasterizer.forward(scene, camera, replace(options, mask_kind="none"), outputs=[name for name in outputs if name != "mask"])
-        return images if mask is None else images | {"mask": mask}
+        return self._rasterizer.forward(scene, camera, replace(options, mask_kind="none"), outputs=colours) | mask
 
 
 @contextlib.contextmanager

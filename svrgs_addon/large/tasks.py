@@ -1,4 +1,4 @@
-"""The tasks of a job by blocks that are done, in tasks.json beside the blocks. So a job that was stopped or killed can be continued."""
+"""Which tasks of a job by blocks are done. tasks.json, beside the blocks, says it, so that a job that was stopped or killed can go on."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FILE, LARGEST = "tasks.json", 1 << 22
 
 
 class Tasks:
-    """Names of the tasks that are done of a job that is continued, or of a new one; and how many it has, 0 as long as that is not known."""
+    """done: names of the tasks that are done; none of a job that begins. total: how many tasks the job has, 0 as long as that is not known."""
 
     def __init__(self, folder: Path, identity: str, resume: bool):
         """identity: of settings and inputs. Raises FormatError if the job in the folder is another one."""

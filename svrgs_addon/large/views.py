@@ -1,8 +1,8 @@
 """What a view shows of a divided scene: it reads the blocks that it may show, and of those the Gaussians that it may show.
 
 Which of these hit a ray before it stops is found out first: without colours, and in parts of the picture that may show PORTION Gaussians at most, so memory
-need not hold all that is in view. Only those are then read with their colours, and rendered. The picture is the same: the others are behind what is opaque,
-or too small or too faint.
+need not hold all that is in view. Only those are then read with their colours, and rendered. The others do not change the picture: they are behind what is
+opaque, or too small, or too faint.
 """
 
 from __future__ import annotations

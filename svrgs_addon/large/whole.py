@@ -20,7 +20,7 @@ from ..metrics.format_loss import loss_notes
 from ..photographs.dataset import Dataset
 from .allowed_drop import drop, errors_of_format, fewest_within
 from .blocks import MOST, Divided, Tell, divide
-from .folder import LEVEL, SCORED, measured_views, prepare, refuse_foreign, remove, scored_views
+from .folder import LEVEL, SCORED, blocks_of, measured_views, prepare, refuse_foreign, remove, scored_views
 from .learning import AROUND_SHARE, decide, prepare_around, recover, targets
 from .likeness import Likeness
 from .merging import merge, reduce
@@ -67,7 +67,7 @@ def prune_by_blocks(
     a block, at most. request: a method that decides on photographs instead, in its own steps; the goal is then a number, or nothing. If it is stopped or fails
     later than in its first minutes, the blocks stay, and `resume` goes on from there. Returns the JSON result. Raises SplatError, and what `told` raises.
     """
-    work = work or out.with_name(out.name + ".blocks")
+    work = work or blocks_of(out)
     outs = [out, *level_files(out, goal.levels).values()]
     for path in outs:
         check_out(path, source)
@@ -110,10 +110,15 @@ def _learned(
     source: Path, out: Path, views: tuple[Sequence[Camera], Sequence[Camera]], goal: Goal, told: Told, work: Path, block: int, request: Request, resume: bool
 ) -> dict[str, Any]:
     """The result of a method that decides on photographs, as prune_by_blocks()."""
+
+    def divide_anew():
+        prepare(work, *views, request)
+        divide(source, work, block, told("divide"))
+
     dataset, finished = request.dataset(), False
     tasks = Tasks(work, _identity(source, views, goal, block, request, dataset), resume)
     try:
-        tasks.once("divide", lambda: (prepare(work, *views, request), divide(source, work, block, told("divide"))))
+        tasks.once("divide", divide_anew)
         divided = replace(Divided.read(work), source=source)
         if ORDER not in tasks.done:
             _check_room(work, divided, goal, AROUND_SHARE)
