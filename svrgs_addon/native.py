@@ -180,13 +180,15 @@ class Rasterizer:
         _call("svrgs_backward", self._context, c.byref(grads_in), c.byref(grads_out))
         return grads
 
-    def backward_update(self, image_grads: dict, tensors: dict, rates: dict, *, step, slope=None, betas=(0.9, 0.999), eps=1e-15, wanted=()) -> tuple[dict, int]:
+    def backward_update(
+        self, image_grads: dict, tensors: dict, rates: dict, *, step, slope=None, frozen: Maybe = None, betas=(0.9, 0.999), eps=1e-15, wanted=()
+    ) -> tuple[dict, int]:
         """backward() and adam() in one call, with the same bits, but without storing the gradients.
 
-        The view cannot be used afterwards, because its scene has changed. tensors: {name: (param, moments)}; param is the scene's
-        own array; sh must be among them. 'masks': the existence logits (N,), whose gradient is dL/dM times slope (N,). rates: {name:
-        one rate, or one per column}. step: from 1. wanted: gradients to return, not of tensors. Returns ({name: (V, ...)}, number of rows
-        that were skipped because their gradient was not finite).
+        The view cannot be used afterwards, because its scene has changed. tensors: {name: (param, moments)}; param is the scene's own array; sh must
+        be among them. 'masks': the existence logits (N,), whose gradient is dL/dM times slope (N,). rates: {name: one rate, or one per column}.
+        step: from 1. frozen: (N,) uint8, 1 for Gaussians that are not updated; they no longer count as visible. wanted: gradients to return, not of
+        tensors. Returns ({name: (V, ...)}, number of rows that were skipped because their gradient was not finite).
         """
         if both := {*wanted} & {*tensors}:
             raise ValueError(f"these tensors are updated, so their gradients are not stored: {', '.join(sorted(both))}")
@@ -198,9 +200,11 @@ class Rasterizer:
             setattr(update, name, TrainedStruct(*addresses, columns[name].ctypes.data))
         if "masks" in tensors:
             update.slope = check(slope, "slope", self._shapes["masks"], self.dtype)
+        update.frozen = None if frozen is None else check(frozen, "frozen", self._shapes["masks"], np.uint8)
         bad = c.c_int64()
         _call("svrgs_backward_update", self._context, c.byref(grads_in), c.byref(update), c.byref(grads_out), c.byref(bad))
-        return grads, bad.value
+        left = self.work()["visible"]
+        return {name: rows[:left] for name, rows in grads.items()}, bad.value
 
     def add_scores(self, sum_: Maybe = None, max_: Maybe = None, hits: Maybe = None, transmittance: Maybe = None, reached: Maybe = None):
         """Adds the last view to those statistics (N,) of each Gaussian that are given, over the pixels in which it is blended: sum of alpha T float64,

@@ -18,7 +18,7 @@ from .errors import Cancelled, NativeError
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 17
+INTERFACE_VERSION = 18
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 GRADS = (*PARAMETERS, "masks", "means2d")
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # images whose gradients backward() accepts
@@ -73,7 +73,7 @@ ImageGradsStruct = _struct("ImageGradsStruct", **{name: _real for name in LOSS_I
 GradsStruct = _struct("GradsStruct", **{name: _real for name in GRADS})
 AdamStruct = _struct("AdamStruct", lr=c.c_void_p, beta1=c.c_double, beta2=c.c_double, eps=c.c_double, step=c.c_int64, shared=c.c_int32)
 TrainedStruct = _struct("TrainedStruct", param=_real, moments=c.c_void_p, lr=c.c_void_p)
-UpdateStruct = _struct("UpdateStruct", adam=AdamStruct, **{name: TrainedStruct for name in (*PARAMETERS, "masks")}, slope=_real)
+UpdateStruct = _struct("UpdateStruct", adam=AdamStruct, **{name: TrainedStruct for name in (*PARAMETERS, "masks")}, slope=_real, frozen=_real)
 WorkStruct = _struct("WorkStruct", **{name: c.c_int64 for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")})
 TextureStruct = _struct("TextureStruct", texels=c.c_void_p, width=c.c_int32, height=c.c_int32, repeat=c.c_int32)
 TrianglesStruct = _struct(

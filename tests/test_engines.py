@@ -164,6 +164,23 @@ def test_a_window_of_the_view_is_the_same_in_both_engines():
     run_both(F64, "svr", 3, resynchronise=False, window=(slice(3, 30), slice(9, 41)))
 
 
+@pytest.mark.parametrize("case", ["svr", "both", "masks_alone"])
+def test_frozen_gaussians_are_the_same_in_both_engines(case):
+    """Also with an update of all rows of the masks, as lambda_m has it."""
+    model, photographs = world(F64)
+    other, before, (native, torch_) = twin(model), twin(model), engines(F64)
+    frozen = np.arange(COUNT) % 3 == 0
+    for number in range(1, STEPS + 1):
+        step = replace(make_step(model, photographs, number, case, frozen=frozen), want_means2d=False)
+        results = native.step(model, step), torch_.step(other, step)
+        np.testing.assert_array_equal(results[0].visible, results[1].visible)
+        assert not frozen[results[0].visible].any()
+        assert_models_agree(model, other)
+    for name, array in arrays(model).items():
+        assert (array[frozen] == arrays(before)[name][frozen]).all(), name
+        assert (array[~frozen] != arrays(before)[name][~frozen]).any(), name
+
+
 def test_what_is_outside_of_the_window_has_no_part_in_the_image_loss():
     model, photographs = world(F64, with_masks=False)
     step = make_step(model, photographs, 1, "plain", window=(slice(0, 20), slice(0, 24)))
@@ -285,7 +302,8 @@ def poisoned(engine):
         grads["means"][a, 1], grads["sh"][b, 5, 2], grads["sh"][c, 0, 0], grads["masks"][d] = np.nan, np.inf, -np.inf, np.nan
         return grads
 
-    def update_with_bad_values(image_grads, tensors, rates, *, slope, wanted, **adam):
+    def update_with_bad_values(image_grads, tensors, rates, *, slope, frozen, wanted, **adam):
+        assert frozen is None
         grads = with_bad_values(image_grads, (*tensors, *wanted))
         ids = engine.rasterizer.visible()
         if "masks" in tensors:

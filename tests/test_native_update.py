@@ -38,18 +38,20 @@ def render(r, scene):
     return r.forward(scene, CAMERA, RenderOptions(mask_kind="svr"), scene.masks, ("rgb", "mask"))
 
 
-def in_two_calls(r, scene):
+def in_two_calls(r, scene, frozen=None):
     render(r, scene)
     grads = r.backward(scene.weights, (*ARRAYS, "masks", "means2d"))
     rates, ids = rates_of(scene), r.visible()
+    trained = np.ones(len(ids), bool) if frozen is None else frozen[ids] == 0
+    grads, ids = {name: rows[trained] for name, rows in grads.items()}, ids[trained]
     bad = sum(r.adam(getattr(scene, name), scene.moments[name], grads[name], ids, lr=rates[name], step=7) for name in ARRAYS)
-    return {name: grads[name].copy() for name in ("masks", "means2d")}, bad
+    return {name: grads[name] for name in ("masks", "means2d")}, bad
 
 
-def in_one_call(r, scene):
+def in_one_call(r, scene, frozen=None):
     render(r, scene)
     tensors = {name: (getattr(scene, name), scene.moments[name]) for name in ARRAYS}
-    return r.backward_update(scene.weights, tensors, rates_of(scene), step=7, wanted=("masks", "means2d"))
+    return r.backward_update(scene.weights, tensors, rates_of(scene), step=7, frozen=frozen, wanted=("masks", "means2d"))
 
 
 def assert_same(a, b):
@@ -68,6 +70,21 @@ def test_one_call_does_what_two_do(level, sh_degree):
         assert grads[name].tobytes() == expected[name].tobytes(), name
     assert_same(one, two)
     assert all((getattr(one, name) != getattr(before, name)).any() for name in ARRAYS)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.95, 1.0])
+@pytest.mark.parametrize("level", LEVELS)
+def test_frozen_gaussians_are_blended_but_not_updated(level, share):
+    r, two, one, before = rasterizer(level), world(level, 3, 600), world(level, 3, 600), world(level, 3, 600)
+    frozen = (np.random.default_rng(7).random(600) < share).astype(np.uint8)
+    (expected, bad), (grads, bad_in_one) = in_two_calls(r, two, frozen), in_one_call(r, one, frozen)
+    assert bad == bad_in_one == 0
+    for name in expected:
+        assert grads[name].tobytes() == expected[name].tobytes(), name
+    assert_same(one, two)
+    for name in ARRAYS:
+        moved = (getattr(one, name) != getattr(before, name)).reshape(600, -1).any(axis=1)
+        assert not moved[frozen == 1].any() and moved.any() == (share < 1), name
 
 
 def existence(r, count: int = COUNT):

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 17
+#define SVRGS_INTERFACE_VERSION 18
 
 typedef void real; /* float or double, by the context's level */
 
@@ -254,7 +254,8 @@ SVRGS_API int32_t svrgs_adam(svrgs_context*, const svrgs_adam_settings*, real* p
 /* svrgs_backward and svrgs_adam in one, bit for bit: the gradients of the last view go straight into an Adam step on the rows
    of the visible Gaussians (of the scene's own arrays, which this call may write) and are not stored. A tensor whose
    param is NULL is not updated; sh must have one. masks: the existence logits, whose gradient is dL/dM times `slope`. `others` may ask for
-   the gradients of tensors that are not updated, and of means2d. The view cannot be used afterwards: the scene it was made from has changed. */
+   the gradients of tensors that are not updated, and of means2d. The view cannot be used afterwards: the scene it was made from has changed.
+   Frozen Gaussians are blended, but not updated, and have no row in `others`. */
 typedef struct {
   real* param;      /* (N, columns) */
   void* moments;    /* a row of N each, as in svrgs_adam; of sh: shared */
@@ -263,7 +264,8 @@ typedef struct {
 typedef struct {
   svrgs_adam_settings adam; /* its lr and shared are not read */
   svrgs_trained means, log_scales, quats, opacity_logits, sh, masks;
-  const real* slope; /* (N,) dM/dlogit; read if masks are updated */
+  const real* slope;     /* (N,) dM/dlogit; read if masks are updated */
+  const uint8_t* frozen; /* (N,) 0 or 1; NULL: none */
 } svrgs_update;
 SVRGS_API int32_t svrgs_backward_update(svrgs_context*, const svrgs_image_grads*, const svrgs_update*, const svrgs_grads* others, int64_t* nonfinite);
 

@@ -184,11 +184,24 @@ int64_t Context::backward(const svrgs_image_grads& in, const svrgs_grads& out, c
   timed(SVRGS_RASTER_GRADS, [&] { for_each_tile([&](int64_t tile) { kernels_.backward_tile(frame_, in, out, update, tile, slots); }); });
   std::atomic<int64_t> nonfinite{0};
   timed(SVRGS_PARAMETER_GRADS, [&] {
+    if (update && update->frozen) leave_out(update->frozen);
     parallel_blocks(frame_.visible_count, kVisibleGrain,
                     [&](int64_t begin, int64_t end) { nonfinite += kernels_.gradients_range(frame_, in, out, update, slots, begin, end); });
   });
   if (update) holds_view_ = false;
   return nonfinite;
+}
+
+// From here on, the visible Gaussians are those that are not frozen.
+void Context::leave_out(const uint8_t* frozen) {
+  uint32_t* const visible = visible_.reserve<uint32_t>(frame_.visible_count);
+  uint32_t* const places = places_.reserve<uint32_t>(frame_.visible_count);
+  int64_t left = 0;
+  for (int64_t i = 0; i < frame_.visible_count; ++i) {
+    visible[left] = visible[i], places[left] = places[i];
+    left += !frozen[visible[left]];
+  }
+  frame_.visible_count = left;
 }
 
 void Context::scores(const Scores& out) {

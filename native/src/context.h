@@ -69,6 +69,7 @@ class Context {
   void project();
   void find_tiles(int64_t max_pairs);
   void fill_bins();
+  void leave_out(const uint8_t* frozen);
   void list_and_blend(const svrgs_images&);
   bool cancelled() const;
   int64_t sum_before(int64_t ProjectionCounts::* what);

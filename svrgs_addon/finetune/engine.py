@@ -35,6 +35,7 @@ class Step:
     lambda_m: float = 0.0  # weight of (mean M)^2
     gates: bool = False  # masks multiply the scale too, and have a gradient only where they are 1 (Compact3DGS)
     penalty: Penalty | tuple[Penalty, ...] | None = None  # one term, or several
+    frozen: np.ndarray | None = None  # (N,) bool: Gaussians that are rendered, but not updated. Not in a step that densifies. None: none
     update: bool = True  # False: gradients only (3DGS takes no optimiser step in a step that densifies)
     want_means2d: bool = False  # the gradient of the projected centres is returned, for densification
     window: tuple[slice, slice] | None = None  # rows and columns of the view: outside of them, its picture counts as equal to the target. None: all
@@ -54,6 +55,10 @@ class Step:
         """The terms of `penalty`."""
         return self.penalty if isinstance(self.penalty, tuple) else (self.penalty,) if self.penalty else ()
 
+    def not_frozen(self, ids: np.ndarray) -> np.ndarray:
+        """Those of the rows `ids` that are not frozen."""
+        return ids if self.frozen is None else ids[~self.frozen[ids]]
+
     @property
     def dense_gradients(self) -> set[str]:
         """Parameters whose gradient is not sparse: it reaches every Gaussian, not only the visible ones."""
@@ -67,7 +72,7 @@ class StepResult:
     l1: float
     ssim: float
     mask_loss: float  # mean F^2
-    visible: np.ndarray  # (V,) uint32: rows of the Gaussians that the view sees, ascending
+    visible: np.ndarray  # (V,) uint32: rows of the Gaussians that the view sees and that are not frozen, ascending
     means2d: np.ndarray | None = None  # (V, 2) dL/d(projected centre), per pixel
     global_loss: float = 0.0  # (mean M)^2
     penalty: float = 0.0  # value of Step.penalty, its weight included
@@ -99,7 +104,7 @@ class NativeEngine:
         image_grads, mask_loss = {"rgb": d_rgb}, 0.0
         if step.spatial:
             mask_loss, image_grads["mask"] = r.mask_loss(images["mask"], step.lambda_f)
-        result = StepResult(l1, ssim, mask_loss, r.visible(), global_loss=step.global_loss)
+        result = StepResult(l1, ssim, mask_loss, step.not_frozen(r.visible()), global_loss=step.global_loss)
         result.penalty = float(sum(penalty.value(rows, np) for penalty, rows in _penalised(model, step, result.visible)))
         wanted: tuple[str, ...] = ("means2d",) if step.want_means2d else ()
         if not step.update:
@@ -127,8 +132,10 @@ class NativeEngine:
         tensors = {_grad(name): (model.values[name], model.moments[name]) for name in trained if name not in apart}
         rates = {_grad(name): _row_rates(name, step.rates, model) for name in trained if name not in apart}
         slope = None if step.slope is None else np.asarray(step.slope, model.dtype)
+        frozen = None if step.frozen is None else step.frozen.view(np.uint8)
         wanted = (*wanted, *(_grad(name) for name in trained if name in apart))
-        grads, bad = self.rasterizer.backward_update(image_grads, tensors, rates, step=step.number, slope=slope, betas=BETAS, eps=EPS, wanted=wanted)
+        settings = {"step": step.number, "betas": BETAS, "eps": EPS}
+        grads, bad = self.rasterizer.backward_update(image_grads, tensors, rates, slope=slope, frozen=frozen, wanted=wanted, **settings)
         for name in trained:
             if name in apart:
                 rows = mask_logit_rows(step, grads, ids) if name == MASK else grads[name]
@@ -147,7 +154,8 @@ class NativeEngine:
             for grad in (grad for seen, grad in added if not seen):
                 dense += grad
             dense[ids] += rows
-            return self._adam(model, step, name, dense, None)
+            all_rows = None if step.frozen is None else np.flatnonzero(~step.frozen).astype(np.uint32)
+            return self._adam(model, step, name, dense if all_rows is None else dense[all_rows], all_rows)
         return self._adam(model, step, name, rows, ids)
 
     def _adam(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray | None) -> int:

@@ -170,6 +170,7 @@ class Run:
             l1_weight=s.l1_weight,
             ssim_weight=s.ssim_weight,
             update=not self._densifies(phase, number),
+            frozen=self.protected if phase.active else None,
             want_means2d=phase.densify is not None and number < phase.densify.until and not isinstance(phase.densify, MCMC),
         )
         step = replace(step, **self.method.terms(self, phase, number)) if phase.active else step

@@ -52,7 +52,7 @@ class RunView(Protocol):
 
     @property
     def protected(self) -> Keep:
-        """(N,) bool: the Gaussians that stay, whatever the method decides (Settings.own). None: none."""
+        """(N,) bool: the Gaussians that stay as they are while the method decides (Settings.own). None: none."""
 
     def psnr(self, kept: Keep) -> float:
         """PSNR in dB on a few views (quality_views), rendered with the Gaussians `kept` (N,) bool; None: with all."""

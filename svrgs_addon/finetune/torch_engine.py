@@ -49,14 +49,14 @@ class Rasterize(torch.autograd.Function):
         wanted = [name for name, needed in zip(GRADS, ctx.needs_input_grad[3:], strict=True) if needed]
         given = {name: grad.contiguous().numpy() for name, grad in zip(ctx.outputs, image_grads, strict=True)}
         rows = ctx.rasterizer.backward(given, wanted)
-        visible = row_ids(ctx.rasterizer)
+        visible = _indices(ctx.rasterizer.visible())
         dense = (_scattered(rows[name], visible, ctx.count) if name in rows else None for name in GRADS)
         return None, None, None, *dense
 
 
-def row_ids(rasterizer: Rasterizer) -> Tensor:
-    """Rows of the Gaussians that the last view sees, (V,) int64."""
-    return torch.from_numpy(rasterizer.visible().astype(np.int64))
+def _indices(ids: np.ndarray) -> Tensor:
+    """Rows as int64, with which torch indexes."""
+    return torch.from_numpy(ids.astype(np.int64))
 
 
 def _scattered(rows: np.ndarray, ids: Tensor, count: int) -> Tensor:
@@ -111,12 +111,13 @@ class TorchEngine:
         masks = _masks(step, leaves)
         images = self._render(step, leaves, masks, means2d)
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
-        ids = row_ids(self.rasterizer)
+        visible = step.not_frozen(self.rasterizer.visible())
+        ids = _indices(visible)
         given = [(p, leaves[p.parameter][ids] if p.seen else leaves[p.parameter]) for p in step.penalties if len(ids) or not p.seen]
         penalty = sum((p.value(values, torch) for p, values in given), torch.zeros(()))
         loss = loss + penalty
         loss.backward()
-        result = StepResult(l1.item(), similarity.item(), mask_loss.item(), self.rasterizer.visible(), global_loss=step.global_loss)
+        result = StepResult(l1.item(), similarity.item(), mask_loss.item(), visible, global_loss=step.global_loss)
         result.penalty = penalty.item()
         if step.want_means2d:
             result.means2d = _grad(means2d)[ids].numpy()
@@ -196,12 +197,13 @@ def _step_sh(learned: dict[str, Tensor], first: Tensor, second: Tensor, step: St
 def _rows_left_alone(learned: dict[str, Tensor], step: Step, ids: Tensor) -> tuple[dict[str, Tensor], int]:
     """The rows that Adam must not change, (N,) bool by parameter name; and the number of rows that are not finite.
 
-    A row is left alone if its gradient is not finite, or if the view does not see it and the gradient of the parameter is sparse.
+    A row is left alone if its gradient is not finite, if it is frozen, or if the view does not see it and the gradient of the parameter is sparse.
     """
     finite = {name: _grad(leaf)[:, None].flatten(1).isfinite().all(dim=1) for name, leaf in learned.items()}
     finite["sh"] = finite["sh_rest"] = finite["sh"] & finite["sh_rest"]
     seen = torch.zeros(len(finite["means"]), dtype=torch.bool)
     seen[ids] = True
-    reached = {name: torch.ones_like(seen) if name in step.dense_gradients else seen for name in learned}
+    trained = torch.ones_like(seen) if step.frozen is None else ~torch.from_numpy(step.frozen)
+    reached = {name: trained if name in step.dense_gradients else seen for name in learned}
     bad = sum(int((reached[name] & ~finite[name]).sum()) for name in learned if name != "sh_rest")
     return {name: ~(reached[name] & finite[name]) for name in learned}, bad

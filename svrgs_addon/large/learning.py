@@ -1,13 +1,14 @@
 """Decides on photographs, block by block, which Gaussians of a divided scene stay, with a method that has lambda_F; and recovers the quality.
 
 A block is a run of its own (finetune/run.py): of its Gaussians and of those that are blended around it, in the views that show the block, on the part of each
-photograph where it is seen. The others are trained, too, but only the block's own may be removed, and only they are kept. A run has the steps that the whole
-scene would have on these views. So a Gaussian is seen as often, and lambda_F is the same price for all blocks. A number of Gaussians to keep is divided among
-the blocks by the costs of merging.py.
+photograph where it is seen. Only the block's own may be removed, and only they are kept. A run has the steps that the whole scene would have on these views.
+So a Gaussian is seen as often, and lambda_F is the same price for all blocks. A number of Gaussians to keep is divided among the blocks by the costs of
+merging.py.
 
-All blocks decide from the original; meanwhile a merged level of detail takes the place of the blocks around it (around/). Then each recovers with what the
-others have kept. No block uses what another has learned in the same step, so any order gives the same bits. A run saves checkpoints (runs/), from which the
-same task goes on when it is started again.
+All blocks decide from the original. Meanwhile a merged level of detail takes the place of the blocks around it (around/) and is frozen: if it were trained, it
+would make up for what the block loses, and then be thrown away. Then each block recovers with what the others have kept. These are trained, too: if they were
+frozen, every block would correct the whole error of a pixel. No block uses what another has learned in the same step, so any order gives the same bits. A run
+saves checkpoints (runs/), from which the same task goes on when it is started again.
 """
 
 from __future__ import annotations

@@ -106,13 +106,14 @@ class Removal(Method):
         return int(fewest_within(run, rank, floor_of_drop(run.psnr_before, run.settings)).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
-        """Before the first step, lowers the opacities of the Gaussians that a view sees."""
+        """Before the first step, lowers the opacities of the Gaussians that a view sees and that are not protected."""
         if number == 1:
             self.lowered = _has_opaque(run.model)
             if self.lowered:
                 seen = views_that_see(run.model, run.training_cameras, run.rasterizer, run.score_options)
                 steps = phase.steps * seen.mean() / len(run.training_cameras)
-                lower_opacity(run.model, seen > 0, *lowering(steps))
+                lowered = seen > 0 if run.protected is None else (seen > 0) & ~run.protected
+                lower_opacity(run.model, lowered, *lowering(steps))
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         """A look after the first step of each of number_of_looks() equal parts of the phase."""
