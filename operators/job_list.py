@@ -123,7 +123,7 @@ def state_text(job: Job) -> str:
     if job.state == "done":
         return tr("Finished")
     state = ("stopping" if job.stopping else "running") if is_busy(job) else job.state
-    text = tr(STATES.get(state, UNKNOWN)[bool(job.facts.get("total"))]).format(share=job.progress)
+    text = tr(STATES.get(state, UNKNOWN)[job.knows_progress]).format(share=job.progress)
     if is_busy(job):
         return text if job.running else ", ".join((text, tr("in another Blender")))
     reason = job.facts.get("text") if job.state == "failed" else ""

@@ -92,7 +92,7 @@ def _of_job(job: Job) -> list[str]:
         return [*texts, silent] if job.seconds_silent > SILENT_SECONDS else texts
     if not is_resumable(job):
         return [tr("A finished job was found: load its result, or discard it and start again")]
-    state = tr(STOPPED_TEXT.get(job.state, STOPPED)[bool(job.facts.get("total"))]).format(share=job.progress)
+    state = tr(STOPPED_TEXT.get(job.state, STOPPED)[job.knows_progress]).format(share=job.progress)
     return [state, *map(tr, filter(None, [job.facts.get("text")])), resume_sentence(job), *_figures(job.facts)]
 
 
@@ -143,9 +143,11 @@ def _planned(facts: dict) -> list[str]:
 def _time_left_text(job: Job) -> str:
     if job_queue.is_queued(job):
         return tr("Waiting")
-    if not job.facts.get("total"):
+    if not job.knows_progress:
         return tr("Starting")
-    left = job.facts.get("seconds_left", 0)
+    if "seconds_left" not in job.facts:  # by blocks
+        return f"{job.progress:.0%}"
+    left = job.facts["seconds_left"]
     text = tr("{share:.0%}, {minutes:.0f} min left") if left >= 90 else tr("{share:.0%}, {seconds:.0f} s left")
     return text.format(share=job.progress, minutes=left / 60, seconds=left)
 

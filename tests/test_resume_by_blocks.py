@@ -107,7 +107,7 @@ def test_a_disk_that_is_full_costs_the_checkpoint_alone(tiny, data, tmp_path, mo
     assert "the block 0 goes on without a checkpoint" in caplog.text and (tmp_path / "work" / CUT / "0.rows").stat().st_size == 60 * 4
 
 
-@pytest.mark.parametrize("step, at", [("decide", 0.7), ("recover", 0.7), ("recover", 0.0), ("measure", 0.0)])
+@pytest.mark.parametrize("step, at", [("decide", 3.7 / 6), ("recover", 4.7 / 6), ("recover", 0.0), ("measure", 0.0)])
 def test_a_job_that_was_stopped_goes_on_with_resume(svrgs, short, stop_at, tiny, tmp_path, steps, step, at):
     words = ["prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.5, "--iterations", 40, "--recovery", 20]
     assert svrgs(*words, "--out", tmp_path / "whole.ply").status == 0
@@ -182,7 +182,7 @@ def test_what_is_done_is_not_done_again(svrgs, tiny, tmp_path, steps, stopped):
 @pytest.mark.parametrize("change", [["--target", 0.4], ["--target", 0.5, "--lambda-f", 0.5], ["--target", 0.5, "--seed", 3]])
 def test_another_job_is_not_continued(svrgs, tiny, tmp_path, stopped, change):
     done = svrgs(*words_for(tiny, tmp_path / "o.ply", *change, "--resume"))
-    assert done.status == 2 and "is one with other settings or inputs; start it without --resume" in done.err and progress(stopped) == (6, 7)
+    assert done.status == 2 and "is one with other settings or inputs; delete" in done.err and progress(stopped) == (6, 7)
 
 
 def test_without_resume_a_job_starts_again(svrgs, tiny, tmp_path, steps, stopped):
@@ -227,6 +227,19 @@ def test_a_job_of_blender_says_what_it_goes_on_with_and_can_be_moved(tiny, tmp_p
     result = run_job.prune_scene(moved.options())
     assert len(steps) <= 20 and result["scene"] == str(tmp_path / "moved" / "scene.ply")
     assert not (moved / "recovered.ply.blocks").exists()
+
+
+def test_a_job_by_blocks_says_how_much_of_it_is_done(tiny, tmp_path, short):
+    job, told = create(tmp_path / "job", tiny, method="removal", iterations=40, recovery=20, target=0.5), list[tuple[str, float]]()
+    run_job.prune_scene(job.options(), lambda context: replace(context, part=lambda text, share: told.append((text, share))))
+    starts = {text.split(":")[0]: share for text, share in reversed(told)}
+    assert starts["divide"] == 0 and starts["score"] == 1 / 6 and starts["decide"] == 3 / 6 and starts["recover"] == 4 / 6 and starts["measure"] == 5 / 6
+    runs = [share for text, share in told if text.startswith(("decide", "recover"))]
+    assert runs == sorted(runs) and told[-1][1] < 1
+    ended = Job(job)
+    assert not ended.knows_progress and ended.progress == 0
+    ended.facts |= {"share": 0.75}
+    assert ended.knows_progress and ended.progress == 0.75
 
 
 def test_a_job_that_is_discarded_takes_its_blocks_along_and_nothing_else(tiny, tmp_path, short):

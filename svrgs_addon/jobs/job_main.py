@@ -1,7 +1,7 @@
 """The child process of one background job: `python -m svrgs_addon.jobs.job_main FOLDER`. The parent's side is job_process.py.
 
 stdout: messages, one JSON object per line: STATUS {state, text}, PROGRESS {iteration, total, phase, count, loss, psnr,
-seconds_left}, PREVIEW {path}, DONE {result}, ERROR {text}.
+seconds_left, or by blocks share}, PREVIEW {path}, DONE {result}, ERROR {text}.
 
 The main thread prunes or trains. A second thread looks for the flag file every 0.05 s and renews state.json every 2 s. Two things end the job:
 

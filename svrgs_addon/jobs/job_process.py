@@ -81,10 +81,15 @@ class Job:
         return self._read_request
 
     @property
+    def knows_progress(self) -> bool:
+        """Whether a step or a task by blocks has begun."""
+        return bool(self.facts.get("total")) or "share" in self.facts
+
+    @property
     def progress(self) -> float:
-        """The share of the steps that are done, 0..1."""
-        total = self.facts.get("total", 1)
-        return max(0, min(self.facts.get("iteration", 0), total)) / max(1, total)
+        """The share of the steps that are done, 0..1; of a job by blocks, of its tasks."""
+        done, total = (self.facts.get("iteration", 0), self.facts["total"]) if "total" in self.facts else (self.facts.get("share", 0.0), 1)
+        return max(0, min(done, total)) / max(1, total)
 
     def resume_point(self) -> tuple[str, dict]:
         """From where a job that has not ended well would be continued: a sentence with named fields, and their values."""
@@ -161,7 +166,8 @@ class Job:
         except OSError:  # the disk is full: the end of stdin has the same effect
             self._close_stdin()
         self._stopping = time.monotonic()
-        self.facts["text"] = "Stopping: a checkpoint is being saved" if self.facts.get("iteration") else "Stopping: no step was done yet"
+        told = "Stopping: a checkpoint is being saved" if self.facts.get("iteration") else "Stopping: no step was done yet"
+        self.facts["text"] = "Stopping" if "share" in self.facts else told  # by blocks: not every job can be continued
 
     def kill(self, why: str = ""):
         """Ends the process at once. Its last checkpoint stays. why: a sentence for the user."""

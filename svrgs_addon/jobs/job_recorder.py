@@ -49,8 +49,8 @@ class JobRecorder:
         """The context of the job, with this recorder as its observer."""
         return replace(job, order=self.folder.path, begin=self.begin, observe=self.observe, part=self._part, tell=self._planned, recorded=RECORDED)
 
-    def _part(self, text: str, _):
-        self.listener.progress("looping", text)
+    def _part(self, text: str, share: float):
+        self.listener.progress("looping", text, share=share)
 
     def _planned(self, planned: TimePlan, _):
         self.listener.tell("STATUS", asked=planned.asked, foreseen=planned.foreseen, schedule=planned.schedule)

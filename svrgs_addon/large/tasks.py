@@ -23,9 +23,13 @@ class Tasks:
         if found is None:
             self._path.unlink(missing_ok=True)
         elif found["identity"] != identity:
-            raise FormatError(f"{self._path}: this job is one with other settings or inputs; start it without --resume, or delete {folder}")
+            raise FormatError(f"{self._path}: this job is one with other settings or inputs; delete {folder} to start again")
         else:
             self.done = found["done"]
+
+    def told(self, tell: Tell) -> Tell:
+        """Tells the share of all tasks, and of a last one that is never done: the result is measured. 0 while it is not known how many there are."""
+        return lambda text, share: tell(text, (len(self.done) + share) / (self.total + 1) if self.total else 0.0)
 
     def once(self, name: str, work: Callable[[], object]):
         """Does a task, unless it is done."""

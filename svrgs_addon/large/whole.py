@@ -117,6 +117,7 @@ def _learned(
 
     dataset, finished = request.dataset(), False
     tasks = Tasks(work, _identity(source, views, goal, block, request, dataset), resume)
+    told_of_step, told = told, lambda step: tasks.told(told_of_step(step))
     try:
         tasks.once("divide", divide_anew)
         divided = replace(Divided.read(work), source=source)
