@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import FormatError
 from ..files.atomic import atomic_write
 from ..files.opened import json_object
+
+if TYPE_CHECKING:  # jobs of Blender need no more of it
+    from .blocks import Tell
 
 FILE, LARGEST = "tasks.json", 1 << 22
 
