@@ -19,8 +19,8 @@ from svrgs_addon.errors import FormatError, MemoryShort, SceneError
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS
-from svrgs_addon.finetune.methods.masked import CERTAIN
-from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
+from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.plan import Plan
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.jobs import run_job
 from svrgs_addon.jobs.job_recorder import PruneRecorder
@@ -33,6 +33,7 @@ from svrgs_addon.large.tuning import CUT, TUNED
 from svrgs_addon.metrics.evaluate import evaluate
 from svrgs_addon.native import Rasterizer
 from svrgs_addon.photographs.dataset import Dataset, load_dataset
+from svrgs_addon.scene import Scene
 from tiny_dataset import COUNT, FAINT
 
 STEPS = ("--iterations", 40, "--recovery", 20)
@@ -107,7 +108,7 @@ def test_lambda_f_is_the_same_price_in_all_blocks(tiny, data, tmp_path):
 
 
 def test_masks_decide_in_blocks_as_in_the_whole_scene(inside, tmp_path):
-    """Where lambda_F alone decides, the level of detail around a block is decided on, too: if it stayed, 6 % fewer would be left, and 2 dB be lost."""
+    """The level of detail around a block is decided on, too: if it stayed, 6 % fewer would be left, and 2 dB be lost."""
     room, photographs = inside
     plan = prune_settings("svr", 200, 60, full=False, lambda_f=1e-3, mask_init=1.0)
     quality = PhotographLikeness(photographs).psnr
@@ -116,24 +117,35 @@ def test_masks_decide_in_blocks_as_in_the_whole_scene(inside, tmp_path):
     assert parts.count == pytest.approx(whole.count, rel=0.03) and quality(parts) > quality(whole) - 0.5
 
 
-@pytest.mark.parametrize("method", ["removal", "svr"])
-def test_a_run_decides_of_its_own_gaussians_alone(tiny, data, method):
-    """The others stay as they are, and their masks neither move nor leave one out."""
+def test_a_run_that_removes_decides_of_its_own_gaussians_alone(tiny, data):
+    """The others stay as they are."""
     scene, own = read_scene(tiny.splat), (40, 100)
-    plan = prune_settings(method, 30, 0, full=False, lambda_f=0.5, mask_init=0.0)
-    run = Run(Model.of(scene), data, replace(plan, own=own, target=scene.count - 40), NativeEngine(), scene.antialiased)
+    plan = prune_settings("removal", 30, 0, full=False, lambda_f=0.5)
+    model = run_of(scene, data, replace(plan, own=own, target=scene.count - 40))
+    others = (model.origin < own[0]) | (model.origin >= own[1])
+    for name in PARAMETERS:
+        moved = (getattr(model, name) != getattr(scene, name)[model.origin]).reshape(model.count, -1).any(axis=1)
+        assert not moved[others].any() and moved[~others].mean() > 0.9, name
+    assert model.count == scene.count - 40 and others.sum() == scene.count - 60
+
+
+@pytest.mark.parametrize("target", [25, 10])
+def test_the_target_of_masks_is_of_the_own_gaussians(tiny, data, target):
+    """The others are decided on with the same weights."""
+    scene, own = read_scene(tiny.splat), (40, 100)
+    plan = prune_settings("svr", 200, 0, full=False, lambda_f=1e-2, mask_init=2.0)
+    model = run_of(scene, data, replace(plan, own=own, target=target))
+    inside = (model.origin >= own[0]) & (model.origin < own[1])
+    assert inside.sum() == target and (~inside).sum() == pytest.approx(target * (scene.count - 60) / 60, rel=0.5)
+
+
+def run_of(scene: Scene, data: Dataset, plan: Plan) -> Model:
+    """What is left after all steps."""
+    run = Run(Model.of(scene), data, plan, NativeEngine(), scene.antialiased)
     while not run.finished:
         run.advance()
-        if run.model.learns_masks:
-            assert (run.model.values[MASK][run.protected] == CERTAIN).all()
-            assert run.method.terms(run, plan.phases[0], 1)["masks"][run.protected].all()
     run.close()
-    others, trained = run.protected, ~run.protected
-    for name in PARAMETERS:
-        moved = (getattr(run.model, name) != getattr(scene, name)[run.model.origin]).reshape(len(others), -1).any(axis=1)
-        assert not moved[others].any() and moved[trained].mean() > 0.9, name
-    kept = np.sort(run.model.origin)
-    assert len(kept) == scene.count - 40 and set(range(scene.count)) - set(range(*own)) <= set(kept.tolist())
+    return run.model
 
 
 def test_a_block_that_no_view_sees_keeps_a_gaussian(tiny, data, tmp_path):

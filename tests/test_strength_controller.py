@@ -33,6 +33,8 @@ STEPS = 2_000
 class Plant:
     """Stands in for a run whose q moves by itself, faster the stronger it is pressed, after a dead time and with a lag."""
 
+    own = None  # the target is about all of it
+
     def __init__(self, ease: float, dead: int, lag: int):
         self.ease, self.dead, self.lag = ease, dead, lag
         self.q = self.speed = 0.0

@@ -31,13 +31,18 @@ def ever_drawn(model: Model, seed: int, step: int, draws: int) -> np.ndarray:
     return seen
 
 
-def most_probable(model: Model, target: int = 0) -> np.ndarray:
+def most_probable(model: Model, target: int = 0, own: np.ndarray | None = None) -> np.ndarray:
     """(N,) bool: the decision at the end of mask learning, without sampling.
 
-    Without a target, Gaussians with p > 0.5 stay. With a target, the `target` most probable ones stay (all, if fewer are left).
+    Without a target, Gaussians with p > 0.5 stay. With a target, the `target` most probable ones stay (all, if fewer are left). own: (N,) bool, those that
+    the target is about; None: all.
     """
     logits = model.values[MASK]
-    return top(logits, target) if target else logits > 0
+    stays = logits > 0
+    if target:
+        counted = slice(None) if own is None else own
+        stays[counted] = top(logits[counted], target)
+    return stays
 
 
 def refuse_emptying(keep: np.ndarray, before: int, target: int = 0):

@@ -25,7 +25,7 @@ from ..photographs.dataset import Dataset
 from . import densify, masks, mcmc
 from .averaging import Average
 from .engine import Step, StepResult
-from .model import Model
+from .model import MASK, Model
 from .nested import nested_order, size_of_step
 from .plan import Plan
 from .quality import quality_views
@@ -201,17 +201,22 @@ class Run:
         return mean_psnr(self.model, self.dataset, views, self.rasterizer, self.score_options, masks_of_kept, self.dataset.unexplained)
 
     @property
-    def protected(self) -> np.ndarray | None:
+    def own(self) -> np.ndarray | None:
         if self.settings.own is None:
             return None
         first, end = self.settings.own
-        return (self.model.origin < first) | (self.model.origin >= end)
+        return (self.model.origin >= first) & (self.model.origin < end)
+
+    @property
+    def protected(self) -> np.ndarray | None:
+        return None if self.own is None or self.method.learns_masks else ~self.own
 
     def current_mask(self) -> np.ndarray | None:
         return self.method.current_mask(self.model)
 
     def expected_count(self) -> float:
-        return self.method.expected_count(self.model)
+        logits = self.model.values[MASK]
+        return self.method.expected_count(logits if self.own is None else logits[self.own])
 
     @property
     def score_options(self) -> RenderOptions:

@@ -51,8 +51,12 @@ class RunView(Protocol):
         """Options for scores: all SH bands, no spatial mask."""
 
     @property
+    def own(self) -> Keep:
+        """(N,) bool: the Gaussians that a target counts (Settings.own). None: all."""
+
+    @property
     def protected(self) -> Keep:
-        """(N,) bool: the Gaussians that stay as they are while the method decides (Settings.own). None: none."""
+        """(N,) bool: the Gaussians that stay as they are while the method decides: those that are not its own, unless it learns masks. None: none."""
 
     def psnr(self, kept: Keep) -> float:
         """PSNR in dB on a few views (quality_views), rendered with the Gaussians `kept` (N,) bool; None: with all."""
@@ -61,4 +65,4 @@ class RunView(Protocol):
         """(N,) bool: the Gaussians that would stay if the method decided now and had no target."""
 
     def expected_count(self) -> float:
-        """Expected number of Gaussians under the learned masks: the sum of their probabilities."""
+        """Expected number of its own Gaussians under the learned masks: the sum of their probabilities."""

@@ -144,7 +144,7 @@ class Settings:
     nested: float = 0.0  # share of the Gaussians down to which smaller numbers are trained too (nested.py); 0: none
     max_drop: float = 0.0  # instead of a target: PSNR in dB that may be lost at the end, on a few views (quality.py)
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    own: tuple[int, int] | None = field(default=None, repr=False)  # rows of the source, from and to, that are decided on; the others are frozen then. None: all
+    own: tuple[int, int] | None = field(default=None, repr=False)  # rows of the source, from and to, that the result is about (RunView.own). None: all
 
     @property
     def prunes(self) -> bool:

@@ -54,7 +54,8 @@ class StrengthController:
         every = max(1, phase.steps // UPDATES)
         if not self.start or number % every and number < phase.steps:
             return
-        self.reached = run.model.count if (kept := run.current_mask()) is None else int(kept.sum())
+        kept, own = run.current_mask(), run.own
+        self.reached = run.model.count if kept is None else int((kept if own is None else kept[own]).sum())
         q = self.progress(run, (number / phase.steps) ** 2)
         self.slope += SMOOTHING * ((q - self.last) / every - self.slope)
         self.last = q

@@ -6,8 +6,8 @@ seen as often, and lambda_F is the same price for all blocks. A number of Gaussi
 
 All blocks decide from the original. Meanwhile a merged level of detail takes the place of the blocks around it (around/). It stands in for what these become:
 
-- Masks decide how many stay: they decide on the level of detail, too. Gaussians whose neighbours never drop out would seem less needed than they are.
-- A number stays, which is given or follows from the saliency: the level of detail is frozen. If it were trained, it would make up for what the block loses.
+- Masks decide: they decide on the level of detail, too. Gaussians whose neighbours never drop out would seem less needed than they are.
+- Removal errors or saliencies decide: the level of detail is frozen. If it were trained, it would make up for what the block loses.
 
 Then each block recovers with what the others have kept. These are trained, too: if they were frozen, every block would correct the whole error of a pixel. No
 block uses what another has learned in the same step, so any order gives the same bits. A run saves checkpoints (runs/), from which the same task goes on when
@@ -106,12 +106,12 @@ def decide(divided: Divided, number: int, dataset: Dataset, plan: Plan, target: 
     inside[first:end] = True
     kept = ~inside | _first_cut(scene, inside, views, plan, target)
     scene, own = scene if kept.all() else scene.select(kept), (first, first + int(kept[first:end].sum()))
-    alone = own if target or not plan.method.learns_masks else None
-    run_plan = _of_part(plan, True, _share(views, dataset), alone, target and target + scene.count - (own[1] - own[0]))
+    frozen = 0 if plan.method.learns_masks else scene.count - (own[1] - own[0])
+    run_plan = _of_part(plan, True, _share(views, dataset), own, target and target + frozen)
     rows = np.arange(*own)
     kept_at = divided.folder / RUNS / f"decide.{number}"
     if views.train_indices and run_plan.phases and len(rows) > 1:
-        scene, rows = _run(divided, number, scene, own, views, run_plan, kept_at, tell)
+        scene, rows = _run(divided, number, scene, views, run_plan, kept_at, tell)
     if not len(rows):
         scene, rows = around.scene, np.array([first + int(np.argmax(around.scene.opacity_logits[first:end]))])
     start = sum(block.count for block in divided.blocks[:number])
@@ -132,7 +132,7 @@ def recover(divided: Divided, number: int, dataset: Dataset, plan: Plan, tell: T
         plan.method.restore(plan.method.state() | {"count": round(scene.count * divided.count / left.count)})
     rows, kept_at = np.arange(*own), divided.folder / RUNS / f"recover.{number}"
     if views.train_indices and plan.phases:
-        scene, rows = _run(divided, number, scene, own, views, plan, kept_at, tell)
+        scene, rows = _run(divided, number, scene, views, plan, kept_at, tell)
     write_own(left, number, around.there[number], scene.select(rows))
     checkpoint.delete_all(kept_at)
 
@@ -158,8 +158,8 @@ def _share(views: BlockViews, dataset: Dataset) -> float:
     return len(views.train_indices) / len(dataset.train_indices)
 
 
-def _of_part(plan: Plan, active: bool, share: float, own: tuple[int, int] | None, target: int) -> Plan:
-    """The phases of a plan in which its method decides, or the others, with the share of the steps whose view shows the block. own: as in Settings."""
+def _of_part(plan: Plan, active: bool, share: float, own: tuple[int, int], target: int) -> Plan:
+    """The phases of a plan in which its method decides, or the others, with the share of the steps whose view shows the block. own: the rows of the block."""
     phases = (_shortened(phase, share) for phase in plan.phases if phase.active is active)
     return replace(plan, phases=tuple(phases), own=own, target=target)
 
@@ -170,11 +170,8 @@ def _shortened(phase: Phase, share: float) -> Phase:
     return replace(shorter, rates=replace(shorter.rates, mask=phase.rates.mask))
 
 
-def _run(
-    divided: Divided, number: int, scene: Scene, own: tuple[int, int], views: BlockViews, plan: Plan, kept_at: Path, tell: Tell
-) -> tuple[Scene, np.ndarray]:
-    """The scene after all steps of the plan, and the rows of the block in it; own: those before. The arrays of the given scene are changed. kept_at: folder of
-    the checkpoints."""
+def _run(divided: Divided, number: int, scene: Scene, views: BlockViews, plan: Plan, kept_at: Path, tell: Tell) -> tuple[Scene, np.ndarray]:
+    """The scene after all steps of the plan, and the rows of the block in it. The arrays of the given scene are changed. kept_at: folder of the checkpoints."""
     cameras = [views.cameras[view] for view in views.train_indices]
     needed = memory.tuning(scene.count, divided.coefficients, cameras, views.memory_budget)
     memory.refuse_excess(f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}", needed)
@@ -199,5 +196,6 @@ def _run(
             raise
 
     loop.run_to_end(run, observe, lambda: False, save, lambda: None)
+    assert plan.own is not None
     origin = np.sort(run.model.origin)
-    return run.model.into_scene(), np.flatnonzero((origin >= own[0]) & (origin < own[1]))
+    return run.model.into_scene(), np.flatnonzero((origin >= plan.own[0]) & (origin < plan.own[1]))

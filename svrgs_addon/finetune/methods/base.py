@@ -120,8 +120,8 @@ class Method:
         """The Gaussians that would stay if the method decided now and had no target."""
         return None
 
-    def expected_count(self, model: Model) -> float:
-        """The expected number of Gaussians under the learned masks. Only methods that learn masks have it."""
+    def expected_count(self, logits: np.ndarray) -> float:
+        """The expected number of Gaussians with these existence logits. Only methods that learn masks have it."""
         raise NotImplementedError
 
     def score(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:

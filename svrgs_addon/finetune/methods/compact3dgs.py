@@ -48,9 +48,9 @@ class Compact3DGS(Masked):
     def current_mask(self, model: Model) -> Keep:
         return model.values[MASK] > THRESHOLD
 
-    def expected_count(self, model: Model) -> float:
+    def expected_count(self, logits: np.ndarray) -> float:
         """The number of open gates. Gates near the threshold count in part, so that the strength controller can react before they close."""
-        return float(sigmoid((model.values[MASK] - THRESHOLD) / NEARNESS, np).sum(dtype=np.float64))
+        return float(sigmoid((logits - THRESHOLD) / NEARNESS, np).sum(dtype=np.float64))
 
 
 METHODS = (Compact3DGS("compact3dgs", "learns a gate on opacity and scale and removes the Gaussians whose gate closes", 11, "Compact3DGS"),)

@@ -13,8 +13,6 @@ from ..quality import fewest_within
 from ..settings import Phase, Rates
 from .base import Keep, Method, RunView, learning_phase
 
-CERTAIN = 100.0  # logit of Gaussians that stay: no sample leaves them out, and they have no gradient
-
 
 @dataclass
 class Masked(Method):
@@ -32,8 +30,6 @@ class Masked(Method):
     def prepare(self, run: RunView, phase: Phase, number: int):
         if not run.model.learns_masks:
             run.model.add_masks(run.settings.mask_init)
-            if run.protected is not None:
-                run.model.values[MASK][run.protected] = CERTAIN
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         drawn, slope = masks.draw(run.model, run.settings.seed, run.iteration)
@@ -47,11 +43,11 @@ class Masked(Method):
         drop, the fewest most probable ones that hold it."""
         if run.settings.max_drop:
             return fewest_within(run, run.model.values[MASK], run.psnr_before - run.settings.max_drop)
-        return masks.most_probable(run.model, run.target) if run.target else self.current_mask(run.model)
+        return masks.most_probable(run.model, run.target, run.own) if run.target else self.current_mask(run.model)
 
     def current_mask(self, model: Model) -> Keep:
         return masks.most_probable(model)
 
-    def expected_count(self, model: Model) -> float:
+    def expected_count(self, logits: np.ndarray) -> float:
         """The sum of all probabilities p."""
-        return float(sigmoid(model.values[MASK], np).sum(dtype=np.float64))
+        return float(sigmoid(logits, np).sum(dtype=np.float64))
