@@ -166,8 +166,9 @@ class Job:
         except OSError:  # the disk is full: the end of stdin has the same effect
             self._close_stdin()
         self._stopping = time.monotonic()
-        told = "Stopping: a checkpoint is being saved" if self.facts.get("iteration") else "Stopping: no step was done yet"
-        self.facts["text"] = "Stopping" if "share" in self.facts else told  # by blocks: not every job can be continued
+        self.facts["text"] = "Stopping: a checkpoint is being saved" if self.facts.get("iteration") else "Stopping: no step was done yet"
+        if "share" in self.facts:  # by blocks: not every job can be continued
+            self.facts["text"] = "Stopping"
 
     def kill(self, why: str = ""):
         """Ends the process at once. Its last checkpoint stays. why: a sentence for the user."""
