@@ -209,14 +209,15 @@ class Run:
 
     @property
     def protected(self) -> np.ndarray | None:
-        return None if self.own is None or self.method.learns_masks else ~self.own
+        own = None if self.method.learns_masks else self.own
+        return None if own is None else ~own
 
     def current_mask(self) -> np.ndarray | None:
         return self.method.current_mask(self.model)
 
     def expected_count(self) -> float:
-        logits = self.model.values[MASK]
-        return self.method.expected_count(logits if self.own is None else logits[self.own])
+        logits, own = self.model.values[MASK], self.own
+        return self.method.expected_count(logits if own is None else logits[own])
 
     @property
     def score_options(self) -> RenderOptions:

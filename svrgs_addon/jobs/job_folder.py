@@ -284,7 +284,7 @@ class JobFolder:
         return total
 
     def discard(self):
-        """Removes the files that the job wrote, and the folder if it is empty then. A link is removed, not what it leads to.
+        """Removes the files that the job wrote, and the folder if it is empty then. Of a link, only the link itself is removed.
 
         Raises FormatError if the folder holds no job.
         """

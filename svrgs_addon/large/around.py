@@ -19,7 +19,7 @@ from .blocks import Block, Divided, Tell, arrays_of
 from .discs import Discs, Window
 from .views import shown
 
-MARGIN = 32  # pixels around the block in a window. With them, SSIM and the Gaussians beside the block count nearly as in the whole picture
+MARGIN = 32  # pixels around the block in a window, for SSIM and for the Gaussians beside the block
 BLENDED = "{}.blended.npy"  # file of a view
 
 

@@ -76,7 +76,7 @@ def _scenes(work: Path) -> list[Path]:
 
 
 def remove(work: Path):
-    """Removes the files of a job, and the folder if nothing else is in it. A link is removed, not what it leads to."""
+    """Removes the files of a job, and the folder if nothing else is in it. Of a link, only the link itself is removed."""
     if remove_link(work):
         return
     (work / TASKS).unlink(missing_ok=True)  # first, because it says that the other files are there

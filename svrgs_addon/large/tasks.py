@@ -1,4 +1,4 @@
-"""Which tasks of a job by blocks are done. tasks.json, beside the blocks, says it, so that a job that was stopped or killed can go on."""
+"""Keeps a list of the finished tasks of a job by blocks in tasks.json, beside the blocks. A job that was stopped or killed goes on from there."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Tasks:
             self.done = found["done"]
 
     def told(self, tell: Tell) -> Tell:
-        """Tells the share of all tasks, and of a last one that is never done: the result is measured. 0 while it is not known how many there are."""
+        """`tell` with the share of the whole job, 0 to 1, instead of that of one task. Measuring the result counts as one more task. 0 while `total` is 0."""
         return lambda text, share: tell(text, (len(self.done) + share) / (self.total + 1) if self.total else 0.0)
 
     def once(self, name: str, work: Callable[[], object]):
