@@ -43,13 +43,20 @@ inline V exp2(V x) {
     for (int i = 0; i < W; ++i) x[i] = std::exp2(x[i]);
     return x;
   } else {
+#if defined(SVRGS_HAVE_AVX512)
+    const V f = _mm512_reduce_ps(x, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC), whole = x - f;
+#else
     const V magic = broadcast(R(12582912));  // 1.5 * 2^23: adding it rounds to an integer in the low bits
-    const V t = x + magic;
-    const V f = x - (t - magic);
+    const V t = x + magic, f = x - (t - magic);
+#endif
     const V f2 = f * f;  // pairs of terms side by side: a shorter chain than one term after the other
     V p = fma(exp2_end(f), f2, fma(broadcast(kExp2[3]), f, broadcast(kExp2[2])));
     p = fma(p, f2, fma(broadcast(kExp2[1]), f, broadcast(kExp2[0])));
+#if defined(SVRGS_HAVE_AVX512)
+    return _mm512_scalef_ps(p, whole);
+#else
     return (V)((U)p + ((U)t << 23));
+#endif
   }
 }
 // log2 x for normal x > 0, error below 2e-7 max(1, |result|).

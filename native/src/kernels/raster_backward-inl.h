@@ -109,7 +109,7 @@ template <bool spatial, bool scenario, bool depth_alpha>
   M live;
   if (shown) {
     const V weight = keep(e.hit(), alpha * T), next = T - weight;  // the same operations as the forward pass
-    live = both(e.hit(), at_least(next, stop));
+    live = at_least_in(e.hit(), next, stop);
     p.weight = weight, p.live = live;
     const V behind = fnma_if(live, weight, image_grad, load(t.behind + h));
     store(t.T + h, next);
@@ -117,7 +117,7 @@ template <bool spatial, bool scenario, bool depth_alpha>
     inv = reciprocal(one - alpha);
     p.alpha_grad = keep(live, alpha * fnma(behind, inv, T * image_grad));
   } else {
-    live = both(e.hit(), at_least(T, stop));
+    live = at_least_in(e.hit(), T, stop);
     p.alpha_grad = keep(live, alpha * (T * image_grad - load(t.behind + h)));
   }
   if (shown) p.shape_grad = keep(less(e.alpha, broadcast(R(kAlphaMax))), p.alpha_grad);  // the clamp blocks the gradient

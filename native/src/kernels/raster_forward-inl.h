@@ -56,8 +56,9 @@ template <WalkOptions walk>
 template <WalkOptions walk>
 [[gnu::always_inline]] inline bool blend(const Frame& f, const LocalGaussian& l, const Hit& e, PixelState& p) {
   const V alpha = clamped(e.alpha), T = p.T;
-  const M hit = walk.full ? e.hit() : both(e.hit(), p.open());
-  M counted = hit;
+  const M goes_on = walk.full ? e.hit() : p.open();
+  const bool hit = any_of_both(e.hit(), goes_on);
+  M counted = both(e.hit(), goes_on);
   if (drawn(l)) {
     const V weight = keep(e.hit(), alpha * T), next = T - weight;
     const M live = at_least(next, broadcast(R(kStop)));
@@ -65,12 +66,12 @@ template <WalkOptions walk>
     p.green = fma_if(live, weight, broadcast(l.rgb[1]), p.green);
     p.blue = fma_if(live, weight, broadcast(l.rgb[2]), p.blue);
     p.final_T = select(live, next, p.final_T);
-    if (!walk.full) counted = both(hit, live);
+    if (!walk.full) counted = both(e.hit(), live);
     p.T = next;
     if (f.want_depth) p.depth = fma_if(live, weight, broadcast(l.depth), p.depth);
   }
   count_hit<walk>(f, p, alpha, T, l, counted);
-  return any(hit);
+  return hit;
 }
 
 // The same after the stop of the colours, where only F goes on.
