@@ -1,4 +1,5 @@
-"""Tiles are listed in bins of 4x4. A picture of many bins is what small pictures of its parts show, each of which has one bin."""
+"""Tiles are listed in bins of 4x4, or each by itself where there are few bins for many Gaussians. A picture of many bins is what small pictures of its parts
+show, each of which has one bin, or lists of its tiles."""
 
 from __future__ import annotations
 
@@ -9,11 +10,14 @@ import pytest
 
 import scenes
 from native_helpers import LEVELS, backward, image_weights, rasterizer, relative_l2, render
+from svrgs_addon import native
+from svrgs_addon.native_library import traced
 from svrgs_addon.scene import Scene
 
 WIDTH, HEIGHT, PART = 413, 301, 120  # a bin has 128 pixels; the image ends within a tile
 WHOLE = scenes.parallel(scenes.camera(WIDTH, HEIGHT, fov=60))  # in perspective, the shape of large Gaussians is limited at the borders of a picture
 OUTPUTS = ("rgb", "depth", "alpha", "mask", "hits")
+ONE_BIN = 4096  # (Gaussian, tile) pairs at most: of more, a picture of one bin has a list for each tile
 
 
 def mixed() -> Scene:
@@ -26,6 +30,11 @@ def mixed() -> Scene:
     return Scene(**joined)
 
 
+def crowded() -> Scene:
+    """So many that some parts of the picture have lists of tiles, while the whole has bins."""
+    return scenes.random_scene(24_000, 6, 1, scale=0.012, opacity=-1.0)
+
+
 def parts_of(camera):
     """(slices, camera) of each part of the picture."""
     for top in range(0, HEIGHT, PART):
@@ -36,9 +45,21 @@ def parts_of(camera):
             yield (slice(top, top + height), slice(left, left + width)), replace(camera, K=K, width=width, height=height)
 
 
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return mixed()
+@pytest.fixture(scope="module", params=[mixed, crowded], ids=lambda make: make.__name__)
+def scene(request) -> Scene:
+    return request.param()
+
+
+def test_a_crowded_picture_of_one_bin_has_a_list_for_each_tile():
+    rasterizer, scene, by_tile = native.Rasterizer(), crowded(), []
+    native.set_threads(1)
+    for camera in (WHOLE, *(part for _, part in parts_of(WHOLE))):
+        jobs = traced(lambda: rasterizer.forward(scene, camera, native.RenderOptions()))  # noqa: B023
+        bins, tiles = -(-camera.width // 128) * -(-camera.height // 128), -(-camera.width // 32) * -(-camera.height // 32)
+        by_tile.append(rasterizer.work()["pairs"] > ONE_BIN * bins**2)
+        assert len(jobs[-1]) == (2 * tiles if by_tile[-1] else 17 * bins)  # a list, and its tile or tiles
+    native.set_threads(0)
+    assert not by_tile[0] and any(by_tile) and not all(by_tile[1:])
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -71,9 +92,9 @@ def test_gradients_of_many_bins_are_those_of_its_parts_together(scene, level):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_exact_tiles_leave_out_no_hit(scene, level):
+def test_exact_tiles_leave_out_no_hit(level):
     """With the rectangles around them instead, Gaussians are in more tiles, and the picture is the same."""
-    camera, found, pairs = scenes.camera(WIDTH, HEIGHT), [], []
+    scene, camera, found, pairs = mixed(), scenes.camera(WIDTH, HEIGHT), [], []
     for disabled in ((), ("exact_tiles",)):
         found.append({name: image.copy() for name, image in render(level, scene, camera, outputs=OUTPUTS, disabled_skips=disabled).items()})
         pairs.append(rasterizer(level).work()["pairs"])

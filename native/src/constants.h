@@ -46,6 +46,6 @@ static_assert(kTile % kBlockWidth == 0 && kTile % kBlockHeight == 0, "blocks fil
 static_assert(kBlocks <= 64, "a BlockMask has 64 bits");
 constexpr int kMaxSide = 32768;  // pixels of an image side
 static_assert(kMaxSide / kTile < 1 << 16, "tile coordinates have 16 bits");
-constexpr int kBin = 4, kBinTiles = kBin * kBin;  // tiles per bin side, per bin
+constexpr int kBin = 4, kBinTiles = kBin * kBin;  // tiles per side of a bin and per bin, at most
 
 }  // namespace svrgs

@@ -14,6 +14,8 @@ namespace {
 constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
 constexpr int64_t kMaskLossGrain = 16384;  // pixels
+constexpr int64_t kMostBinPairs = 65536;   // (Gaussian, tile) pairs of a bin, on average
+constexpr int64_t kPairsOfFewBins = 4096;  // the same, per bin of the picture
 
 using Time = std::chrono::steady_clock::time_point;
 double seconds_between(Time begin, Time end) { return std::chrono::duration<double>(end - begin).count(); }
@@ -38,7 +40,6 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.fx = c.fx, f.fy = c.fy, f.cx = c.cx, f.cy = c.cy;
   f.orthographic = c.orthographic;
   f.width = c.width, f.height = c.height;
-  f.bins_x = (c.width + kBin * kTile - 1) / (kBin * kTile), f.bins_y = (c.height + kBin * kTile - 1) / (kBin * kTile);
   f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.eps_a = o.eps_a, f.disabled_skips = o.disabled_skips;
   f.depth_limit = o.depth_limit;
   f.picture_only = o.picture_only || o.depth_limit;
@@ -93,8 +94,18 @@ int64_t Context::sum_before(int64_t ProjectionCounts::* what) {
   return sum;
 }
 
+// A bin with too many pairs does not fit into the caches, and where there are few bins, threads wait for the last one: then a bin is a tile.
+void Context::choose_bins() {
+  Frame& f = frame_;
+  const auto along = [](int pixels, int side) { return (pixels + side * kTile - 1) / (side * kTile); };
+  const int64_t bins = int64_t{along(f.width, kBin)} * along(f.height, kBin);
+  f.bin_side = pairs_ > bins * std::min(kMostBinPairs, bins * kPairsOfFewBins) ? 1 : kBin;
+  f.bins_x = along(f.width, f.bin_side), f.bins_y = along(f.height, f.bin_side);
+}
+
 void Context::fill_bins() {
   Frame& f = frame_;
+  choose_bins();
   parts_.resize(chunk_counts_.size());
   for (size_t c = 0; c < parts_.size(); ++c) {
     const int64_t begin = static_cast<int64_t>(c) * kProjectGrain;
@@ -102,7 +113,9 @@ void Context::fill_bins() {
   }
   BinEntry* const written = slots_.reserve<BinEntry>(3 * pairs_);
   uint64_t* const keys = reinterpret_cast<uint64_t*>(written + 2 * pairs_);
-  lists_ = {written,
+  lists_ = {f.bin_tiles(),
+            f.bin_side == 1 && f.picture_only,
+            written,
             written + pairs_,
             keys,
             keys + pairs_,
@@ -148,7 +161,7 @@ void Context::list_and_blend(const svrgs_images& images) {
       return;
     }
     const int64_t tile = task - bins;
-    wait_for_earlier_task([&] { return __atomic_load_n(listed + tile / kBinTiles, __ATOMIC_ACQUIRE); });
+    wait_for_earlier_task([&] { return __atomic_load_n(listed + tile / frame_.bin_tiles(), __ATOMIC_ACQUIRE); });
     if (cancelled()) stopped.store(true, std::memory_order_relaxed);
     if (!frame_.in_image(frame_.tile_origin(tile)) || stopped.load(std::memory_order_relaxed)) return;
     const auto draw = [&](const Frame& f) { kernels_.forward_tile(f, tile), kernels_.write_tile(f, tile, images); };

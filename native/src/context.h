@@ -68,6 +68,7 @@ class Context {
   void set_frame(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);
   void project();
   void find_tiles(int64_t max_pairs);
+  void choose_bins();
   void fill_bins();
   void leave_out(const uint8_t* frozen);
   void list_and_blend(const svrgs_images&);

@@ -64,10 +64,11 @@ struct Frame {
   // Tiles are numbered bin after bin, and row after row within one: tiles that follow each other show the same Gaussians. Bins at the borders may have
   // tiles outside the image, which are empty.
   int64_t bin_count() const { return static_cast<int64_t>(bins_x) * bins_y; }
-  int64_t tile_count() const { return bin_count() * kBinTiles; }
+  int bin_tiles() const { return bin_side * bin_side; }
+  int64_t tile_count() const { return bin_count() * bin_tiles(); }
   TileOrigin tile_origin(int64_t tile) const {
-    const int bin = static_cast<int>(tile / kBinTiles), in_bin = static_cast<int>(tile % kBinTiles);
-    return {bin % bins_x * kBin + in_bin % kBin, bin / bins_x * kBin + in_bin / kBin};
+    const int bin = static_cast<int>(tile / bin_tiles()), in_bin = static_cast<int>(tile % bin_tiles());
+    return {bin % bins_x * bin_side + in_bin % bin_side, bin / bins_x * bin_side + in_bin / bin_side};
   }
   bool in_image(TileOrigin o) const { return o.x * kTile < width && o.y * kTile < height; }
 
@@ -80,7 +81,7 @@ struct Frame {
   double viewmat[16], position[3];
   double fx, fy, cx, cy;
   bool orthographic;
-  int width, height, bins_x, bins_y;
+  int width, height;
   double background[3];
   // options
   bool antialiased, full, want_depth, picture_only;
@@ -96,7 +97,8 @@ struct Frame {
   const uint32_t* places;   // [visible_count]
   int64_t visible_count;
   // tile lists
-  const int64_t* tile_begin;  // [tiles + 1]
+  int bin_side, bins_x, bins_y;  // tiles per side of a bin: kBin or 1; bins
+  const int64_t* tile_begin;     // [tiles + 1]
   const TileEntry* entries;
   BlockMask* hits;  // per slot: bit b set where the Gaussian hits a pixel of block b that counts; NULL if picture_only
   void* state;      // R[tiles][kBlocks][kFields][kBlockPixels]; of one tile if picture_only

@@ -13,7 +13,7 @@ constexpr int64_t kMostGroups = 32;
 constexpr int kMaxDigitBits = 11;       // of a digit
 constexpr int64_t kMaxMovesPerKey = 8;  // moves for each item before another way is taken
 
-// Sort key of an entry of a bin: depth, then where it is. No two are equal, and equal depths are in the order of places.
+// Sort key of an entry of a bin: depth, then where it is, or its place. No two are equal, and equal depths are in the order of places.
 uint64_t entry_key(uint32_t depth_key, int64_t index) { return static_cast<uint64_t>(depth_key) << 32 | static_cast<uint64_t>(index); }
 
 // For keys that are nearly sorted.
@@ -52,28 +52,31 @@ struct BinTiles {
   uint32_t bits, count;
 };
 
-// Rows [row, end) of the tiles of a Gaussian, as far as they are in a bin whose first column is `left`.
+// Rows [row, end) of the tiles of a Gaussian, as far as they are in a bin of `side` tiles whose first column is `left`.
+template <int side>
 BinTiles tiles_in_bin(const TileRect& t, const Span* spans, int row, int end, int left) {
   BinTiles tiles = {0, 0};
   for (; row < end; ++row) {
     const Span s = spans[row - t.row];
-    const int from = std::clamp(s.begin - left, 0, kBin), to = std::clamp(s.end - left, from, kBin);
-    tiles.bits |= ((1u << to) - (1u << from)) << kBin * (row % kBin), tiles.count += static_cast<uint32_t>(to - from);
+    const int from = std::clamp(s.begin - left, 0, side), to = std::clamp(s.end - left, from, side);
+    tiles.bits |= ((1u << to) - (1u << from)) << side * (row % side), tiles.count += static_cast<uint32_t>(to - from);
   }
   return tiles;
 }
 
 // The same of all rows where no tile is outside the bin.
+template <int side>
 BinTiles tiles_in_only_bin(const TileRect& t, const Span* spans) {
   BinTiles tiles = {0, 0};
   for (uint32_t k = 0; k < t.rows; ++k) {
     const uint32_t count = spans[k].end - spans[k].begin;
-    tiles.bits |= ((1u << count) - 1) << (kBin * ((t.row + k) % kBin) + spans[k].begin % kBin), tiles.count += count;
+    tiles.bits |= ((1u << count) - 1) << (side * ((t.row + k) % side) + spans[k].begin % side), tiles.count += count;
   }
   return tiles;
 }
 
 // Writes the entries of a part from `next` on, at most one for each of its slots. Returns where they end.
+template <int side>
 BinEntry* write_entries(const Frame& f, const BinPart& part, BinEntry* next) {
   uint32_t slot = static_cast<uint32_t>(part.slot);
   for (int64_t place = part.begin; place < part.end; ++place) {
@@ -87,12 +90,12 @@ BinEntry* write_entries(const Frame& f, const BinPart& part, BinEntry* next) {
                  static_cast<uint16_t>(tiles.count)};
       slot += tiles.count;
     };
-    const int end = t.row + t.rows, x = t.columns.begin / kBin, y = t.row / kBin, last_x = (t.columns.end - 1) / kBin, last_y = (end - 1) / kBin;
+    const int end = t.row + t.rows, x = t.columns.begin / side, y = t.row / side, last_x = (t.columns.end - 1) / side, last_y = (end - 1) / side;
     if (x == last_x && y == last_y) {  // as most
-      write(x, y, tiles_in_only_bin(t, spans));
+      write(x, y, tiles_in_only_bin<side>(t, spans));
     } else {
       for (int b = y; b <= last_y; ++b)
-        for (int a = x; a <= last_x; ++a) write(a, b, tiles_in_bin(t, spans, std::max<int>(t.row, b * kBin), std::min(end, (b + 1) * kBin), a * kBin));
+        for (int a = x; a <= last_x; ++a) write(a, b, tiles_in_bin<side>(t, spans, std::max<int>(t.row, b * side), std::min(end, (b + 1) * side), a * side));
     }
     g.tiles = slot - g.slot;
   }
@@ -131,6 +134,15 @@ void deal_out(const BinEntry* binned, const uint64_t* keys, int64_t n, TileEntry
   }
 }
 
+// Fills the entries of a bin of one tile.
+void list_tile(const TileLists& lists, int64_t begin, int64_t end) {
+  sort_list(lists.keys + begin, lists.scratch + begin, end - begin);
+  for (int64_t i = begin; i < end; ++i) {
+    const uint32_t low = static_cast<uint32_t>(lists.keys[i]);
+    lists.entries[i] = lists.places ? TileEntry{low, 0} : TileEntry{lists.binned[low].place, lists.binned[low].slot};
+  }
+}
+
 }  // namespace
 
 int64_t listing_groups(const std::vector<BinPart>& parts) { return std::min<int64_t>(static_cast<int64_t>(parts.size()), kMostGroups); }
@@ -144,26 +156,27 @@ void fill_bins(const Frame& f, std::vector<BinPart>& parts, const uint32_t* dept
     BinCount* const own = lists.counts + group * bins;
     std::fill_n(own, bins, BinCount{0, 0});
     for_parts(group, [&](BinPart& part) {
-      BinEntry *e = lists.written + part.slot, *const end = write_entries(f, part, e);
+      BinEntry *e = lists.written + part.slot, *const end = f.bin_side == 1 ? write_entries<1>(f, part, e) : write_entries<kBin>(f, part, e);
       part.entries = end - e;
       for (; e < end; ++e) ++own[e->bin].entries, own[e->bin].pairs += e->count;
     });
   });
   BinCount total = {0, 0};
   for (int64_t bin = 0; bin < bins; ++bin) {
-    lists.bin_begin[bin] = total.entries, lists.tile_begin[bin * kBinTiles] = total.pairs;
+    lists.bin_begin[bin] = total.entries, lists.tile_begin[bin * lists.bin_tiles] = total.pairs;
     for (int64_t group = 0; group < groups; ++group) {
       BinCount& own = lists.counts[group * bins + bin];
       total.pairs += own.pairs, total.entries += std::exchange(own.entries, total.entries);
     }
   }
-  lists.bin_begin[bins] = total.entries, lists.tile_begin[bins * kBinTiles] = total.pairs;
+  lists.bin_begin[bins] = total.entries, lists.tile_begin[bins * lists.bin_tiles] = total.pairs;
   parallel_for(groups, [&](int64_t group) {
     BinCount* const next = lists.counts + group * bins;
     for_parts(group, [&](const BinPart& part) {
       for (const BinEntry *e = lists.written + part.slot, *const end = e + part.entries; e < end; ++e) {
         const uint32_t to = next[e->bin].entries++;
-        lists.keys[to] = entry_key(depth_keys[e->place], to), lists.binned[to] = *e;
+        lists.keys[to] = entry_key(depth_keys[e->place], lists.places ? e->place : to);
+        if (!lists.places) lists.binned[to] = *e;
       }
     });
   });
@@ -171,6 +184,7 @@ void fill_bins(const Frame& f, std::vector<BinPart>& parts, const uint32_t* dept
 
 void list_bin(const TileLists& lists, int64_t bin) {
   const int64_t begin = lists.bin_begin[bin], end = lists.bin_begin[bin + 1];
+  if (lists.bin_tiles == 1) return list_tile(lists, begin, end);
   int64_t* const tile_begin = lists.tile_begin + bin * kBinTiles;
   uint32_t counts[kBinTiles] = {};
   count_tiles(lists.binned + begin, lists.binned + end, counts);

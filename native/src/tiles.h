@@ -25,6 +25,8 @@ struct BinCount {
 int64_t listing_groups(const std::vector<BinPart>& parts);
 
 struct TileLists {
+  int64_t bin_tiles;                // tiles per bin
+  bool places;                      // bins of one tile have the places of their Gaussians only: no slots
   BinEntry *written, *binned;       // room for as many entries as there are (Gaussian, tile) pairs
   uint64_t *keys, *scratch;         // likewise
   BinCount* counts;                 // [listing_groups][bins]
