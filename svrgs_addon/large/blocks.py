@@ -34,6 +34,7 @@ MOST = 2_000_000  # Gaussians of a block
 SPREAD = 100_000  # Gaussians that stand for all of a scene
 GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
+OWN_COLUMNS = "svrgs_"  # how columns begin that a job has added to its splat
 OWN = (
     INDEX,
     *(f"[0-9]*.{name}" for name in ("geometry", "sh", "rows", "visibility", "order.npz", "picture.npy", "blended.npy")),
@@ -205,7 +206,7 @@ def _means(source: Path, read: Callable[[Path], Iterator[Scene]]) -> tuple[np.nd
     for part in read(source):
         parts.append(part.means.copy())
     assert part is not None
-    if columns := sorted(part.attributes.keys() - set(NORMALS)):
+    if columns := sorted(name for name in part.attributes if name not in NORMALS and not name.startswith(OWN_COLUMNS)):
         logging.warning("%s: these columns of the file are left out: %s", source, ", ".join(columns))
     return np.concatenate(parts), part.sh.shape[1], part.antialiased
 
