@@ -18,7 +18,7 @@ from .errors import Cancelled, NativeError
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 18
+INTERFACE_VERSION = 19
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 GRADS = (*PARAMETERS, "masks", "means2d")
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # images whose gradients backward() accepts

@@ -1,6 +1,8 @@
-"""Of pictures, by the native library: opaque triangles, panoramas of perspective views, the order in which a GPU draws Gaussians, and FLIP of two pictures.
+"""Of pictures, by the native library: opaque triangles, panoramas of perspective views, the order in which a GPU draws Gaussians, FLIP of two pictures, and
+linear colours.
 
-`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order, svrgs_flip) is the manual; names, shapes and units here are the same.
+`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order, svrgs_flip, svrgs_linear_rgba) is the manual; names, shapes and units here
+are the same.
 """
 
 from __future__ import annotations
@@ -103,3 +105,19 @@ def flip_errors(image: np.ndarray, target: np.ndarray, pixels_per_degree: float,
     height, width = map(c.c_int32, errors.shape)
     call_library("svrgs_flip", c.c_int32(levels()[level]), places[0], places[1], height, width, c.c_double(pixels_per_degree), places[2])
     return errors
+
+
+def linear_colours(rgb: np.ndarray, alpha: np.ndarray, working_space: Sequence, level: str | None = None) -> np.ndarray:
+    """Display sRGB times alpha to linear colours times alpha in a working space, and alpha: (H, W, 4). level: as in flip_errors().
+
+    rgb: (H, W, 3), alpha: (H, W), float32; float64 at that level. Where alpha is not above 0, colours are 0. working_space: (3, 3), the rows are linear red,
+    green and blue of sRGB in it. Raises NativeError, and TypeError for arrays of another type or shape.
+    """
+    level = level or best_level()
+    dtype = np.float64 if level == "float64" else np.float32
+    rgba = np.empty((*alpha.shape, 4), dtype)
+    space = np.ascontiguousarray(working_space, np.float64)
+    colours, cover = check(rgb, "rgb", (*alpha.shape, 3), dtype), check(alpha, "alpha", alpha.shape, dtype)
+    places = [c.c_void_p(place) for place in (colours, cover, check(space, "working_space", (3, 3), np.float64), rgba.ctypes.data)]
+    call_library("svrgs_linear_rgba", c.c_int32(levels()[level]), *places[:2], c.c_int64(alpha.size), *places[2:])
+    return rgba

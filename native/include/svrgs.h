@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 18
+#define SVRGS_INTERFACE_VERSION 19
 
 typedef void real; /* float or double, by the context's level */
 
@@ -226,6 +226,10 @@ SVRGS_API int32_t svrgs_mask_loss(svrgs_context*, const real* mask, int64_t coun
 /* FLIP (Andersson et al. 2020) of each pixel: errors (H, W) in [0, 1]; 0: equal. image, target: (H, W, 3) display sRGB in [0, 1].
    pixels_per_degree: of the viewer's visual angle, 1 to 400. */
 SVRGS_API int32_t svrgs_flip(int32_t level, const real* image, const real* target, int32_t height, int32_t width, double pixels_per_degree, real* errors);
+
+/* Display colours to linear ones in a working space: rgba (pixels, 4), colours times alpha, and alpha. rgb: (pixels, 3) display sRGB times alpha.
+   alpha: (pixels,); where it is not above 0, colours are 0. working_space: 3x3, the rows are linear red, green and blue of sRGB in it. */
+SVRGS_API int32_t svrgs_linear_rgba(int32_t level, const real* rgb, const real* alpha, int64_t pixels, const double working_space[9], real* rgba);
 
 /* One Adam step (Kingma and Ba), the `step`th (from 1), of `rows` rows of `width` values; grad is (rows, width). Row r updates row
    ids[r] of param and moments (ids ascending; NULL: row r). lr: one rate per column, (width,). Rows whose gradient is not

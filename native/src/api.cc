@@ -1,9 +1,7 @@
 // The C interface: checks every argument, then hands over. No exception leaves this file.
 #include <algorithm>
 #include <atomic>
-#include <bit>
 #include <iterator>
-#include <memory>
 #include <new>
 
 #include "context.h"
@@ -28,6 +26,7 @@ using svrgs::Failure;
 thread_local std::string last_error;
 
 constexpr int64_t kMaxCount = 1LL << 31;  // Gaussians; ids are 32 bits
+constexpr int64_t kPixelGrain = 4096;
 
 void require(bool ok, const char* sentence) {
   if (!ok) throw Failure{SVRGS_INVALID, sentence};
@@ -326,6 +325,16 @@ int32_t svrgs_flip(int32_t level, const real* image, const real* target, int32_t
   });
 }
 
+int32_t svrgs_linear_rgba(int32_t level, const real* rgb, const real* alpha, int64_t pixels, const double working_space[9], real* rgba) {
+  return guarded([&] {
+    require(working_space && (pixels == 0 || (rgb && alpha && rgba)), "an argument is missing");
+    require(pixels >= 0 && pixels <= int64_t{svrgs::kMaxSide} * svrgs::kMaxSide, "there are too many pixels");
+    const svrgs::Kernels& of_level = kernels(level);
+    const svrgs::LinearArguments a = {rgb, alpha, working_space, rgba};
+    svrgs::parallel_blocks(pixels, kPixelGrain, [&](int64_t begin, int64_t end) { of_level.linear_range(a, begin, end); });
+  });
+}
+
 int32_t svrgs_adam(svrgs_context* c, const svrgs_adam_settings* settings, real* param, void* moments, const real* grad, const uint32_t* ids, int64_t rows,
                    int32_t width, int64_t* nonfinite) {
   return guarded([&] {
@@ -347,18 +356,7 @@ int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3
   return guarded([&] {
     require(axis && (count == 0 || (means && order)), "an argument is missing");
     require(count >= 0 && count < kMaxCount, "there are too many rows");
-    const auto items = std::make_unique_for_overwrite<svrgs::Keyed[]>(2 * count);
-    svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
-      for (int64_t i = begin; i < end; ++i) {
-        const double x = means[3 * i], y = means[3 * i + 1], z = means[3 * i + 2], along = axis[0] * x + axis[1] * y + axis[2] * z;
-        const uint32_t bits = std::bit_cast<uint32_t>(static_cast<float>(0 - along));
-        items[i] = {bits >> 31 ? ~bits : bits | 1u << 31, static_cast<uint32_t>(i)};  // unsigned integers in the order of the floats
-      }
-    });
-    const svrgs::Keyed* sorted = svrgs::sort_by_depth(items.get(), items.get() + count, count);
-    svrgs::parallel_blocks(count, 8192, [&](int64_t begin, int64_t end) {
-      for (int64_t i = begin; i < end; ++i) order[i] = sorted[i].place;
-    });
+    svrgs::depth_order(means, count, axis, order);
   });
 }
 

@@ -42,6 +42,7 @@ namespace svrgs::SVRGS_LEVEL {
 #include "kernels/adam_sh-inl.h"
 #include "kernels/gradients-inl.h"
 #include "kernels/loss-inl.h"
+#include "kernels/srgb-inl.h"
 #include "kernels/flip-inl.h"
 #include "kernels/multiply_adds-inl.h"
 
@@ -101,6 +102,7 @@ const Kernels SVRGS_TABLE_NAME = {
     .loss_tile = level::loss_pass,
     .mask_loss_range = level::mask_loss_range,
     .flip_tile = level::flip_tile,
+    .linear_range = level::linear_range,
     .adam_rows = level::adam_pass,
     .multiply_adds = level::multiply_adds,
 };

@@ -46,6 +46,7 @@ struct Kernels {
   void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);
   double (*mask_loss_range)(const void* mask, double scale, int64_t begin, int64_t end, void* grad);  // sum of F^2; grad = scale F
   void (*flip_tile)(const FlipArguments&, int64_t tile, void* scratch);
+  void (*linear_range)(const struct LinearArguments&, int64_t begin, int64_t end);
   int64_t (*adam_rows)(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t begin, int64_t end, int width);
   double (*multiply_adds)(int64_t rounds);  // operations done
 };
@@ -61,6 +62,12 @@ struct LossArguments {
   double l1_scale, ssim_scale;  // dL/d of each value's |difference|; of each value's SSIM
   void* grad;                   // optional
   double *tile_l1, *tile_ssim;
+};
+
+struct LinearArguments {  // of svrgs_linear_rgba
+  const void *rgb, *alpha;
+  const double* working_space;
+  void* rgba;
 };
 
 extern const Kernels scalar_kernels, baseline_kernels, avx2_kernels, avx512_kernels, neon_kernels, double_kernels;

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..camera import Camera
-from ..files.images import srgb_to_linear
 from ..native import Rasterizer
+from ..native_pictures import linear_colours
 from ..outputs import OUTPUTS
 from ..scene import Scene
 from .composite import FAR, Composite, composite
@@ -53,9 +53,7 @@ def blank(height: int, width: int, kinds: Sequence = PASSES) -> dict[str, np.nda
 
 def _linear(rgb: np.ndarray, alpha: np.ndarray, working_space: Sequence) -> np.ndarray:
     """Display sRGB times alpha (H, W, 3) -> linear colour times alpha, and alpha: (H, W, 4) float32."""
-    alpha = alpha[..., None]
-    straight = np.divide(rgb, alpha, out=np.zeros_like(rgb), where=alpha > 0)
-    return np.concatenate([srgb_to_linear(straight) @ np.asarray(working_space, np.float32) * alpha, alpha], axis=-1)
+    return linear_colours(np.ascontiguousarray(rgb, np.float32), np.ascontiguousarray(alpha, np.float32), working_space)
 
 
 def overlay_rgba(rasterizer: Rasterizer, scene: Scene, camera: Camera, hidden: np.ndarray) -> np.ndarray:

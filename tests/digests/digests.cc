@@ -35,6 +35,17 @@ void flip(Lines& lines, int32_t level) {
   lines.refuse("flip_viewer", svrgs_flip(level, image.data(), target.data(), kHeight, kWidth, 0, errors.data()), SVRGS_INVALID);
 }
 
+template <class T>
+void linear_colours(Lines& lines, int32_t level) {
+  const std::vector<T> rgb = values<T>(42, 3 * kPixels, 0, 1), alpha = values<T>(43, kPixels, -0.1, 1);
+  const double space[9] = {0.6, 0.1, 0, 0.3, 0.9, 0.1, 0.1, 0, 0.9};
+  std::vector<T> rgba(4 * kPixels);
+  lines.require(svrgs_linear_rgba(level, rgb.data(), alpha.data(), kPixels, space, rgba.data()) == SVRGS_OK, "linear_rgba");
+  lines.add("linear_rgba", Digest(sizeof(T) == 8 ? kMillionths : kWhole).add(rgba));
+  lines.refuse("linear_rgba_level", svrgs_linear_rgba(99, rgb.data(), alpha.data(), kPixels, space, rgba.data()), SVRGS_INVALID);
+  lines.refuse("linear_rgba_size", svrgs_linear_rgba(level, rgb.data(), alpha.data(), -1, space, rgba.data()), SVRGS_INVALID);
+}
+
 // Three steps on rows of `width`; the gradient of one row is not finite.
 template <class T>
 void adam(Lines& lines, svrgs_context* context, int32_t width, int32_t shared) {
@@ -159,6 +170,7 @@ Lines run(const std::string& name, int32_t level, int32_t threads) {
   refusals<T>(lines, level);
   optimiser<T>(lines, level);
   flip<T>(lines, level);
+  linear_colours<T>(lines, level);
   without_level(lines);
   triangles(lines);
   decimation(lines, level);

@@ -127,9 +127,12 @@ class View {
     require(svrgs_backward(context, &in, &out) == SVRGS_OK, "gradients");
   }
 
-  // Against a grey image, by viewers near and far.
+  // Against a grey image, by viewers near and far; and in linear colours.
   void compare(int32_t level) {
-    std::vector<float> image(rgb), errors(pixels);
+    std::vector<float> image(rgb), errors(pixels), linear(4 * pixels);
+    const double space[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    require(svrgs_linear_rgba(level, rgb.data(), rgb.data(), pixels, space, linear.data()) == SVRGS_OK, "linear colours");
+    append(results, linear);
     const std::vector<float> grey(3 * pixels, 0.5f);
     for (float& v : image) v = std::clamp(v, 0.0f, 1.0f);
     for (const double pixels_per_degree : {1.0, 67.0, 400.0}) {

@@ -19,12 +19,6 @@ inline Colour linear_rgb(Colour c) {
           row(0.0528739389703645, -0.2039769588889765, 1.1511030199186119)};
 }
 
-inline V power(V x, V exponent) { return exp2(log2(max(x, broadcast(R(1e-30)))) * exponent); }
-inline V linear(V srgb) {
-  const V curve = power((srgb + broadcast(R(0.055))) * broadcast(R(1 / 1.055)), broadcast(R(2.4)));
-  return select(less(broadcast(R(0.04045)), srgb), curve, srgb * broadcast(R(1 / 12.92)));
-}
-
 struct FlipTile {
   const FlipArguments& a;
   int64_t y, x, rows, columns, stride;  // its first pixel, its size, values in a row
