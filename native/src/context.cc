@@ -15,7 +15,7 @@ constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
 constexpr int64_t kMaskLossGrain = 16384;  // pixels
 constexpr int64_t kMostBinPairs = 65536;   // (Gaussian, tile) pairs of a bin, on average
-constexpr int64_t kPairsOfFewBins = 4096;  // the same, per bin of the picture
+constexpr int64_t kPairsOfFewBins = 4096;  // the same, times the number of bins, where they are few
 
 using Time = std::chrono::steady_clock::time_point;
 double seconds_between(Time begin, Time end) { return std::chrono::duration<double>(end - begin).count(); }

@@ -66,15 +66,15 @@ inline V load_at(const R* p) {
 using M = __mmask16;
 inline M less(V a, V b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
 inline M at_least(V a, V b) { return _mm512_cmp_ps_mask(a, b, _CMP_GE_OQ); }
-inline M at_least_in(M m, V a, V b) { return _mm512_mask_cmp_ps_mask(m, a, b, _CMP_GE_OQ); }
+inline M at_least_in(M m, V a, V b) { return _mm512_mask_cmp_ps_mask(m, a, b, _CMP_GE_OQ); }  // both(m, at_least(a, b))
 inline M both(M a, M b) { return _kand_mask16(a, b); }
 inline M either(M a, M b) { return a | b; }
 inline V select(M m, V yes, V no) { return _mm512_mask_blend_ps(m, no, yes); }
 inline V keep(M m, V v) { return _mm512_maskz_mov_ps(m, v); }
 inline bool any(M m) { return !_kortestz_mask16_u8(m, m); }
 inline uint32_t bits(M m) { return m; }
-inline bool any_of_both(M a, M b) { return !_ktestz_mask16_u8(a, b); }
-inline M and_not(M a, M b) { return b & ~a; }  // b where not a
+inline bool any_of_both(M a, M b) { return !_ktestz_mask16_u8(a, b); }  // any(both(a, b))
+inline M and_not(M a, M b) { return b & ~a; }                           // b where not a
 inline V add_if(M m, V a, V b) { return _mm512_mask_add_ps(a, m, a, b); }
 inline V fma_if(M m, V a, V b, V c) { return _mm512_mask3_fmadd_ps(a, b, c, m); }  // a b + c; c where not m
 inline V fnma_if(M m, V a, V b, V c) { return _mm512_mask3_fnmadd_ps(a, b, c, m); }
