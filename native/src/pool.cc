@@ -17,17 +17,26 @@
 namespace svrgs {
 namespace {
 
-constexpr size_t kLine = 64;  // bytes of a cache line
+constexpr size_t kLine = 64;                     // bytes of a cache line
+constexpr int64_t kMostAtOnce = 8, kShares = 4;  // tasks that a thread takes at once; at most one of so many shares of what is left, for each thread
 
 struct Job {
   Task task;
   void* argument;
   int64_t count;
+  int64_t shares;
   alignas(kLine) std::atomic<int64_t> next{0};  // all threads write to it: a line of its own
 
   void traced_work();
+  // Tasks that follow each other share data, so a thread takes several at once. At the start, where later tasks may wait for them, it takes single ones, and
+  // at the end, so that threads end together.
   void work(int worker) {
-    for (int64_t i; (i = next.fetch_add(1, std::memory_order_relaxed)) < count;) task(argument, i, worker);
+    for (;;) {
+      const int64_t taken = next.load(std::memory_order_relaxed), wanted = std::clamp<int64_t>(std::min(taken, count - taken) / shares, 1, kMostAtOnce);
+      int64_t i = next.fetch_add(wanted, std::memory_order_relaxed);
+      if (i >= count) return;
+      for (const int64_t end = std::min(i + wanted, count); i < end; ++i) task(argument, i, worker);
+    }
   }
 };
 
@@ -166,7 +175,7 @@ const std::vector<double>& traced() { return seconds_of_tasks; }
 void run_tasks(int64_t count, Task task, void* argument, Prepare prepare) {
   const auto workers = current_pool();
   if (prepare) prepare(argument, workers->size());
-  Job job{task, argument, count};
+  Job job{task, argument, count, kShares * workers->size()};
   workers->run(job);
 }
 

@@ -1,4 +1,4 @@
-// The one thread pool of the library. Work is handed out by an atomic counter; the caller takes part.
+// The one thread pool of the library. Work is handed out by an atomic counter, some tasks at a time; the caller takes part.
 #pragma once
 #include <cstdint>
 #include <thread>
