@@ -177,6 +177,37 @@ def test_steps_on_any_number_of_machines_give_the_bytes_of_one(tiny, tmp_path, s
     assert all(step.status == 0 for step in fewer) and read_scene(tmp_path / "few.ply").count == 50, "nothing of the first decision is left"
 
 
+def test_an_allowed_drop_on_photographs_is_held(inside, tmp_path, svrgs):
+    room, _ = inside
+    scene = read_scene(room.splat)
+    scene.sh[:, 0] += np.random.default_rng(1).normal(0, 0.15, scene.sh[:, 0].shape)  # photographs are not its own pictures
+    write_scene(tmp_path / "a.ply", scene)
+    words = [
+        "large",
+        "prune",
+        tmp_path / "a.ply",
+        "--colmap",
+        room.folder,
+        "--method",
+        "removal",
+        "--iterations",
+        30,
+        "--recovery",
+        60,
+        "--block",
+        2_000,
+        "--json",
+    ]
+    little, much = (svrgs(*words, "--max-drop", drop, "--out", tmp_path / f"{drop}.ply").json for drop in (0.5, 4))
+    assert 300 < much["after"]["count"] < 0.9 * little["after"]["count"] < 0.9 * 6_000
+    for result, drop in ((little, 0.5), (much, 4)):
+        assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"]) and result["drop"] < drop
+        assert any("held before fine-tuning" in note for note in result["notes"]) and result["blocks"] == 4
+    coarse = svrgs(*words, "--max-drop", 0.001, "--out", tmp_path / "o.splat")
+    assert coarse.status == 2 and "the format alone loses" in coarse.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["0.5.ply", "4.ply", "a.ply"]
+
+
 def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(tiny, tmp_path, svrgs, monkeypatch, caplog):
     def short(*_):
         raise SHORT
@@ -194,7 +225,7 @@ def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(tiny, tm
     run_job.prune_scene(options, lambda job: replace(job, part=lambda text, _: said.append(text)))
     assert any(text.startswith("decide: block 0, 125 Gaussians: Removing") for text in said) and any(text.startswith("recover: ") for text in said)
     refused = svrgs("prune", tiny.splat, *words, "--method", "svr")
-    assert refused.status == 2 and "with --visible-mask, or with removal to a number, it would be pruned by blocks" in refused.err
+    assert refused.status == 2 and "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks" in refused.err
     other = svrgs("prune", tiny.splat, *words, "--method", "maskgs")
     assert other.status == 2 and other.err.count("svrgs large prunes it by blocks") == 1
 
@@ -242,7 +273,7 @@ def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
         (["--colmap", "DATA", "--method", "pressure"], "'removal' replaces it"),
         (["--colmap", "DATA", "--method", "svr", "--iterations", 0], "give --iterations a number above 0"),
         (["--colmap", "DATA", "--method", "svr", "--steps", 5], "leave them out, or --method"),
-        (["--colmap", "DATA", "--method", "svr", "--max-drop", 0.5], "leave them out, or --method"),
+        (["--colmap", "DATA", "--method", "svr", "--levels", "0.5"], "leave them out, or --method"),
         (["--colmap", "DATA", "--method", "svr", "--holdout", 1], "all views of the dataset are held out"),
         (["--colmap", "DATA", "--target", 0.5, "--recovery", 5], "--recovery is for methods that decide on photographs: add --method"),
         (["--colmap", "DATA/sparse/0", "--method", "svr"], "has no image folder images"),

@@ -107,9 +107,14 @@ def test_a_disk_that_is_full_costs_the_checkpoint_alone(tiny, data, tmp_path, mo
     assert "the block 0 goes on without a checkpoint" in caplog.text and (tmp_path / "work" / CUT / "0.rows").stat().st_size == 60 * 4
 
 
-@pytest.mark.parametrize("step, at", [("decide", 3.7 / 6), ("recover", 4.7 / 6), ("recover", 0.0), ("measure", 0.0)])
-def test_a_job_that_was_stopped_goes_on_with_resume(svrgs, short, stop_at, tiny, tmp_path, steps, step, at):
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.5, "--iterations", 40, "--recovery", 20]
+GOALS = {"target": ["--target", 0.5], "drop": ["--max-drop", 2.0]}
+
+
+@pytest.mark.parametrize("goal, step, at", [
+    ("target", "decide", 3.7 / 6), ("target", "recover", 4.7 / 6), ("target", "recover", 0.0), ("target", "measure", 0.0), ("drop", "decide", 4.7 / 7),
+])  # fmt: skip
+def test_a_job_that_was_stopped_goes_on_with_resume(svrgs, short, stop_at, tiny, tmp_path, steps, goal, step, at):
+    words = ["prune", tiny.splat, "--colmap", tiny.folder, *GOALS[goal], "--iterations", 40, "--recovery", 20]
     assert svrgs(*words, "--out", tmp_path / "whole.ply").status == 0
     done = len(steps)
     steps.clear()

@@ -65,8 +65,8 @@ def _prune(words: argparse.Namespace) -> dict[str, Any]:
     goal, request = Goal(words.target_count or 0, words.target or 0.0, words.max_drop or 0.0, words.levels), _request(words)
     if request is None and not (goal.count or goal.share or goal.max_drop):
         raise SceneError("how many Gaussians stay is not given: add --target, --target-count or --max-drop")
-    if request is not None and (words.steps is not None or goal.max_drop or goal.levels):
-        raise SceneError("--steps, --max-drop and --levels are for removals and merges: leave them out, or --method")
+    if request is not None and (words.steps is not None or goal.levels):
+        raise SceneError("--steps and --levels are for removals and merges: leave them out, or --method")
     if words.resume and request is None:
         raise SceneError("--resume is for methods that decide on photographs: removals and merges begin again")
     left = left_by_a_stop(request, words.out, words.levels)

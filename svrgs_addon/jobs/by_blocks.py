@@ -38,7 +38,7 @@ TAKES = (  # options; with others, the scene must be read as a whole
 QUICK_VIEWS = 64  # that are placed for a quick job
 OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
 OF_METHODS = ("lambda_f", "iterations", "recovery", "min_contribution", "background", "image_memory", "visible_mask")  # those of methods on photographs
-NEEDS_VISIBLE = "with --visible-mask, or with removal to a number, it would be pruned by blocks"
+NEEDS_VISIBLE = "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks"
 NOT_FINISHED = "stopped; {}: start it again, or use the steps of svrgs large, each of which can be continued"
 
 
@@ -46,7 +46,7 @@ def possible(options: PruneOptions) -> bool:
     """Whether a job can be done by blocks: a quick one, one that merges without photographs, to a number, or one of a method with lambda_F on
     photographs, if F counts up to where the colours of a ray stop, or does not count."""
     if _learns(options):
-        return _has_only(options, (*TAKES, *OF_METHODS)) and (options.visible_mask or _to_number(options))
+        return _has_only(options, (*TAKES, *OF_METHODS, "max_drop")) and (options.visible_mask or _to_number(options))
     merges = options.quick or (options.colmap is None and options.method in ("", "merge"))
     return merges and bool(options.quick or _number(options)) and _has_only(options, (*TAKES, *(OF_QUICK if options.quick else ())))
 
@@ -66,8 +66,8 @@ def _number(options: PruneOptions) -> bool:
 
 
 def _to_number(options: PruneOptions) -> bool:
-    """Whether the method removes down to a number, without F."""
-    return (options.method or DEFAULT) == DEFAULT and _number(options)
+    """Whether the method removes down to a number that is given or found, without F."""
+    return (options.method or DEFAULT) == DEFAULT and (_number(options) or bool(options.max_drop))
 
 
 def _has_only(options: PruneOptions, names: Collection[str]) -> bool:

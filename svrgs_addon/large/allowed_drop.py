@@ -2,55 +2,96 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
 
 from ..camera import Camera
-from ..errors import SceneError
+from ..errors import FormatError, SceneError
+from ..files.atomic import atomic_write
 from ..files.registry import format_to_write
 from ..finetune.quality import LEAST, bisected, squared_error
 from ..metrics.format_loss import ASSUMED, refuse_loss
 from ..metrics.psnr import with_error
 from ..photographs.rendered import PHOTOGRAPHED
-from .blocks import Divided, Tell, divide
+from .blocks import NUMBER, Divided, Told, divide
 from .folder import HELD
-from .likeness import EQUAL, Likeness
+from .likeness import EQUAL, Likeness, PhotographLikeness
 from .pruning import write_joined
 from .tuning import cut
 
 STEP = 0.01  # share of the Gaussians to which the number is found
 
 
-def errors_of_format(divided: Divided, likeness: Likeness, allowed: float, out: Path, told: Callable[[str], Tell]) -> list[float]:
+def errors_of_format(divided: Divided, likeness: Likeness, allowed: float, out: Path, told: Told) -> list[float]:
     """The mean squared error in each view of the whole scene as the format of the output holds it. Raises SplatError; SceneError if the format alone loses
     the allowed drop in dB, or without views."""
     if not likeness.views:
         raise SceneError("--max-drop is measured in views that are held out, and there are none: give more cameras, or --target")
     if format_to_write(out).lossless:
         return [0.0] * len(likeness.views)
+    with _held(divided, out, told) as written:
+        errors = [squared_error(value) for value in likeness.psnrs(written, "try")]
+    refuse_loss(out, ASSUMED - _psnr([EQUAL] * len(errors), errors), allowed)
+    return errors
+
+
+def fewest_within(divided: Divided, scored: Sequence[Camera], likeness: Likeness, allowed: float, errors: Sequence[float], told: Told) -> int:
+    """The fewest Gaussians, at least LEAST of them, that hold the allowed drop in dB before fine-tuning, which wins a part of it back. As if PHOTOGRAPHED were
+    the error of the original. scored: the views that were scored. errors: from errors_of_format(). Raises SplatError."""
+
+    return _fewest(divided, scored, told, lambda left: _psnr(likeness.psnrs(left, "try"), errors) >= ASSUMED - allowed)
+
+
+def floor_on_photographs(divided: Divided, likeness: PhotographLikeness, allowed: float, out: Path, told: Told) -> float:
+    """The PSNR in dB against photographs that an allowed drop leaves before the output is written: what its format loses of the whole scene counts. Raises
+    SplatError; SceneError if the format alone loses the allowed drop."""
+    before, loss = likeness.psnr(divided), 0.0
+    if not format_to_write(out).lossless:
+        with _held(divided, out, told) as written:
+            loss = max(0.0, before - likeness.psnr(written))
+        refuse_loss(out, loss, allowed)
+    return before - allowed + loss
+
+
+def fewest_above(divided: Divided, scored: Sequence[Camera], likeness: Likeness, floor: float, told: Told) -> int:
+    """The fewest Gaussians, at least LEAST of them, with this PSNR in dB before fine-tuning. Raises SplatError."""
+    return _fewest(divided, scored, told, lambda left: likeness.psnr(left) >= floor)
+
+
+def _fewest(divided: Divided, scored: Sequence[Camera], told: Told, within: Callable[[Divided], bool]) -> int:
+    few, step = math.ceil(LEAST * divided.count) - 1, int(STEP * divided.count)
+    return bisected(few, divided.count, step, lambda count: within(cut(divided, scored, count, told("try"))))
+
+
+@contextlib.contextmanager
+def _held(divided: Divided, out: Path, told: Told) -> Iterator[Divided]:
+    """The scene as the format of the output holds it, divided as long as the context lasts."""
     told("try")("writes the scene in the format of the output", 0.0)
     folder = divided.folder / HELD
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     write_joined(divided, folder / out.name)
-    errors = [squared_error(value) for value in likeness.psnrs(divide(folder / out.name, folder / "blocks"), "try")]
+    yield divide(folder / out.name, folder / "blocks")
     shutil.rmtree(folder, ignore_errors=True)
-    refuse_loss(out, ASSUMED - _psnr([EQUAL] * len(errors), errors), allowed)
-    return errors
 
 
-def fewest_within(divided: Divided, scored: Sequence[Camera], likeness: Likeness, allowed: float, errors: Sequence[float], told: Callable[[str], Tell]) -> int:
-    """The fewest Gaussians, at least LEAST of them, that hold the allowed drop in dB before fine-tuning, which wins a part of it back. As if PHOTOGRAPHED were
-    the error of the original. scored: the views that were scored. errors: from errors_of_format(). Raises SplatError."""
+def write_number(folder: Path, number: int):
+    """Keeps a number of Gaussians that was found."""
+    with atomic_write(folder / NUMBER) as file:
+        file.write(json.dumps(number).encode())
 
-    def within(count: int) -> bool:
-        left = cut(divided, scored, count, told("try"))
-        return _psnr(likeness.psnrs(left, "try"), errors) >= ASSUMED - allowed
 
-    return bisected(math.ceil(LEAST * divided.count) - 1, divided.count, int(STEP * divided.count), within)
+def read_number(folder: Path) -> int:
+    """Raises FormatError."""
+    try:
+        return int((folder / NUMBER).read_text())
+    except (OSError, ValueError):
+        raise FormatError(f"{folder / NUMBER}: is missing or damaged; delete {folder} to start again") from None
 
 
 def drop(psnr: float) -> float:

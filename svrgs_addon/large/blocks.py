@@ -35,14 +35,17 @@ SPREAD = 100_000  # Gaussians that stand for all of a scene
 GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
 OWN_COLUMNS = "svrgs_"  # how columns begin that a job has added to its splat
+NUMBER = "number.json"  # of Gaussians that an allowed drop leaves
 OWN = (
     INDEX,
+    NUMBER,
     *(f"[0-9]*.{name}" for name in ("geometry", "sh", "rows", "visibility", "order.npz", "picture.npy", "blended.npy")),
     "scores_*_of_*.npy",
     "reduced.json",
     "error.json",
 )  # files of large/
 Tell = Callable[[str, float], None]  # what is done now, and the share of the work that is done
+Told = Callable[[str], Tell]  # of the name of a step
 
 
 @dataclass(frozen=True)

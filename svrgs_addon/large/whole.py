@@ -18,11 +18,11 @@ from ..files.registry import format_to_write, refuse_input
 from ..finetune.quality import LEAST
 from ..metrics.format_loss import loss_notes
 from ..photographs.dataset import Dataset
-from .allowed_drop import drop, errors_of_format, fewest_within
-from .blocks import MOST, Divided, Tell, divide
+from .allowed_drop import drop, errors_of_format, fewest_above, fewest_within, floor_on_photographs, read_number, write_number
+from .blocks import MOST, Divided, Told, divide
 from .folder import LEVEL, SCORED, blocks_of, measured_views, prepare, refuse_foreign, remove, scored_views
 from .learning import AROUND_SHARE, decide, prepare_around, recover, targets
-from .likeness import Likeness
+from .likeness import Likeness, PhotographLikeness
 from .merging import merge, reduce
 from .pruning import finish, finish_learned, join_levels, write_left
 from .request import Request
@@ -31,8 +31,8 @@ from .tasks import Tasks
 from .tuning import EPOCHS, cut, tune
 
 SUMS, COPIES = 1.2, 4  # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
-ORDER = "order"  # the first task that takes long
-Told = Callable[[str], Tell]  # of the name of a step
+HELD_BEFORE = "by blocks, the allowed drop is held before fine-tuning: in memory, fewer Gaussians would stay"
+ORDER, ALLOWED = "order", "number"  # tasks: the first one that takes long; the number of an allowed drop
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,9 @@ def prune_by_blocks(
 
     views: gives the views that are scored and tuned on, and those on which the result is measured; it is called after the outputs are checked.
     steps: of fine-tuning; None: EPOCHS for each view. work: folder for the blocks, which are removed at the end; None: beside the output. block: Gaussians of
-    a block, at most. request: a method that decides on photographs instead, in its own steps; the goal is then a number, or nothing. If it is stopped or fails
-    later than in its first minutes, the blocks stay, and `resume` goes on from there. Returns the JSON result. Raises SplatError, and what `told` raises.
+    a block, at most. request: a method that decides on photographs instead, in its own steps; the goal is then a number, an allowed drop, or nothing. If it is
+    stopped or fails later than in its first minutes, the blocks stay, and `resume` goes on from there. Returns the JSON result. Raises SplatError, and what
+    `told` raises.
     """
     work = work or blocks_of(out)
     outs = [out, *level_files(out, goal.levels).values()]
@@ -123,25 +124,37 @@ def _learned(
         divided = replace(Divided.read(work), source=source)
         if ORDER not in tasks.done:
             _check_room(work, divided, goal, AROUND_SHARE)
-        _decide_and_recover(divided, request, dataset, goal, told, tasks)
+        _decide_and_recover(divided, request, dataset, goal, out, told, tasks)
         result = finish_learned(divided, request, dataset, out, told)
         finished = True
-        return result
+        return result | _of_drop(result, goal)
     finally:
         if finished or ORDER not in tasks.done:
             remove(work)
 
 
-def _decide_and_recover(divided: Divided, request: Request, dataset: Dataset, goal: Goal, told: Told, tasks: Tasks):
+def _decide_and_recover(divided: Divided, request: Request, dataset: Dataset, goal: Goal, out: Path, told: Told, tasks: Tasks):
     """All tasks on the blocks that are not done yet."""
     plan, wanted, blocks = request.plan(), goal.number(divided.count) if goal.count or goal.share else 0, len(divided.blocks)
-    tasks.total = 3 + blocks * (2 if request.recovery else 1)
-    tasks.once(ORDER, lambda: _order(divided, scored_views(divided.folder), told) if wanted or blocks > 1 else None)
+    tasks.total = 3 + bool(goal.max_drop) + blocks * (2 if request.recovery else 1)
+    likeness = PhotographLikeness(dataset, told)
+    floor = floor_on_photographs(divided, likeness, goal.max_drop, out, told) if goal.max_drop and ALLOWED not in tasks.done else 0.0  # may refuse
+    tasks.once(ORDER, lambda: _order(divided, scored_views(divided.folder), told) if wanted or goal.max_drop or blocks > 1 else None)
+    if goal.max_drop:
+        tasks.once(ALLOWED, lambda: write_number(divided.folder, fewest_above(divided, scored_views(divided.folder), likeness, floor, told)))
+        wanted = read_number(divided.folder)
     tasks.once("around", lambda: prepare_around(divided, told("merge")))
     for number, target in enumerate(targets(divided, wanted)):
         tasks.once(f"decide {number}", partial(decide, divided, number, dataset, plan, target, told("decide")))
     for number in range(blocks if request.recovery else 0):
         tasks.once(f"recover {number}", partial(recover, divided, number, dataset, plan, told("recover")))
+
+
+def _of_drop(result: dict[str, Any], goal: Goal) -> dict[str, Any]:
+    """What an allowed drop adds to the result of a method."""
+    if not goal.max_drop:
+        return {}
+    return {"drop": result["before"]["psnr"] - result["psnr"], "notes": [*result["notes"], HELD_BEFORE]}
 
 
 def _identity(source: Path, views: tuple[Sequence[Camera], Sequence[Camera]], goal: Goal, block: int, request: Request, dataset: Dataset) -> str:
