@@ -67,8 +67,9 @@ struct Frame {
   int bin_tiles() const { return bin_side * bin_side; }
   int64_t tile_count() const { return bin_count() * bin_tiles(); }
   TileOrigin tile_origin(int64_t tile) const {
-    const int bin = static_cast<int>(tile / bin_tiles()), in_bin = static_cast<int>(tile % bin_tiles());
-    return {bin % bins_x * bin_side + in_bin % bin_side, bin / bins_x * bin_side + in_bin / bin_side};
+    const int number = static_cast<int>(tile), bin = number / kBinTiles, in_bin = number % kBinTiles;
+    if (bin_side == 1) return {number % bins_x, number / bins_x};
+    return {bin % bins_x * kBin + in_bin % kBin, bin / bins_x * kBin + in_bin / kBin};
   }
   bool in_image(TileOrigin o) const { return o.x * kTile < width && o.y * kTile < height; }
 
