@@ -182,22 +182,8 @@ def test_an_allowed_drop_on_photographs_is_held(inside, tmp_path, svrgs):
     scene = read_scene(room.splat)
     scene.sh[:, 0] += np.random.default_rng(1).normal(0, 0.15, scene.sh[:, 0].shape)  # photographs are not its own pictures
     write_scene(tmp_path / "a.ply", scene)
-    words = [
-        "large",
-        "prune",
-        tmp_path / "a.ply",
-        "--colmap",
-        room.folder,
-        "--method",
-        "removal",
-        "--iterations",
-        30,
-        "--recovery",
-        60,
-        "--block",
-        2_000,
-        "--json",
-    ]
+    words = ["large", "prune", tmp_path / "a.ply", "--colmap", room.folder, "--method", "removal", "--block", 2_000, "--json"]
+    words += ["--iterations", 30, "--recovery", 60]
     little, much = (svrgs(*words, "--max-drop", drop, "--out", tmp_path / f"{drop}.ply").json for drop in (0.5, 4))
     assert 300 < much["after"]["count"] < 0.9 * little["after"]["count"] < 0.9 * 6_000
     for result, drop in ((little, 0.5), (much, 4)):

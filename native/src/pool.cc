@@ -17,19 +17,20 @@
 namespace svrgs {
 namespace {
 
-constexpr size_t kLine = 64;                     // bytes of a cache line
-constexpr int64_t kMostAtOnce = 8, kShares = 4;  // tasks that a thread takes at once; at most one of so many shares of what is left, for each thread
+constexpr size_t kLine = 64;        // bytes of a cache line
+constexpr int64_t kMostAtOnce = 8;  // tasks that a thread takes at once, at most
+constexpr int64_t kShares = 4;      // with n threads, a thread takes at most 1 / (n kShares) of the tasks that are left, or that were taken before
 
 struct Job {
   Task task;
   void* argument;
   int64_t count;
-  int64_t shares;
+  int64_t shares;                               // kShares for each thread
   alignas(kLine) std::atomic<int64_t> next{0};  // all threads write to it: a line of its own
 
   void traced_work();
-  // Tasks that follow each other share data, so a thread takes several at once. At the start, where later tasks may wait for them, it takes single ones, and
-  // at the end, so that threads end together.
+  // Tasks that follow each other use the same data, so a thread takes several at once. It takes single tasks at the start, because later tasks may wait for
+  // them, and at the end, so that all threads finish at the same time.
   void work(int worker) {
     for (;;) {
       const int64_t taken = next.load(std::memory_order_relaxed), wanted = std::clamp<int64_t>(std::min(taken, count - taken) / shares, 1, kMostAtOnce);

@@ -293,7 +293,7 @@ def _large(commands):
             size.add_argument("--target", type=_reader(SHARE), metavar="SHARE", help="share of the Gaussians to keep, up to 1")
             size.add_argument("--target-count", type=_reader(POSITIVE), metavar="N", help="number of Gaussians to keep")
         if name == "prune":
-            size.add_argument("--max-drop", type=_reader(DECIBELS), metavar="DB", help="keep as few as lose so many dB at most, as svrgs prune --quick does")
+            size.add_argument("--max-drop", type=_reader(DECIBELS), metavar="DB", help="keep as few as lose so many dB at most, before fine-tuning")
             command.add_argument("--levels", type=_reader(SHARES), default=(), metavar="SHARES", help="levels of detail, as of svrgs prune")
             command.add_argument("--resume", action="store_true", help="with --method: continue the same job after a stop; without it, the job starts again")
         if name in ("prune", "finish"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import shutil
 from collections.abc import Callable, Iterator, Sequence
@@ -43,7 +42,6 @@ def errors_of_format(divided: Divided, likeness: Likeness, allowed: float, out: 
 def fewest_within(divided: Divided, scored: Sequence[Camera], likeness: Likeness, allowed: float, errors: Sequence[float], told: Told) -> int:
     """The fewest Gaussians, at least LEAST of them, that hold the allowed drop in dB before fine-tuning, which wins a part of it back. As if PHOTOGRAPHED were
     the error of the original. scored: the views that were scored. errors: from errors_of_format(). Raises SplatError."""
-
     return _fewest(divided, scored, told, lambda left: _psnr(likeness.psnrs(left, "try"), errors) >= ASSUMED - allowed)
 
 
@@ -64,6 +62,7 @@ def fewest_above(divided: Divided, scored: Sequence[Camera], likeness: Likeness,
 
 
 def _fewest(divided: Divided, scored: Sequence[Camera], told: Told, within: Callable[[Divided], bool]) -> int:
+    """within: whether a scene that is cut to fewer Gaussians holds the drop."""
     few, step = math.ceil(LEAST * divided.count) - 1, int(STEP * divided.count)
     return bisected(few, divided.count, step, lambda count: within(cut(divided, scored, count, told("try"))))
 
@@ -75,19 +74,21 @@ def _held(divided: Divided, out: Path, told: Told) -> Iterator[Divided]:
     folder = divided.folder / HELD
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    write_joined(divided, folder / out.name)
-    yield divide(folder / out.name, folder / "blocks")
-    shutil.rmtree(folder, ignore_errors=True)
+    try:
+        write_joined(divided, folder / out.name)
+        yield divide(folder / out.name, folder / "blocks")
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_number(folder: Path, number: int):
-    """Keeps a number of Gaussians that was found."""
+    """Keeps the number of Gaussians that was found, for a job that is continued. Raises SceneError."""
     with atomic_write(folder / NUMBER) as file:
-        file.write(json.dumps(number).encode())
+        file.write(str(number).encode())
 
 
 def read_number(folder: Path) -> int:
-    """Raises FormatError."""
+    """The number of Gaussians that write_number() has kept. Raises FormatError."""
     try:
         return int((folder / NUMBER).read_text())
     except (OSError, ValueError):

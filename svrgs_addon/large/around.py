@@ -19,7 +19,7 @@ from .blocks import Block, Divided, Tell, arrays_of
 from .discs import Discs, Window
 from .views import shown
 
-MARGIN = 32  # pixels around the block in a window, for SSIM and for the Gaussians beside the block
+MARGIN = 32  # pixels by which a window is larger than the block on each side: SSIM and the Gaussians at the block's border need them
 BLENDED = "{}.blended.npy"  # file of a view
 
 

@@ -1,4 +1,4 @@
-"""Keeps a list of the finished tasks of a job by blocks in tasks.json, beside the blocks. A job that was stopped or killed goes on from there."""
+"""The finished tasks of a job by blocks. They are listed in tasks.json, beside the blocks. A job that was stopped or killed continues with the other tasks."""
 
 from __future__ import annotations
 

@@ -30,8 +30,8 @@ inline Window gaussian_window() {
   return w;
 }
 
-// The window is passed by value: given a reference, the compiler would read it again after every store of a vector. Most taps are joined from
-// aligned loads by a shuffle, which takes a unit that computes; three are loaded where they are, beside the arithmetic.
+// The window is passed by value: given a reference, the compiler would read it again after every store of a vector. Most taps come from two
+// aligned loads and a shuffle, which occupies an arithmetic unit. Three taps are loaded unaligned instead: the load units have time left.
 inline V blur_horizontally(Window w, const R* at) {
   V s = broadcast(w.tap[0]) * load(at);
   s = fma(broadcast(w.tap[1]), load(at - 3) + load_at<3>(at), s);
