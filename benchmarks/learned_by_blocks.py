@@ -1,10 +1,10 @@
 """Pruning on photographs in memory and by blocks, side by side, on the photographs that are held out.
 
-python benchmarks/learned_by_blocks.py SPLAT:DATASET... [--method removal svr] [--target 0.4 | --lambda-f 1e-3] [--iterations 300]
-    [--recovery 500] [--blocks 1 4] [--seeds 0 1 2]
+python benchmarks/learned_by_blocks.py SPLAT:DATASET... [--method removal svr] [--target 0.4 | --lambda-f 1e-3 | --max-drop 0.5]
+    [--iterations 300] [--recovery 500] [--blocks 1 4] [--seeds 0 1 2]
 
 Prints a row for each splat, method and seed: mean PSNR in dB of the splat; and of pruning in memory, and with each number of blocks: Gaussians that are left,
-mean PSNR in dB, and seconds. With --lambda-f, the method decides how many are left.
+mean PSNR in dB, and seconds. With --lambda-f or --max-drop, the method decides how many are left.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ def main():
     size = words.add_mutually_exclusive_group()
     size.add_argument("--target", default="0.4")
     size.add_argument("--lambda-f")
+    size.add_argument("--max-drop")
     words.add_argument("--iterations", default="300")
     words.add_argument("--recovery", default="500")
     words.add_argument("--blocks", type=int, nargs="+", default=[1, 4])
@@ -41,7 +42,8 @@ def main():
     given = words.parse_args()
     print("| scene | method | seed | before, dB | in memory: Gaussians, dB (s) |", *(f"{n} blocks |" for n in given.blocks), flush=True)
     print("|---|---|---:|---:|---:|" + "---:|" * len(given.blocks), flush=True)
-    goal = ["--lambda-f", given.lambda_f] if given.lambda_f else ["--target", given.target]
+    others = {"--lambda-f": given.lambda_f, "--max-drop": given.max_drop}
+    goal = next(([name, value] for name, value in others.items() if value), ["--target", given.target])
     for scene in given.scenes:
         splat, folder = map(Path, scene.split(":"))
         dataset, whole = load_dataset(folder), describe(splat)["count"]

@@ -31,6 +31,7 @@ MERGED = "svrgs_merged"  # property of a pruned splat until Apply: it has merged
 KEPT = "svrgs_kept"  # property of a pruned splat until Apply: the number of Gaussians that the job kept
 PSNR = "svrgs_psnr"  # property of the pruned splat: dB on the test photographs before and after
 OWN_PSNR = "svrgs_own_psnr"  # property of the pruned splat: dB against pictures of the original
+NOTES = "svrgs_result_notes"  # property of the pruned splat until Apply: sentences on the result, a line each
 
 
 def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
@@ -97,7 +98,7 @@ def settle(original: bpy.types.Object | None, pruned: bpy.types.Object):
     for obj in filter(None, (original, pruned)):
         unmark(obj)
         set_hidden(obj, obj != pruned)
-    for name in (KEPT, PSNR, OWN_PSNR, MERGED, bridge_order.SHOWN, bridge_order.JOB):
+    for name in (KEPT, PSNR, OWN_PSNR, NOTES, MERGED, bridge_order.SHOWN, bridge_order.JOB):
         pruned.pop(name, None)
 
 

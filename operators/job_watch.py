@@ -175,6 +175,8 @@ def load_result(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
         pruned[job_result.PSNR] = psnr
     elif isinstance(psnr[1], float):  # the photographs were pictures of the original
         pruned[job_result.OWN_PSNR] = psnr[1]
+    if notes := result.get("notes"):
+        pruned[job_result.NOTES] = "\n".join(map(str, notes))
     pruned.svrgs_share = 100 * pruned[job_result.KEPT] / job.folder.request()["count"]
     if context.view_layer.objects.active == obj and in_view_layer(context, pruned):
         obj.select_set(False)

@@ -109,6 +109,7 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
     if job_result.OWN_PSNR in pruned:
         text = tr("Quality at {kept:,} Gaussians: PSNR {psnr:.2f} dB against the original's own pictures")
         texts.append(text.format(kept=kept, psnr=pruned[job_result.OWN_PSNR]))
+    texts += pruned.get(job_result.NOTES, "").splitlines()
     if bridge_order.is_shown(pruned):
         return [*texts, tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")]
     texts += filter(None, [bridge_order.problem(pruned)])

@@ -177,20 +177,25 @@ def test_steps_on_any_number_of_machines_give_the_bytes_of_one(tiny, tmp_path, s
     assert all(step.status == 0 for step in fewer) and read_scene(tmp_path / "few.ply").count == 50, "nothing of the first decision is left"
 
 
-def test_an_allowed_drop_on_photographs_is_held(inside, tmp_path, svrgs):
+def test_an_allowed_drop_on_photographs_decides_how_many_stay(inside, tmp_path, svrgs):
     room, _ = inside
     scene = read_scene(room.splat)
     scene.sh[:, 0] += np.random.default_rng(1).normal(0, 0.15, scene.sh[:, 0].shape)  # photographs are not its own pictures
     write_scene(tmp_path / "a.ply", scene)
-    words = ["large", "prune", tmp_path / "a.ply", "--colmap", room.folder, "--method", "removal", "--block", 2_000, "--json"]
-    words += ["--iterations", 30, "--recovery", 60]
+    same = [tmp_path / "a.ply", "--colmap", room.folder, "--method", "removal", "--iterations", 30, "--recovery", 60]
+    words = ["large", "prune", *same, "--block", 2_000, "--json"]
     little, much = (svrgs(*words, "--max-drop", drop, "--out", tmp_path / f"{drop}.ply").json for drop in (0.5, 4))
     assert 300 < much["after"]["count"] < 0.9 * little["after"]["count"] < 0.9 * 6_000
-    for result, drop in ((little, 0.5), (much, 4)):
-        assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"]) and result["drop"] < drop
-        assert any("held before fine-tuning" in note for note in result["notes"]) and result["blocks"] == 4
+    for result in (little, much):
+        assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"]) and result["blocks"] == 4
+    assert little["drop"] < 0.5 and not little["notes"]
+    assert much["drop"] > 5 and "more than the 4 dB that were allowed" in much["notes"][0], "colours at random: few Gaussians cannot stand for their neighbours"
+    whole = svrgs("prune", *same, "--max-drop", 4, "--out", tmp_path / "4.ply")
+    assert "more than the 4 dB that were allowed" in whole.out
     coarse = svrgs(*words, "--max-drop", 0.001, "--out", tmp_path / "o.splat")
     assert coarse.status == 2 and "the format alone loses" in coarse.err
+    masked = svrgs(*words, "--method", "svr", "--max-drop", 0.5, "--out", tmp_path / "o.ply")
+    assert masked.status == 2 and "--max-drop by blocks is for removal and saliency, not for 'svr'" in masked.err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0.5.ply", "4.ply", "a.ply"]
 
 

@@ -180,10 +180,11 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
     measured = before if before and "psnr" in before else None  # the quick way measures against the original itself
     lines = ([f"before  {_figures(measured)}"] if measured else []) + [("after   " if measured else "") + ", ".join(parts)]
     if before and not measured:
-        lines += [f"kept {result['count'] / before['count']:.1%} of the Gaussians", *result["notes"]]
+        lines.append(f"kept {result['count'] / before['count']:.1%} of the Gaussians")
     if measured:
         lines.append(f"kept {result['count'] / measured['count']:.1%} of the Gaussians at {result['psnr'] - measured['psnr']:+.2f} dB")
     lines += [f"level {level['share']:g}: {_figures(level)}; saved {level['out']}" for level in result.get("levels", ())]
+    lines += result.get("notes", ())
     if result.get("densifications_held_back"):
         lines.append(f"{result['densifications_held_back']} densifications added nothing: memory was too short")
     if "seconds" in result:

@@ -17,7 +17,7 @@ from ..files.level_files import level_files
 from ..finetune.methods import DEFAULT, method_named
 from ..large.blocks import Tell
 from ..large.folder import blocks_of
-from ..large.request import Request, methods
+from ..large.request import Request, methods, methods_of_drop
 from ..large.sample import finer, refuse_hidden, sample_of
 from ..large.tasks import progress
 from ..large.tuning import EPOCHS
@@ -46,7 +46,8 @@ def possible(options: PruneOptions) -> bool:
     """Whether a job can be done by blocks: a quick one, one that merges without photographs, to a number, or one of a method with lambda_F on
     photographs, if F counts up to where the colours of a ray stop, or does not count."""
     if _learns(options):
-        return _has_only(options, (*TAKES, *OF_METHODS, "max_drop")) and (options.visible_mask or _to_number(options))
+        held = ("max_drop",) if (options.method or DEFAULT) in methods_of_drop() else ()
+        return _has_only(options, (*TAKES, *OF_METHODS, *held)) and (options.visible_mask or _to_number(options))
     merges = options.quick or (options.colmap is None and options.method in ("", "merge"))
     return merges and bool(options.quick or _number(options)) and _has_only(options, (*TAKES, *(OF_QUICK if options.quick else ())))
 

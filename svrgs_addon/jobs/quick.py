@@ -20,7 +20,7 @@ import numpy as np
 
 from .. import memory
 from ..camera import Camera, evenly
-from ..decimate.order import MOST_HIDDEN, Order, hidden, looks, lost_columns, order_of
+from ..decimate.order import MOST_HIDDEN, NORMALS, Order, hidden, looks, lost_columns, order_of
 from ..decimate.saved_order import write_order
 from ..errors import Cancelled, SceneError
 from ..files.atomic import check_writable, reserved
@@ -32,6 +32,7 @@ from ..geometry.affine import scaled
 from ..metrics import flip, psnr, ssim
 from ..metrics.evaluate import picture_options, refuse_unseen, render_options, rounded_to_8_bits
 from ..metrics.format_loss import ASSUMED, loss_notes
+from ..metrics.missed_drop import missed_drop
 from ..metrics.psnr import with_error
 from ..native import Rasterizer, thresholds
 from ..option_kinds import default_of
@@ -41,6 +42,7 @@ from ..rig.around import DISTANCE, cameras_around, middle_and_radius
 from ..rig.place import quick_rig
 from ..scene import Scene
 from .context import JobContext
+from .job_folder import ROW
 from .options import PruneOptions
 from .smallest_file import smallest_file
 
@@ -130,12 +132,12 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     facts["levels"] = [{"share": share, **level} for share, level in zip(options.levels, levels, strict=True)]
     facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
     notes += [*_of_hidden(facts["hidden"]), *_of_quantise(quantise), *_lost(options.out, source, scenes[0], written[0].scene, factor, likeness)]
-    return {**after, "scene": str(options.scene), "before": before, "after": after, **facts, "notes": notes}
+    return {**after, "scene": str(options.scene), "before": before, "after": after, **facts, "notes": [*notes, *missed_drop(facts["drop"], options.max_drop)]}
 
 
 def _lost(out: Path, source: Scene, pruned: Scene, stored: Scene, factor: float, likeness: _Likeness) -> list[str]:
     """Sentences about what the output cannot hold. pruned: the scene that was written, enlarged by `factor`. stored: the scene that is read from the output."""
-    columns = lost_columns(source, stored)
+    columns = lost_columns(source, stored, (*NORMALS, ROW))
     return columns if format_to_write(out).lossless else [*columns, *loss_notes(likeness.psnr(pruned, 0.0), likeness.psnr(scaled(stored, factor), 0.0))]
 
 

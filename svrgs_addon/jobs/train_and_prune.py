@@ -26,6 +26,7 @@ from ..large.folder import remove_blocks
 from ..metrics.evaluate import any_in_view, evaluate, mean_psnr, refuse_unseen, render_options
 from ..metrics.explained import mismatch_of
 from ..metrics.format_loss import format_loss
+from ..metrics.missed_drop import missed_drop
 from ..native import Rasterizer, RenderOptions, thresholds
 from ..photographs.dataset import Dataset
 from ..photographs.rendered import RenderedDataset
@@ -82,7 +83,7 @@ def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> di
 def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room: DiskRoom) -> dict:
     check_request(dataset, plan)
     refuse_lost_order(plan, job)
-    clock = Clock()
+    clock, allowed = Clock(), plan.max_drop
     with clock.phase("read"):
         source = load_scene(scene_path).scene
         refuse_unseen(source, dataset.cameras, str(scene_path))
@@ -104,7 +105,8 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         levels = written_levels(scene, dataset, job)
         scene = stored(job.out, scene)
         after = measured(scene, dataset, job)
-        run.drop = held - psnr_to_hold(scene, dataset, plan) if plan.max_drop else None
+        run.drop = held - psnr_to_hold(scene, dataset, plan) if allowed else None
+        dataset.notes += tuple(missed_drop(run.drop, allowed))
     result = {**after, "scene": str(scene_path), "before": before, "after": after, "levels": levels, "first_cut": cut}
     result |= run_facts(run, job, clock) | ({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {})
     if job.report:

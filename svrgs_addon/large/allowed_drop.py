@@ -6,6 +6,7 @@ import contextlib
 import math
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 
@@ -13,6 +14,8 @@ from ..camera import Camera
 from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write
 from ..files.registry import format_to_write
+from ..finetune.methods.removal import floor_of_drop
+from ..finetune.plan import Plan
 from ..finetune.quality import LEAST, bisected, squared_error
 from ..metrics.format_loss import ASSUMED, refuse_loss
 from ..metrics.psnr import with_error
@@ -20,8 +23,9 @@ from ..photographs.rendered import PHOTOGRAPHED
 from .blocks import NUMBER, Divided, Told, divide
 from .folder import HELD
 from .likeness import EQUAL, Likeness, PhotographLikeness
+from .merging import most_needed
 from .pruning import write_joined
-from .tuning import cut
+from .tuning import CUT, cut, written
 
 STEP = 0.01  # share of the Gaussians to which the number is found
 
@@ -42,29 +46,32 @@ def errors_of_format(divided: Divided, likeness: Likeness, allowed: float, out: 
 def fewest_within(divided: Divided, scored: Sequence[Camera], likeness: Likeness, allowed: float, errors: Sequence[float], told: Told) -> int:
     """The fewest Gaussians, at least LEAST of them, that hold the allowed drop in dB before fine-tuning, which wins a part of it back. As if PHOTOGRAPHED were
     the error of the original. scored: the views that were scored. errors: from errors_of_format(). Raises SplatError."""
-    return _fewest(divided, scored, told, lambda left: _psnr(likeness.psnrs(left, "try"), errors) >= ASSUMED - allowed)
+    return _fewest(divided, lambda count: _psnr(likeness.psnrs(cut(divided, scored, count, told("try")), "try"), errors) >= ASSUMED - allowed)
 
 
-def floor_on_photographs(divided: Divided, likeness: PhotographLikeness, allowed: float, out: Path, told: Told) -> float:
-    """The PSNR in dB against photographs that an allowed drop leaves before the output is written: what its format loses of the whole scene counts. Raises
-    SplatError; SceneError if the format alone loses the allowed drop."""
+def floor_on_photographs(divided: Divided, likeness: PhotographLikeness, allowed: float, plan: Plan, out: Path, told: Told) -> float:
+    """The PSNR in dB against photographs that a removal may leave without any learning, for an allowed drop at the end of the plan. What the format of the
+    output loses of the whole scene counts. Raises SplatError; SceneError if the format alone loses the allowed drop."""
     before, loss = likeness.psnr(divided), 0.0
     if not format_to_write(out).lossless:
         with _held(divided, out, told) as written:
             loss = max(0.0, before - likeness.psnr(written))
         refuse_loss(out, loss, allowed)
-    return before - allowed + loss
+    return floor_of_drop(before, replace(plan, max_drop=allowed - loss))
 
 
-def fewest_above(divided: Divided, scored: Sequence[Camera], likeness: Likeness, floor: float, told: Told) -> int:
-    """The fewest Gaussians, at least LEAST of them, with this PSNR in dB before fine-tuning. Raises SplatError."""
-    return _fewest(divided, scored, told, lambda left: likeness.psnr(left) >= floor)
+def fewest_above(divided: Divided, likeness: Likeness, floor: float, told: Told) -> int:
+    """The fewest Gaussians of highest removal error, at least LEAST of all, with this PSNR in dB. Raises SplatError."""
+
+    def left(count: int) -> Divided:
+        return written(divided, most_needed(divided, count, told("try")), CUT)
+
+    return _fewest(divided, lambda count: likeness.psnr(left(count)) >= floor)
 
 
-def _fewest(divided: Divided, scored: Sequence[Camera], told: Told, within: Callable[[Divided], bool]) -> int:
-    """within: whether a scene that is cut to fewer Gaussians holds the drop."""
-    few, step = math.ceil(LEAST * divided.count) - 1, int(STEP * divided.count)
-    return bisected(few, divided.count, step, lambda count: within(cut(divided, scored, count, told("try"))))
+def _fewest(divided: Divided, within: Callable[[int], bool]) -> int:
+    """within: whether a scene with so many Gaussians holds the drop."""
+    return bisected(math.ceil(LEAST * divided.count) - 1, divided.count, int(STEP * divided.count), within)
 
 
 @contextlib.contextmanager

@@ -23,13 +23,14 @@ from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write, check_space
 from ..files.npz import write_arrays
 from ..files.opened import json_object
+from ..finetune.scores import top
 from ..geometry.merge import joined
 from ..native import VISIBILITY
 from ..native_decimation import REMOVED, Merges, decimate
 from ..native_library import PARAMETERS
 from ..scene import Scene
 from .blocks import Block, Divided, Tell, leaves, scene_of
-from .scoring import UNITS, total, visibility
+from .scoring import SQUARES, UNITS, total, visibility
 
 REDUCED, LEAST = "reduced.json", 0.01
 CELL = 1 << 16  # Gaussians of a cell, at most
@@ -93,6 +94,16 @@ def merged(divided: Divided, kept: Sequence[Sequence[int]], tell: Tell = lambda 
         tell("writes what stays", block.number / len(divided.blocks))
         scene = scene_of(divided, block)
         yield joined([Order(scene.select(rows), one).at(count) for rows, one, count in zip(_cells(block), _merges(block), wanted, strict=True)])
+
+
+def most_needed(divided: Divided, wanted: int, tell: Tell = lambda *_: None) -> Iterator[Scene]:
+    """The `wanted` Gaussians of highest removal error (finetune/saliency.py), block after block; of each block one at least. Raises SplatError."""
+    errors = [_visibility(block)[:, SQUARES] for block in divided.blocks]
+    stays = np.split(top(np.concatenate(errors), wanted), np.cumsum([block.count for block in divided.blocks])[:-1])
+    for block, error, some in zip(divided.blocks, errors, stays, strict=True):
+        tell("writes what stays", block.number / len(divided.blocks))
+        some[np.argmax(error)] = True
+        yield scene_of(divided, block).select(np.flatnonzero(some))
 
 
 def _cells(block: Block) -> list[np.ndarray]:

@@ -11,6 +11,7 @@ from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write
 from ..files.opened import json_object
 from ..finetune.methods import METHODS, method_named
+from ..finetune.methods.removal import Removal
 from ..finetune.plan import Plan, prune_plan
 from ..photographs.dataset import Dataset, load_dataset
 
@@ -20,6 +21,11 @@ FILE = "request.json"
 def methods() -> list[str]:
     """The names of the methods that can decide block by block: lambda_F is the same price in all blocks."""
     return [name for name, method in METHODS.items() if method.lambda_f]
+
+
+def methods_of_drop() -> list[str]:
+    """Of these, the names of those that can hold an allowed drop: what their steps win back of a removal is foreseen before they decide."""
+    return [name for name in methods() if isinstance(METHODS[name], Removal)]
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,11 @@ class Request:
             raise SceneError("by blocks, a method decides in steps: give --iterations a number above 0")
         settings: dict[str, Any] = {name: getattr(self, name) for name in ("lambda_f", "seed", "background", "min_contribution")}
         return prune_plan(method_named(self.method), self.iterations, self.recovery, full=False, **settings)
+
+    def refuse_drop(self):
+        """Raises SceneError for a method that cannot hold an allowed drop."""
+        if self.method not in methods_of_drop():
+            raise SceneError(f"--max-drop by blocks is for {' and '.join(methods_of_drop())}, not for '{self.method}': choose one of these, or give --target")
 
     def dataset(self) -> Dataset:
         """Raises SceneError, FormatError."""

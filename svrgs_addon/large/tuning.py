@@ -13,7 +13,7 @@ Beside the blocks of the original lie
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
 
@@ -54,8 +54,13 @@ def cut(divided: Divided, cameras: Sequence[Camera], wanted: int, tell: Tell = l
 
 def level(divided: Divided, wanted: int, name: str, tell: Tell = lambda *_: None) -> Divided:
     """Removes and merges until `wanted` Gaussians are left, and writes what is left of each block into the folder `name`. Raises SplatError."""
-    folder, kept, start = emptied(divided, name), counts(divided, wanted), 0
-    for number, scene in enumerate(merged(divided, kept, tell)):
+    return written(divided, merged(divided, counts(divided, wanted), tell), name)
+
+
+def written(divided: Divided, scenes: Iterable[Scene], name: str) -> Divided:
+    """Writes what is left of each block into the folder `name`. Raises SplatError."""
+    folder, start = emptied(divided, name), 0
+    for number, scene in enumerate(scenes):
         write_block(folder, number, scene, start)
         start += scene.count
     return gathered(folder, divided)

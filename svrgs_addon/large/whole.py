@@ -17,6 +17,7 @@ from ..files.level_files import holds_levels, level_files
 from ..files.registry import format_to_write, refuse_input
 from ..finetune.quality import LEAST
 from ..metrics.format_loss import loss_notes
+from ..metrics.missed_drop import missed_drop
 from ..photographs.dataset import Dataset
 from .allowed_drop import drop, errors_of_format, fewest_above, fewest_within, floor_on_photographs, read_number, write_number
 from .blocks import MOST, Divided, Told, divide
@@ -31,7 +32,6 @@ from .tasks import Tasks
 from .tuning import EPOCHS, cut, tune
 
 SUMS, COPIES = 1.2, 4  # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
-HELD_BEFORE = "by blocks, the allowed drop is held before fine-tuning: in memory, fewer Gaussians would stay"
 ORDER, ALLOWED = "order", "number"  # tasks: the first one that takes long; the number of an allowed drop
 
 
@@ -77,6 +77,8 @@ def prune_by_blocks(
             stack.enter_context(reserved(path))
         refuse_foreign(work)
         if request is not None:
+            if goal.max_drop:
+                request.refuse_drop()
             return _learned(source.absolute(), out, views(), goal, told, work, block, request, resume)
         try:
             prepare(work, *views())
@@ -127,7 +129,7 @@ def _learned(
         _decide_and_recover(divided, request, dataset, goal, out, told, tasks)
         result = finish_learned(divided, request, dataset, out, told)
         finished = True
-        return result | _of_drop(result, goal)
+        return result | (_of_drop(result, result["before"]["psnr"] - result["psnr"], goal) if goal.max_drop else {})
     finally:
         if finished or ORDER not in tasks.done:
             remove(work)
@@ -138,10 +140,10 @@ def _decide_and_recover(divided: Divided, request: Request, dataset: Dataset, go
     plan, wanted, blocks = request.plan(), goal.number(divided.count) if goal.count or goal.share else 0, len(divided.blocks)
     tasks.total = 3 + bool(goal.max_drop) + blocks * (2 if request.recovery else 1)
     likeness = PhotographLikeness(dataset, told)
-    floor = floor_on_photographs(divided, likeness, goal.max_drop, out, told) if goal.max_drop and ALLOWED not in tasks.done else 0.0  # may refuse
+    floor = floor_on_photographs(divided, likeness, goal.max_drop, plan, out, told) if goal.max_drop and ALLOWED not in tasks.done else 0.0  # may refuse
     tasks.once(ORDER, lambda: _order(divided, scored_views(divided.folder), told) if wanted or goal.max_drop or blocks > 1 else None)
     if goal.max_drop:
-        tasks.once(ALLOWED, lambda: write_number(divided.folder, fewest_above(divided, scored_views(divided.folder), likeness, floor, told)))
+        tasks.once(ALLOWED, lambda: write_number(divided.folder, fewest_above(divided, likeness, floor, told)))
         wanted = read_number(divided.folder)
     tasks.once("around", lambda: prepare_around(divided, told("merge")))
     for number, target in enumerate(targets(divided, wanted)):
@@ -150,11 +152,9 @@ def _decide_and_recover(divided: Divided, request: Request, dataset: Dataset, go
         tasks.once(f"recover {number}", partial(recover, divided, number, dataset, plan, told("recover")))
 
 
-def _of_drop(result: dict[str, Any], goal: Goal) -> dict[str, Any]:
-    """What an allowed drop adds to the result of a method."""
-    if not goal.max_drop:
-        return {}
-    return {"drop": result["before"]["psnr"] - result["psnr"], "notes": [*result["notes"], HELD_BEFORE]}
+def _of_drop(result: dict[str, Any], lost: float, goal: Goal) -> dict[str, Any]:
+    """What an allowed drop adds to a result that has lost so many dB."""
+    return {"drop": lost, "notes": [*result["notes"], *missed_drop(lost, goal.max_drop)]}
 
 
 def _identity(source: Path, views: tuple[Sequence[Camera], Sequence[Camera]], goal: Goal, block: int, request: Request, dataset: Dataset) -> str:
@@ -182,12 +182,8 @@ def _results(
     if streamed:
         results = [result | new for result, new in zip(results, join_levels(divided, likeness, files, outs[0], told), strict=True)]
     levels = [{"share": share, **_figures(result)} for share, result in zip(goal.levels, results[1:], strict=True)]
-    return {
-        **results[0],
-        "levels": levels,
-        "drop": drop(results[0]["psnr"]) if goal.max_drop else None,
-        "notes": loss_notes(results[0]["psnr_values"], results[0]["psnr"]),
-    }
+    result = {**results[0], "levels": levels, "drop": None, "notes": loss_notes(results[0]["psnr_values"], results[0]["psnr"])}
+    return result | (_of_drop(result, drop(result["psnr"]), goal) if goal.max_drop else {})
 
 
 def _figures(result: dict[str, Any]) -> dict[str, Any]:

@@ -336,7 +336,7 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     splat = bpy.context.object
     bpy.context.scene.svrgs_prune.colmap, bpy.context.scene.svrgs_prune.depth = "", "PHOTOGRAPHS"
     assert "Choose the dataset" in drawn("prune") and "250 Gaussians" in drawn("export")
-    set_up(LONG | {"colmap": str(DATA / "tiny"), "folder": str(tmp_path / "jobs")})
+    set_up(LONG | {"method": "removal", "colmap": str(DATA / "tiny"), "folder": str(tmp_path / "jobs")})
     for goal in ("LAMBDA", "SHARE", "COUNT", "SIZE"):
         bpy.context.scene.svrgs_prune.goal = goal
         assert "svrgs.job_start" in drawn("prune") and "svrgs.estimate" in drawn("prune")

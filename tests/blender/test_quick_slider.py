@@ -43,6 +43,13 @@ def cached(obj):
     return part("operators.scene_cache").read(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
 
 
+def test_the_panel_says_what_the_job_notes_until_the_result_is_applied(result):
+    note = "36 Gaussians are hidden in all views"
+    assert note in said() and "svrgs_row" not in said(), "the column of rows is the job's own"
+    bpy.ops.svrgs.apply()
+    assert note not in said() and not any(note in str(value) for value in result.values())
+
+
 def test_it_shows_any_number_at_once_and_the_data_stay_those_of_the_job(result, bridge):
     assert "svrgs_share" in drawn("prune") and "prune_again" not in drawn("prune")
     own = bridge.scene_from_object(result).means
