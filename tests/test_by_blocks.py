@@ -83,6 +83,15 @@ def test_a_merge_without_photographs_goes_over_to_blocks_too(svrgs, short, sourc
     assert result["count"] == 700 and result["views"] > by_blocks.QUICK_VIEWS
 
 
+def test_the_share_that_is_done_is_that_of_the_whole_job(short, source, tmp_path):
+    told: list[tuple[str, float]] = []
+    options = PruneOptions(scene=source, out=tmp_path / "o.ply", quick=True, target=0.5, levels=(0.5, 0.2), quiet=True)
+    run_job.prune_scene(options, lambda job: replace(job, part=lambda text, share: told.append((text, share))))
+    shares = [share for _, share in told]
+    assert shares == sorted(shares) and len(set(shares)) > 50 and 0.9 < shares[-1] < 1
+    assert {text.split(":")[0] for text, _ in told} == {"divide", "score", "merge", "cut", "tune", "look", "compare", "read", "measure"}
+
+
 def test_a_file_with_more_gaussians_than_are_read_as_a_whole_is_pruned_by_blocks(svrgs, monkeypatch, source, tmp_path):
     monkeypatch.setattr(ply.read_ply, "__defaults__", (COUNT - 1,))
     result = svrgs("prune", source, "--quick", "--target", 0.5, "--out", tmp_path / "o.ply", "--json").json

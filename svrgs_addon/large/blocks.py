@@ -46,6 +46,7 @@ OWN = (
 )  # files of large/
 Tell = Callable[[str, float], None]  # what is done now, and the share of the work that is done
 Told = Callable[[str], Tell]  # of the name of a step
+Most = Callable[[int, int], int]  # of the number of Gaussians and the SH coefficients per channel of a scene: Gaussians of a block, at most
 
 
 @dataclass(frozen=True)
@@ -145,14 +146,15 @@ def scene_of(divided: Divided, block: Block) -> Scene:
     return Scene(**arrays_of(np.array(block.geometry)), sh=np.array(block.sh(divided.coefficients)), antialiased=divided.antialiased)
 
 
-def divide(source: Path, folder: Path, most: int = MOST, tell: Tell = lambda *_: None, read: Callable[[Path], Iterator[Scene]] = load_parts) -> Divided:
-    """Divides the scene of a file. A divided scene that is in the folder is replaced. read: reads the file, in parts. Raises SplatError."""
+def divide(source: Path, folder: Path, most: int | Most = MOST, tell: Tell = lambda *_: None, read: Callable[[Path], Iterator[Scene]] = load_parts) -> Divided:
+    """Divides the scene of a file. A divided scene that is in the folder is replaced. most: Gaussians of a block, at most. read: reads the file, in parts.
+    Raises SplatError."""
     folder.mkdir(parents=True, exist_ok=True)
     clear(folder)
     tell("reads the means", 0.0)
     means, coefficients, antialiased = _means(source, read)
     check_space(folder / INDEX, len(means) * 4 * (WIDTH + 3 * coefficients + 1))
-    parts = list(leaves(means, np.arange(len(means), dtype=np.uint32), most))
+    parts = list(leaves(means, np.arange(len(means), dtype=np.uint32), most if isinstance(most, int) else most(len(means), coefficients)))
     block_of = np.empty(len(means), np.uint32)
     for number, rows in enumerate(parts):
         block_of[rows] = number

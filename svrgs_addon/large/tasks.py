@@ -12,9 +12,13 @@ from ..files.atomic import atomic_write
 from ..files.opened import json_object
 
 if TYPE_CHECKING:  # jobs of Blender need no more of it
-    from .blocks import Tell
+    from .blocks import Tell, Told
 
 FILE, LARGEST = "tasks.json", 1 << 22
+# The shares at which steps begin and end, as they were with the town of 5 million in docs/farm.md: of the whole job, and of one round
+ONCE = {"divide": (0.0, 0.03), "score": (0.03, 0.35), "merge": (0.35, 0.45)}
+OF_TASK = {"score": (0.0, 0.8), "merge": (0.8, 1.0), "compare": (0.0, 0.4), "read": (0.4, 0.5), "measure": (0.5, 1.0)}  # steps that are a part of a task
+EACH = {"cut": (0.0, 0.1), "tune": (0.1, 0.7), "compare": (0.7, 0.8), "read": (0.8, 0.85), "measure": (0.85, 1.0)}
 
 
 class Tasks:
@@ -22,7 +26,7 @@ class Tasks:
 
     def __init__(self, folder: Path, identity: str, resume: bool):
         """identity: of settings and inputs. Raises FormatError if the job in the folder is another one."""
-        self._path, self._identity, self.total, self.done = folder / FILE, identity, 0, list[str]()
+        self._path, self._identity, self.total, self.done, self._most = folder / FILE, identity, 0, list[str](), 0.0
         found = _read(self._path) if resume else None
         if found is None:
             self._path.unlink(missing_ok=True)
@@ -31,9 +35,17 @@ class Tasks:
         else:
             self.done = found["done"]
 
-    def told(self, tell: Tell) -> Tell:
-        """`tell` with the share of the whole job, 0 to 1, instead of that of one task. Measuring the result counts as one more task. 0 while `total` is 0."""
-        return lambda text, share: tell(text, (len(self.done) + share) / (self.total + 1) if self.total else 0.0)
+    def told(self, step: str, tell: Tell) -> Tell:
+        """`tell` with the share of the whole job, 0 to 1, instead of that of one task. Measuring the result counts as one more task. 0 while `total` is 0. The
+        share never falls, because a task has several steps."""
+        start, end = OF_TASK.get(step, (0.0, 1.0))
+
+        def tell_all(text: str, share: float):
+            done = len(self.done) + start + (end - start) * share
+            self._most = max(self._most, done / (self.total + 1) if self.total else 0.0)
+            tell(text, self._most)
+
+        return tell_all
 
     def once(self, name: str, work: Callable[[], object]):
         """Does a task, unless it is done."""
@@ -43,6 +55,32 @@ class Tasks:
         self.done.append(name)
         with atomic_write(self._path) as file:
             file.write(json.dumps({"identity": self._identity, "total": self.total, "done": self.done}).encode())
+
+
+class Overall:
+    """Told of a job that removes and merges: the share of the whole job instead of that of a step. It never falls."""
+
+    def __init__(self, told: Told, rounds: int):
+        """told: of the name of a step. rounds: how often a scene is cut, tuned and measured: for the result and for each level of detail."""
+        self._told, self._rounds, self._round, self._most = told, rounds, -1, 0.0
+
+    def __call__(self, step: str) -> Tell:
+        tell, (start, end) = self._told(step), self._span(step)
+
+        def tell_all(text: str, share: float):
+            self._most = max(self._most, start + (end - start) * share)
+            tell(text, self._most)
+
+        return tell_all
+
+    def _span(self, step: str) -> tuple[float, float]:
+        """The shares of the job at which a step begins and ends; zeros for one that comes at different times."""
+        self._round += step == "cut"
+        if step in ONCE or step not in EACH:
+            return ONCE.get(step, (0.0, 0.0))
+        first = max(ends for _, ends in ONCE.values())
+        start, end = (first + (1 - first) * (max(0, self._round) + share) / self._rounds for share in EACH[step])
+        return start, end
 
 
 def progress(folder: Path) -> tuple[int, int]:

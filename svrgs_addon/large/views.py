@@ -24,6 +24,7 @@ from .discs import PART, Discs, Window, may_show, places_among, places_in
 
 ROW = 3 * 4 * 14  # bytes of a Gaussian in one colour: its values, and copies while they are put in order
 PORTION, LEAST = 4_000_000, 64  # Gaussians that a part of a picture may show, at most, if its longer side is not below so many pixels
+FEWEST = 125_000  # the same, if memory is too short for more
 REACH = 32.0  # pixels; what reaches farther is not tested in parts, at whose borders the rasterizer limits the shape of large Gaussians
 
 
@@ -42,7 +43,7 @@ def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> Shown:
     """What a view shows. Raises SplatError."""
     near, places = _in_view(divided, camera)
     blended = [np.zeros(block.count, bool) for block in near]
-    for window, some in _parts(near, places, camera, Window.of(camera)):
+    for window, some in _parts(near, places, camera, Window.of(camera), _portion(sum(map(len, places)), camera)):
         for marked, part, found in zip(blended, some, _blended(divided, near, some, camera, window, rasterizer), strict=True):
             marked[part[found]] = True
     kept = [(block, np.flatnonzero(marked)) for block, marked in zip(near, blended, strict=True) if marked.any()]
@@ -80,15 +81,26 @@ def _in_view(divided: Divided, camera: Camera) -> tuple[list[Block], list[np.nda
         return near, list(pool.map(lambda block: places_in(block, camera), near))
 
 
-def _parts(blocks: Sequence[Block], places: Sequence[np.ndarray], camera: Camera, window: Window) -> Iterator[tuple[Window, Sequence[np.ndarray]]]:
-    """Parts of the window, and the places in each block of the Gaussians that they may show. places: those of the window."""
-    if sum(map(len, places)) <= PORTION or max(window.right - window.left, window.bottom - window.top) < 2 * LEAST:
+def _portion(count: int, camera: Camera) -> int:
+    """The Gaussians that a part of a view may show, of `count` in all: PORTION, so that every machine finds the same; less only if memory is too short."""
+    portion = PORTION
+    while portion > FEWEST and memory.shortage("", _needed(min(count, portion), camera)):
+        portion //= 2
+    return portion
+
+
+def _parts(
+    blocks: Sequence[Block], places: Sequence[np.ndarray], camera: Camera, window: Window, portion: int
+) -> Iterator[tuple[Window, Sequence[np.ndarray]]]:
+    """Parts of the window, and the places in each block of the Gaussians that they may show, if possible not more than `portion`. places: those of the
+    window."""
+    if sum(map(len, places)) <= portion or max(window.right - window.left, window.bottom - window.top) < 2 * LEAST:
         yield window, places
         return
     for half in window.halves():
         with ThreadPoolExecutor(threads()) as pool:
             inside = list(pool.map(lambda some, block, half=half: places_among(some, block, camera, half), places, blocks))
-        yield from _parts(blocks, inside, camera, half)
+        yield from _parts(blocks, inside, camera, half, portion)
 
 
 def _blended(
@@ -116,14 +128,18 @@ def _read(divided: Divided, blocks: Sequence[Block], places: Sequence[np.ndarray
     """Gaussians of blocks: their rows in the file, ascending, their order, and themselves, without colours, as in Shown. Raises SceneError if memory is too
     short to render them."""
     count = sum(map(len, places))
-    needed = memory.rendering(count, camera.width, camera.height) + ROW * count
-    memory.refuse_excess(f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}", needed)
+    memory.refuse_excess(f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}", _needed(count, camera))
     with ThreadPoolExecutor(threads()) as pool:
         geometry = _joined(list(pool.map(lambda block, some: block.geometry[some], blocks, places)), (WIDTH,))
     rows = _joined([block.rows[some] for block, some in zip(blocks, places, strict=True)], ()).astype(np.uint32)
     order = np.argsort(rows, kind="stable")
     scene = Scene(**arrays_of(geometry[order]), sh=np.zeros((count, 1, 3), np.float32), antialiased=divided.antialiased)
     return rows[order], order, scene
+
+
+def _needed(count: int, camera: Camera) -> int:
+    """Bytes of memory needed to read and render so many Gaussians."""
+    return memory.rendering(count, camera.width, camera.height) + ROW * count
 
 
 def _joined(parts: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:

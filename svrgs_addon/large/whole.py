@@ -20,7 +20,8 @@ from ..metrics.format_loss import loss_notes
 from ..metrics.missed_drop import missed_drop
 from ..photographs.dataset import Dataset
 from .allowed_drop import drop, errors_of_format, fewest_above, fewest_within, floor_on_photographs, read_number, write_number
-from .blocks import MOST, Divided, Told, divide
+from .block_size import as_memory_allows
+from .blocks import Divided, Tell, Told, divide
 from .folder import LEVEL, SCORED, blocks_of, measured_views, prepare, refuse_foreign, remove, scored_views
 from .learning import AROUND_SHARE, decide, prepare_around, recover, targets
 from .likeness import Likeness, PhotographLikeness
@@ -28,9 +29,10 @@ from .merging import merge, reduce
 from .pruning import finish, finish_learned, join_levels, write_left
 from .request import Request
 from .scoring import score
-from .tasks import Tasks
+from .tasks import Overall, Tasks
 from .tuning import EPOCHS, cut, tune
 
+PICTURES = 1 << 62  # bytes of the pictures of a scene that its fine-tuning keeps in memory: all
 SUMS, COPIES = 1.2, 4  # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
 ORDER, ALLOWED = "order", "number"  # tasks: the first one that takes long; the number of an allowed drop
 
@@ -58,15 +60,15 @@ def check_out(out: Path, source: Path):
 
 def prune_by_blocks(
     source: Path, out: Path, views: Callable[[], tuple[Sequence[Camera], Sequence[Camera]]], goal: Goal, steps: int | None, told: Told,
-    work: Path | None = None, block: int = MOST, request: Request | None = None, resume: bool = False,
+    work: Path | None = None, block: int | None = None, request: Request | None = None, resume: bool = False,
 ) -> dict[str, Any]:  # fmt: skip
     """Removes and merges Gaussians, fine-tunes what is left, writes and measures it.
 
     views: gives the views that are scored and tuned on, and those on which the result is measured; it is called after the outputs are checked.
     steps: of fine-tuning; None: EPOCHS for each view. work: folder for the blocks, which are removed at the end; None: beside the output. block: Gaussians of
-    a block, at most. request: a method that decides on photographs instead, in its own steps; the goal is then a number, an allowed drop, or nothing. If it is
-    stopped or fails later than in its first minutes, the blocks stay, and `resume` goes on from there. Returns the JSON result. Raises SplatError, and what
-    `told` raises.
+    a block, at most; None: as memory allows. request: a method that decides on photographs instead, in its own steps; the goal is then a number, an allowed
+    drop, or nothing. If it is stopped or fails later than in its first minutes, the blocks stay, and `resume` goes on from there. told: gets the share of the
+    whole job. Returns the JSON result. Raises SplatError, and what `told` raises.
     """
     work = work or blocks_of(out)
     outs = [out, *level_files(out, goal.levels).values()]
@@ -80,11 +82,12 @@ def prune_by_blocks(
             if goal.max_drop:
                 request.refuse_drop()
             return _learned(source.absolute(), out, views(), goal, told, work, block, request, resume)
+        told = Overall(told, 1 + len(goal.levels))
         try:
             prepare(work, *views())
-            divided = divide(source.absolute(), work, block, told("divide"))
-            _check_room(work, divided, goal)
             scored = scored_views(work)
+            divided = divide(source.absolute(), work, block or as_memory_allows(scored, PICTURES), told("divide"))
+            _check_room(work, divided, goal)
             likeness = Likeness(divided, measured_views(work), told)
             errors = errors_of_format(divided, likeness, goal.max_drop, out, told) if goal.max_drop else []
             _order(divided, scored, told)
@@ -103,6 +106,11 @@ def _order(divided: Divided, scored: Sequence[Camera], told: Told):
         merge(divided, number)
 
 
+def _part(tell: Tell, number: int, parts: int) -> Tell:
+    """Tells the share of all parts instead of that of one."""
+    return lambda text, share: tell(text, (number + share) / parts)
+
+
 def _check_room(work: Path, divided: Divided, goal: Goal, more: float = 0.0):
     """more: space that is needed beside that for removals and merges, in sizes of all blocks. Raises SceneError if there is less."""
     share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else LEAST
@@ -110,17 +118,25 @@ def _check_room(work: Path, divided: Divided, goal: Goal, more: float = 0.0):
 
 
 def _learned(
-    source: Path, out: Path, views: tuple[Sequence[Camera], Sequence[Camera]], goal: Goal, told: Told, work: Path, block: int, request: Request, resume: bool
+    source: Path,
+    out: Path,
+    views: tuple[Sequence[Camera], Sequence[Camera]],
+    goal: Goal,
+    told: Told,
+    work: Path,
+    block: int | None,
+    request: Request,
+    resume: bool,
 ) -> dict[str, Any]:
     """The result of a method that decides on photographs, as prune_by_blocks()."""
 
     def divide_anew():
         prepare(work, *views, request)
-        divide(source, work, block, told("divide"))
+        divide(source, work, block or as_memory_allows(dataset.cameras, dataset.memory_budget), told("divide"))
 
     dataset, finished = request.dataset(), False
     tasks = Tasks(work, _identity(source, views, goal, block, request, dataset), resume)
-    told_of_step, told = told, lambda step: tasks.told(told_of_step(step))
+    told_of_step, told = told, lambda step: tasks.told(step, told_of_step(step))
     try:
         tasks.once("divide", divide_anew)
         divided = replace(Divided.read(work), source=source)
@@ -157,7 +173,7 @@ def _of_drop(result: dict[str, Any], lost: float, goal: Goal) -> dict[str, Any]:
     return {"drop": lost, "notes": [*result["notes"], *missed_drop(lost, goal.max_drop)]}
 
 
-def _identity(source: Path, views: tuple[Sequence[Camera], Sequence[Camera]], goal: Goal, block: int, request: Request, dataset: Dataset) -> str:
+def _identity(source: Path, views: tuple[Sequence[Camera], Sequence[Camera]], goal: Goal, block: int | None, request: Request, dataset: Dataset) -> str:
     """Digest of all that must be the same in a job that is continued; where its files lie may differ. Raises SceneError."""
     settings = replace(request, colmap="", images="", image_memory=0.0)
     digest = hashlib.sha256(repr((scene_sha256(source), goal, block, settings, [[camera.key for camera in some] for some in views])).encode())
@@ -177,7 +193,7 @@ def _results(
         left = cut(divided, scored, max(1, round(share * count)), told("cut"))
         wanted = EPOCHS * len(scored) if steps is None else steps
         for number in range(len(left.blocks) if wanted and left.count < divided.count else 0):
-            tune(divided, number, scored, wanted, told("tune"))
+            tune(divided, number, scored, wanted, _part(told("tune"), number, len(left.blocks)))
         results.append(write_left(divided, likeness, path) if streamed else finish(divided, likeness, path, told))
     if streamed:
         results = [result | new for result, new in zip(results, join_levels(divided, likeness, files, outs[0], told), strict=True)]

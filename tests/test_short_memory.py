@@ -1,0 +1,54 @@
+"""Work by blocks where memory is short for more than the whole scene: smaller blocks, and smaller parts of a view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svrgs_addon import memory
+from svrgs_addon.bench.scenes import orbit_camera, room
+from svrgs_addon.errors import SceneError
+from svrgs_addon.files.registry import write_scene
+from svrgs_addon.large import views
+from svrgs_addon.large.block_size import as_memory_allows
+from svrgs_addon.large.blocks import MOST, divide
+from svrgs_addon.metrics.evaluate import render_options
+from svrgs_addon.native import Rasterizer
+
+COUNT = 6_000
+CAMERA = orbit_camera(160, 120, 0.0)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("room") / "room.ply"
+    write_scene(path, room(COUNT, 2))
+    return path
+
+
+def test_a_view_is_looked_at_in_smaller_parts_where_memory_is_short(source, tmp_path, monkeypatch):
+    divided, rasterizer = divide(source, tmp_path), Rasterizer()
+    many = views.seen(divided, CAMERA, rasterizer)[0]
+    parts: list[int] = []
+    blended = views._blended
+    monkeypatch.setattr(views, "_blended", lambda *words: parts.append(sum(map(len, words[2]))) or blended(*words))
+    monkeypatch.setattr(views, "FEWEST", COUNT // 100), monkeypatch.setattr(views, "REACH", np.inf)
+    monkeypatch.setattr(memory, "available", lambda: views._needed(many.count + COUNT // 10, CAMERA))
+    few = views.seen(divided, CAMERA, rasterizer)[0]
+    assert len(parts) == 2, "and no more, because its longer side would have less than LEAST pixels"
+    images = [rasterizer.forward(scene, CAMERA, render_options(scene))["rgb"].copy() for scene in (many, few)]
+    assert np.abs(images[0] - images[1]).max() < 2e-3
+    monkeypatch.setattr(memory, "available", lambda: 100_000)
+    with pytest.raises(SceneError, match="of the view .* needs about"):
+        views.seen(divided, CAMERA, rasterizer)
+
+
+@pytest.mark.parametrize(
+    "count, free, most", [(50_000_000, 10**12, MOST), (1_000_000, 10**12, 1_000_000), (1_000_000, 10**9, 500_000), (1_000_000, 10**7, 125_000)]
+)
+def test_blocks_are_as_large_as_memory_allows(count, free, most, monkeypatch):
+    """A Gaussian of degree 3 takes about 0.6 kB while it is tuned; half of the memory may be used."""
+    monkeypatch.setattr(memory, "available", lambda: free)
+    assert as_memory_allows([CAMERA], 0)(count, 16) == most
