@@ -255,6 +255,8 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
     assert not possible(**photographs) and not possible(**photographs, method="svr", target=0.5), "F counts what is hidden, too"
     assert not possible(**photographs, target=0.5, method="maskgs") and not possible(**photographs, target=0.5, views_by_loss=True)
     assert possible(**photographs, max_drop=0.5) and not possible(**photographs, target=0.5, time=60.0)
+    assert possible(**photographs, target=0.5, schedule=0.1)
+    assert by_blocks.request_of(PruneOptions(colmap=tmp_path, iterations=300, recovery=500, schedule=0.1)).plan().total == 80
     assert possible(**photographs, method="saliency", max_drop=0.5, visible_mask=True)
     assert not possible(**photographs, method="svr", max_drop=0.5, visible_mask=True), "what its steps win back is not foreseen"
 

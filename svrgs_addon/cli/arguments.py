@@ -293,7 +293,7 @@ def _large(commands):
             size.add_argument("--target", type=_reader(SHARE), metavar="SHARE", help="share of the Gaussians to keep, up to 1")
             size.add_argument("--target-count", type=_reader(POSITIVE), metavar="N", help="number of Gaussians to keep")
         if name == "prune":
-            size.add_argument("--max-drop", type=_reader(DECIBELS), metavar="DB", help="keep as few as lose so many dB at most, before fine-tuning")
+            size.add_argument("--max-drop", type=_reader(DECIBELS), metavar="DB", help="keep as few as lose about so many dB at most")
             command.add_argument("--levels", type=_reader(SHARES), default=(), metavar="SHARES", help="levels of detail, as of svrgs prune")
             command.add_argument("--resume", action="store_true", help="with --method: continue the same job after a stop; without it, the job starts again")
         if name in ("prune", "finish"):
@@ -304,7 +304,7 @@ def _learning(command: Parser):
     """The options of a method that decides on photographs, block by block."""
     help_ = "with --colmap: the method that decides on the photographs: removal, saliency or an svr method (default: removals and merges by their costs)"
     command.add_argument("--method", default="", metavar="NAME", help=help_)
-    for name in ("lambda_f", "iterations", "recovery", "min_contribution", "images", "holdout", "background", "image_memory", "seed"):
+    for name in ("lambda_f", "iterations", "recovery", "schedule", "min_contribution", "images", "holdout", "background", "image_memory", "seed"):
         _add(command, name, options_of(PruneOptions)[name], default_of(PruneOptions, name))
 
 

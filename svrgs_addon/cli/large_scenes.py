@@ -33,7 +33,7 @@ from ..photographs.dataset import HOLDOUT, load_dataset
 from ..rig import place_rig
 from .arguments import options_from
 
-OF_METHODS = ("lambda_f", "iterations", "recovery", "min_contribution")  # options
+OF_METHODS = ("lambda_f", "iterations", "recovery", "schedule", "min_contribution")  # options
 
 
 def large(words: argparse.Namespace) -> dict[str, Any]:

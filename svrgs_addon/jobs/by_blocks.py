@@ -37,7 +37,9 @@ TAKES = (  # options; with others, the scene must be read as a whole
 )  # fmt: skip
 QUICK_VIEWS = 64  # that are placed for a quick job
 OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
-OF_METHODS = ("lambda_f", "iterations", "recovery", "min_contribution", "background", "image_memory", "visible_mask")  # those of methods on photographs
+OF_METHODS = (  # those of methods on photographs
+    "lambda_f", "iterations", "recovery", "schedule", "min_contribution", "background", "image_memory", "visible_mask",
+)  # fmt: skip
 NEEDS_VISIBLE = "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks"
 NOT_FINISHED = "stopped; {}: start it again, or use the steps of svrgs large, each of which can be continued"
 
@@ -88,7 +90,7 @@ def request_of(options: PruneOptions) -> Request:
     method, first_cut = options.method or DEFAULT, options.min_contribution
     if first_cut is None:
         first_cut = MIN_CONTRIBUTION * method_named(method).first_cut
-    same = ("iterations", "recovery", "images", "holdout", "lambda_f", "seed", "image_memory", "background")
+    same = ("iterations", "recovery", "schedule", "images", "holdout", "lambda_f", "seed", "image_memory", "background")
     request = Request(str(options.colmap), method, min_contribution=first_cut, **{name: getattr(options, name) for name in same})
     request.plan()
     return request

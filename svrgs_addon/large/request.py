@@ -42,6 +42,7 @@ class Request:
     holdout: int = 8
     lambda_f: float | None = None
     seed: int = 0
+    schedule: float = 1.0
     image_memory: float = 4.0  # GB
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -51,7 +52,7 @@ class Request:
             raise SceneError(f"method '{self.method}' needs the scene in memory; by blocks, choose one of {', '.join(methods())}")
         if not self.iterations:
             raise SceneError("by blocks, a method decides in steps: give --iterations a number above 0")
-        settings: dict[str, Any] = {name: getattr(self, name) for name in ("lambda_f", "seed", "background", "min_contribution")}
+        settings: dict[str, Any] = {name: getattr(self, name) for name in ("lambda_f", "seed", "background", "min_contribution", "schedule")}
         return prune_plan(method_named(self.method), self.iterations, self.recovery, full=False, **settings)
 
     def refuse_drop(self):
