@@ -209,8 +209,12 @@ def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(tiny, tm
     assert result["count"] == result["after"]["count"] == COUNT // 2 and result["method"] == "removal" and result["blocks"] == 1
     assert result["before"]["count"] == COUNT and result["before"]["psnr"] > 15 and "so it was pruned by blocks" in result["notes"][0]
     assert "svrgs large" not in caplog.text and [path.name for path in tmp_path.iterdir()] == ["o.spz"]
-    done = svrgs("prune", tiny.splat, *words, "--method", "svr", "--visible-mask")
+    done = svrgs("prune", tiny.splat, *words, "--method", "svr", "--visible-mask", "--report", tmp_path / "page")
     assert done.status == 0 and "before  250 Gaussians, PSNR" in done.out and "of the Gaussians at" in done.out
+    page = (tmp_path / "page" / "index.html").read_text()
+    assert "method svr" in page and "so it was pruned by blocks" in page and page.count("data:image/") > 5 and "Over the iterations" not in page
+    blocked = svrgs("prune", tiny.splat, *words, "--target", 0.5, "--report", tiny.splat)
+    assert blocked.status == 2 and str(tiny.splat) in blocked.err
     said: list[str] = []
     options = PruneOptions(scene=tiny.splat, out=tmp_path / "o.ply", colmap=tiny.folder, target=0.5, iterations=20, recovery=10, quiet=True)
     run_job.prune_scene(options, lambda job: replace(job, part=lambda text, _: said.append(text)))

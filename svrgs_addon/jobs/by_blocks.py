@@ -13,10 +13,12 @@ from typing import Any
 from .. import memory
 from ..camera import Camera, evenly
 from ..errors import Cancelled, MemoryShort, SceneError, TooMany
+from ..files.atomic import check_writable
 from ..files.level_files import level_files
 from ..finetune.methods import DEFAULT, method_named
 from ..large.blocks import Tell
 from ..large.folder import blocks_of
+from ..large.opened import opened
 from ..large.request import Request, methods, methods_of_drop
 from ..large.sample import finer, refuse_hidden, sample_of
 from ..large.tasks import progress
@@ -25,6 +27,7 @@ from ..large.whole import Goal, prune_by_blocks
 from ..metrics.evaluate import refuse_unseen
 from ..option_kinds import default_of
 from ..photographs.dataset import load_dataset
+from ..report.prune_report import write_report_of_files
 from ..scene import Scene
 from .context import JobContext
 from .options import MIN_CONTRIBUTION, PruneOptions
@@ -38,7 +41,7 @@ TAKES = (  # options; with others, the scene must be read as a whole
 QUICK_VIEWS = 64  # that are placed for a quick job
 OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
 OF_METHODS = (  # those of methods on photographs
-    "lambda_f", "iterations", "recovery", "schedule", "min_contribution", "background", "image_memory", "visible_mask",
+    "lambda_f", "iterations", "recovery", "schedule", "min_contribution", "background", "image_memory", "visible_mask", "report",
 )  # fmt: skip
 NEEDS_VISIBLE = "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks"
 NOT_FINISHED = "stopped; {}: start it again, or use the steps of svrgs large, each of which can be continued"
@@ -104,13 +107,18 @@ def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str
     reason = memory.without_advice(reason)
     logging.warning("%s; it is pruned by blocks, which takes longer", reason)
     request = request_of(options) if _learns(options) else None
+    if options.report:
+        check_writable(options.report / "index.html")
     notes = [f"{reason}; so it was pruned by blocks" + (f", and fine-tuned in {EPOCHS} steps for each view" if request is None else "")]
     train, test, more = _views(options, *sample_of(options.scene))
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
     told = partial(_told, reporter=reporter, job=job, left=left_by_a_stop(request, options.out, options.levels))
     result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, told, request=request, resume=options.resume)
     after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
-    return {**result, **after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more, *result["notes"]]}
+    result |= {**after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more, *result["notes"]]}
+    if options.report and request is not None:
+        write_report_of_files(options.report, request.dataset(), result, opened)
+    return result
 
 
 def left_by_a_stop(request: Request | None, out: Path, levels: tuple[float, ...]) -> str:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +18,7 @@ from ..photographs.dataset import Dataset
 from ..photographs.rendered import RenderedDataset
 from .page import MASK_PERCENTILE, Report, View, write_report
 from .pictures import difference_image, mask_to_rgb, to_uint8
-from .prune_report import report_indices, report_pictures, report_views
-
-Opens = Callable[[Path, str, Callable[[int], int]], AbstractContextManager[tuple[Renderable, Renderer]]]
+from .prune_report import Opens, report_indices, report_pictures, report_views
 
 
 def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_weights: Path | None = None) -> dict:

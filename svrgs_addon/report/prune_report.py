@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
 
-from .. import __version__
+from .. import __version__, memory
 from ..files.images import to_float
 from ..finetune.run import Run
 from ..metrics import psnr
@@ -17,10 +18,12 @@ from ..native import Rasterizer
 from ..photographs.dataset import Dataset
 from ..photographs.rendered import RenderedDataset
 from ..scene import Scene
+from ..system.memory import peak
 from .line_chart import Series
 from .page import Phase, Report, View, write_report
 
 REPORT_VIEWS = 3  # number of views with pictures
+Opens = Callable[[Path, str, Callable[[int], int]], AbstractContextManager[tuple[Renderable, Renderer]]]
 
 
 def write_prune_report(folder: Path, name: str, before: list, after: Scene, dataset: Dataset, run: Run, result: dict, lpips_missing: str):
@@ -39,11 +42,30 @@ def write_prune_report(folder: Path, name: str, before: list, after: Scene, data
         iterations_per_second=result["iterations_per_second"],
         peak_memory_bytes=result["peak_memory_bytes"],
         seed=result["seed"],
-        versions={"SVR-GS": __version__, "Python": platform.python_version(), "NumPy": np.__version__, "SIMD": Rasterizer().level},
+        versions=_versions(),
         curves=_series(run),
         views=tuple(report_views(before, report_pictures(after, dataset, Rasterizer()), dataset)),
     )
     write_report(folder, page)
+
+
+def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: Opens):
+    """write_prune_report() of a job by blocks, from its files; without curves. result: its JSON result. opened: opens a scene to render it, as
+    large.opened.opened() does. Raises SplatError."""
+    shown = [dataset.cameras[i] for i in report_indices(dataset)]
+    size, pictures = (max(camera.width for camera in shown), max(camera.height for camera in shown)), []
+    for path in (result["scene"], result["out"]):
+        with opened(Path(path), "rendering", lambda count: memory.rendering(count, *size)) as (scene, rasterizer):
+            pictures.append(report_pictures(scene, dataset, rasterizer))
+    page = Report(
+        scene=Path(result["scene"]).stem, before=result["before"], after=result["after"], method=result["method"], notes=tuple(result["notes"]),
+        seconds=result["seconds"], peak_memory_bytes=peak(), seed=result["seed"], versions=_versions(), views=tuple(report_views(*pictures, dataset)),
+    )  # fmt: skip
+    write_report(folder, page)
+
+
+def _versions() -> dict[str, str]:
+    return {"SVR-GS": __version__, "Python": platform.python_version(), "NumPy": np.__version__, "SIMD": Rasterizer().level}
 
 
 def _phases(run: Run, seconds_by_phase: dict[str, float]) -> tuple[Phase, ...]:
