@@ -57,9 +57,10 @@ def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: 
     for path in (result["scene"], result["out"]):
         with opened(Path(path), "rendering", lambda count: memory.rendering(count, *size)) as (scene, rasterizer):
             pictures.append(report_pictures(scene, dataset, rasterizer))
+    before, after = pictures
     page = Report(
         scene=Path(result["scene"]).stem, before=result["before"], after=result["after"], method=result["method"], notes=tuple(result["notes"]),
-        seconds=result["seconds"], peak_memory_bytes=peak(), seed=result["seed"], versions=_versions(), views=tuple(report_views(*pictures, dataset)),
+        seconds=result["seconds"], peak_memory_bytes=peak(), seed=result["seed"], versions=_versions(), views=tuple(report_views(before, after, dataset)),
     )  # fmt: skip
     write_report(folder, page)
 
