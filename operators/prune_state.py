@@ -109,11 +109,16 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
     if job_result.OWN_PSNR in pruned:
         text = tr("Quality at {kept:,} Gaussians: PSNR {psnr:.2f} dB against the original's own pictures")
         texts.append(text.format(kept=kept, psnr=pruned[job_result.OWN_PSNR]))
-    texts += pruned.get(job_result.NOTES, "").splitlines()
+    texts += [_capitalised(note) for note in pruned.get(job_result.NOTES, "").splitlines() if note.strip()]
     if bridge_order.is_shown(pruned):
         return [*texts, tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")]
     texts += filter(None, [bridge_order.problem(pruned)])
     return [*texts, tr("{count:,} more than were recovered: shown as in the original").format(count=count - kept)] if count > kept else texts
+
+
+def _capitalised(note: str) -> str:
+    """The sentence with a capital, unless it begins with the name of a file."""
+    return note[0].upper() + note[1:] if note.split()[0].isalpha() else note
 
 
 def _of_applied(obj: bpy.types.Object) -> str:
