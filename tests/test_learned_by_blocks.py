@@ -189,7 +189,9 @@ def test_an_allowed_drop_on_photographs_decides_how_many_stay(inside, tmp_path, 
     for result in (little, much):
         assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"]) and result["blocks"] == 4
     assert little["drop"] < 0.5 and not little["notes"]
-    assert much["drop"] > 5 and "more than the 4 dB that were allowed" in much["notes"][0], "colours at random: few Gaussians cannot stand for their neighbours"
+    assert much["drop"] > 1.2 * 4 and "more than the 4 dB that were allowed" in much["notes"][0], (
+        "colours at random: few Gaussians cannot stand for their neighbours"
+    )
     whole = svrgs("prune", *same, "--max-drop", 4, "--out", tmp_path / "4.ply")
     assert "more than the 4 dB that were allowed" in whole.out
     coarse = svrgs(*words, "--max-drop", 0.001, "--out", tmp_path / "o.splat")

@@ -37,8 +37,8 @@ def errors_of_format(divided: Divided, likeness: Likeness, allowed: float, out: 
         raise SceneError("--max-drop is measured in views that are held out, and there are none: give more cameras, or --target")
     if format_to_write(out).lossless:
         return [0.0] * len(likeness.views)
-    with _held(divided, out, told) as written:
-        errors = [squared_error(value) for value in likeness.psnrs(written, "try")]
+    with _held(divided, out, told) as stored:
+        errors = [squared_error(value) for value in likeness.psnrs(stored, "try")]
     refuse_loss(out, ASSUMED - _psnr([EQUAL] * len(errors), errors), allowed)
     return errors
 
@@ -54,8 +54,8 @@ def floor_on_photographs(divided: Divided, likeness: PhotographLikeness, allowed
     output loses of the whole scene counts. Raises SplatError; SceneError if the format alone loses the allowed drop."""
     before, loss = likeness.psnr(divided), 0.0
     if not format_to_write(out).lossless:
-        with _held(divided, out, told) as written:
-            loss = max(0.0, before - likeness.psnr(written))
+        with _held(divided, out, told) as stored:
+            loss = max(0.0, before - likeness.psnr(stored))
         refuse_loss(out, loss, allowed)
     return floor_of_drop(before, replace(plan, max_drop=allowed - loss))
 

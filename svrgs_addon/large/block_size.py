@@ -1,4 +1,4 @@
-"""How many Gaussians a block may have, so that memory holds what is done with it."""
+"""The largest number of Gaussians of a block for which the available memory suffices."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from .blocks import MOST, Most
 from .learning import AROUND_SHARE
 from .merging import CELL
 
-SHARE = 0.5  # of the available memory that fine-tuning may take; sums, readings and what was freed but not returned take the rest
+SHARE = 0.5  # of the available memory, for fine-tuning; the rest is for scores, for reading, and for freed memory that the system does not get back
 
 
 def as_memory_allows(cameras: Sequence[Camera], kept_photographs: int) -> Most:
-    """Gives the size of the blocks of a scene: MOST, or less, but not less than CELL, if memory is too short to fine-tune so many with what is around them.
-    cameras, kept_photographs: as for memory.tuning()."""
+    """A function that gives the largest number of Gaussians of a block: MOST; or less, but at least CELL, where SHARE of the available memory is too little to
+    fine-tune a block and the Gaussians around it. cameras, kept_photographs (bytes): as for memory.tuning()."""
     return partial(_fitting, cameras=cameras, kept_photographs=kept_photographs)
 
 
@@ -28,5 +28,5 @@ def _fitting(count: int, coefficients: int, cameras: Sequence[Camera], kept_phot
 
 
 def _tuned(most: int, count: int) -> int:
-    """The Gaussians that are tuned with a block: its own, and of a level of detail of the others at most as many."""
+    """Gaussians in the fine-tuning of a block: its own, and around it a level of detail of the others, with at most as many."""
     return most + min(most, round(AROUND_SHARE * (count - most)))

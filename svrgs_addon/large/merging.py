@@ -98,7 +98,7 @@ def merged(divided: Divided, kept: Sequence[Sequence[int]], tell: Tell = lambda 
 
 def most_needed(divided: Divided, wanted: int, tell: Tell = lambda *_: None) -> Iterator[Scene]:
     """The `wanted` Gaussians of highest removal error (finetune/saliency.py), block after block; of each block one at least. Raises SplatError."""
-    errors = [_visibility(block)[:, SQUARES] for block in divided.blocks]
+    errors = [_visibility(block)[:, SQUARES].copy() for block in divided.blocks]  # a view would keep all columns in memory
     stays = np.split(top(np.concatenate(errors), wanted), np.cumsum([block.count for block in divided.blocks])[:-1])
     for block, error, some in zip(divided.blocks, errors, stays, strict=True):
         tell("writes what stays", block.number / len(divided.blocks))

@@ -1,4 +1,7 @@
-"""The finished tasks of a job by blocks. They are listed in tasks.json, beside the blocks. A job that was stopped or killed continues with the other tasks."""
+"""Which tasks of a job by blocks are finished, and the share of the job that is done.
+
+tasks.json, beside the blocks, lists the finished tasks. A job that was stopped or killed does only the others when it is continued.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,10 @@ if TYPE_CHECKING:  # jobs of Blender need no more of it
     from .blocks import Tell, Told
 
 FILE, LARGEST = "tasks.json", 1 << 22
-# The shares at which steps begin and end, as they were with the town of 5 million in docs/farm.md: of the whole job, and of one round
+# Where steps begin and end, as shares from 0 to 1, roughly as with the town of 5 million in docs/farm.md. ONCE: steps at the start of a job that removes and
+# merges, of the job. EACH: its other steps, of the time for the result or for one level of detail. OF_TASK: steps of a method on photographs, of their task.
 ONCE = {"divide": (0.0, 0.03), "score": (0.03, 0.35), "merge": (0.35, 0.45)}
-OF_TASK = {"score": (0.0, 0.8), "merge": (0.8, 1.0), "compare": (0.0, 0.4), "read": (0.4, 0.5), "measure": (0.5, 1.0)}  # steps that are a part of a task
+OF_TASK = {"score": (0.0, 0.8), "merge": (0.8, 1.0), "compare": (0.0, 0.4), "read": (0.4, 0.5), "measure": (0.5, 1.0)}
 EACH = {"cut": (0.0, 0.1), "tune": (0.1, 0.7), "compare": (0.7, 0.8), "read": (0.8, 0.85), "measure": (0.85, 1.0)}
 
 
@@ -58,7 +62,7 @@ class Tasks:
 
 
 class Overall:
-    """Told of a job that removes and merges: the share of the whole job instead of that of a step. It never falls."""
+    """Reports the progress of a job that removes and merges: the share of the whole job instead of that of a step. It never falls."""
 
     def __init__(self, told: Told, rounds: int):
         """told: of the name of a step. rounds: how often a scene is cut, tuned and measured: for the result and for each level of detail."""

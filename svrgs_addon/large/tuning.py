@@ -58,7 +58,7 @@ def level(divided: Divided, wanted: int, name: str, tell: Tell = lambda *_: None
 
 
 def written(divided: Divided, scenes: Iterable[Scene], name: str) -> Divided:
-    """Writes what is left of each block into the folder `name`. Raises SplatError."""
+    """Writes a divided scene into the folder `name`. scenes: the Gaussians of each of its blocks, in the order of the blocks. Raises SplatError."""
     folder, start = emptied(divided, name), 0
     for number, scene in enumerate(scenes):
         write_block(folder, number, scene, start)

@@ -32,7 +32,7 @@ from .scoring import score
 from .tasks import Overall, Tasks
 from .tuning import EPOCHS, cut, tune
 
-PICTURES = 1 << 62  # bytes of the pictures of a scene that its fine-tuning keeps in memory: all
+PICTURES = 1 << 62  # bytes: no limit, because fine-tuning on pictures of the scene keeps all of them in memory
 SUMS, COPIES = 1.2, 4  # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
 ORDER, ALLOWED = "order", "number"  # tasks: the first one that takes long; the number of an allowed drop
 
@@ -118,16 +118,9 @@ def _check_room(work: Path, divided: Divided, goal: Goal, more: float = 0.0):
 
 
 def _learned(
-    source: Path,
-    out: Path,
-    views: tuple[Sequence[Camera], Sequence[Camera]],
-    goal: Goal,
-    told: Told,
-    work: Path,
-    block: int | None,
-    request: Request,
+    source: Path, out: Path, views: tuple[Sequence[Camera], Sequence[Camera]], goal: Goal, told: Told, work: Path, block: int | None, request: Request,
     resume: bool,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """The result of a method that decides on photographs, as prune_by_blocks()."""
 
     def divide_anew():
