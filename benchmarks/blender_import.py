@@ -48,7 +48,7 @@ def write_scene(path: Path, count: int):
     import numpy as np
 
     from svrgs_addon.files.ply import write_ply
-    from svrgs_addon.scene import Scene
+    from svrgs_addon.scene.gaussians import Scene
 
     rng = np.random.default_rng(0)
     arrays = [rng.standard_normal(shape, np.float32) for shape in ((count, 3), (count, 3), (count, 4), (count,), (count, 16, 3))]

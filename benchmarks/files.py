@@ -35,7 +35,7 @@ def start_up(scene: Path, runs: int = 7) -> dict:
 def ply_times(count: int = 1_000_000, runs: int = 3) -> dict:
     """Median seconds to write and to read a PLY file of `count` Gaussians of SH degree 3, and its bytes."""
     from svrgs_addon.files.ply import read_ply, write_ply
-    from svrgs_addon.scene import Scene
+    from svrgs_addon.scene.gaussians import Scene
 
     rng = np.random.default_rng(0)
     shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (16, 3)}

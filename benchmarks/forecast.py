@@ -33,7 +33,7 @@ STRENGTHS = {"Light": 1e-5, "Balanced": 1e-4, "Small": 1e-3}  # lambda_F of the 
 STEPS = {"removal": ("0.08", (0.1, 0.3, 1.0)), "svr": ("0.17", (0.1, 1.0))}
 ESTIMATE = """
 import sys
-from svrgs_addon.exit_status import answer
+from svrgs_addon.system.exit_status import answer
 from svrgs_addon.jobs import estimate, expected_count, quality_forecast
 expected_count.VIEW_SECONDS = quality_forecast.SECONDS = 600
 sys.exit(answer(estimate._estimate_request))

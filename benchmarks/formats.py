@@ -19,9 +19,8 @@ from statistics import median
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from no_photographs import measures, views_from_above
-
 from svrgs_addon.files.registry import FORMATS, load_scene, write_scene
-from svrgs_addon.scene import Scene
+from svrgs_addon.scene.gaussians import Scene
 
 REPEATS = 5
 HEAD = "| file | bytes per Gaussian | MB | PSNR, dB | SSIM | FLIP | write, s | read, s |\n|---|---:|---:|---:|---:|---:|---:|---:|"

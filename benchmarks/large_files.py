@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from svrgs_addon.files.registry import load_parts, load_scene, size_on_disk, write_scene
 from svrgs_addon.files.spooled import spooled
-from svrgs_addon.scene import Scene
+from svrgs_addon.scene.gaussians import Scene
 
 REPEATS, LARGE = 5, 5_000_000  # of LARGE Gaussians on, once
 APART, ROW, NOISE = 10.0, 20, 0.01  # between copies; copies in a row; standard deviation of the noise in SH

@@ -27,13 +27,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from large_files import POLL, anonymous
-
-from svrgs_addon.bench.scenes import look_at, orbit_camera, room
-from svrgs_addon.camera import Camera
 from svrgs_addon.files.registry import write_scene
 from svrgs_addon.files.spooled import spooled
-from svrgs_addon.photographs.cameras_json import write_cameras_json
-from svrgs_addon.scene import Scene
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.views.cameras_json import write_cameras_json
+from svrgs_bench.scenes import look_at, orbit_camera, room
 
 ROOMS, SIDE, APART = 9, 3, 9.0  # of the town; rooms in a row, and the distance between them
 WIDTH, HEIGHT = 1280, 720

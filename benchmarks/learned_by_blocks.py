@@ -20,9 +20,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from svrgs_addon.files.registry import describe, load_scene
-from svrgs_addon.metrics.evaluate import evaluate
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.photographs.dataset import Dataset, load_dataset
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.render.metrics.evaluate import evaluate
+from svrgs_addon.views.dataset import Dataset, load_dataset
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -29,7 +29,6 @@ from pathlib import Path
 
 from method_report import write_report
 from method_scenes import GENERATED, prepared
-
 from svrgs_addon.finetune.methods import METHODS
 
 ROOT = Path(__file__).resolve().parents[1]

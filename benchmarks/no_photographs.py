@@ -20,14 +20,14 @@ from statistics import fmean
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from svrgs_addon.camera import Camera
 from svrgs_addon.files.registry import load_scene
-from svrgs_addon.metrics import flip, psnr, ssim
-from svrgs_addon.metrics.evaluate import render_options, rounded_to_8_bits
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.photographs.camera_files import load_cameras
-from svrgs_addon.rig.around import cameras_around, middle_and_radius
-from svrgs_addon.scene import Scene
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.render.metrics import flip, psnr, ssim
+from svrgs_addon.render.metrics.evaluate import render_options, rounded_to_8_bits
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.views.camera_files import load_cameras
+from svrgs_addon.views.rig.around import cameras_around, middle_and_radius
 
 SHARES = (0.5, 0.25, 0.125, 0.062)
 VIEWS, SIDE = 50, 512

@@ -22,10 +22,11 @@ LIBRARY_DEPTH = 6  # calls inside other packages are followed to this depth
 
 def time_native_calls() -> dict[str, float]:
     """Starts to time calls of the native library. Returns a dict that gets the seconds of each function."""
-    from svrgs_addon import native
+
+    from svrgs_addon.native import rasterizer
 
     seconds: dict[str, float] = {}
-    call = native._call
+    call = rasterizer._call
 
     def timed_native_call(name: str, *arguments):
         started = time.perf_counter()
@@ -34,7 +35,7 @@ def time_native_calls() -> dict[str, float]:
         finally:
             seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - started
 
-    native._call = timed_native_call
+    rasterizer._call = timed_native_call
     return seconds
 
 
@@ -76,9 +77,9 @@ def settings_of(request: dict):
 
 def run_job(request: dict) -> dict:
     """The job's result, with further figures of memory and time."""
-    from svrgs_addon.jobs import train_and_prune
-    from svrgs_addon.photographs.dataset import load_dataset
-    from svrgs_addon.system.memory import peak
+    from svrgs_addon.prune import train_and_prune
+    from svrgs_addon.system.memory_limits import peak
+    from svrgs_addon.views.dataset import load_dataset
 
     native = time_native_calls()
     dataset = load_dataset(Path(request["colmap"]), need_points=request["kind"] == "train")
@@ -104,7 +105,7 @@ def run_job(request: dict) -> dict:
 
 def main():
     answer = run_job(json.load(sys.stdin))
-    from svrgs_addon.exit_status import plain
+    from svrgs_addon.system.exit_status import plain
 
     print(json.dumps(plain(answer)))
 

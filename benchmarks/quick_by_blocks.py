@@ -16,17 +16,17 @@ from statistics import fmean
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from svrgs_addon.camera import Camera
 from svrgs_addon.files.registry import load_scene
-from svrgs_addon.jobs.by_blocks import prune_large
-from svrgs_addon.jobs.context import JobContext
-from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.jobs.run_job import prune_scene
-from svrgs_addon.metrics import psnr
-from svrgs_addon.metrics.evaluate import render_options, rounded_to_8_bits
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.rig import place_rig
-from svrgs_addon.scene import Scene
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.by_blocks import prune_large
+from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.prune.run_job import prune_scene
+from svrgs_addon.render.metrics import psnr
+from svrgs_addon.render.metrics.evaluate import render_options, rounded_to_8_bits
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.views.rig import place_rig
 
 SEEDS, SIDES = (5, 6, 7), (512, 1024)  # of the views; pixels
 

@@ -13,11 +13,11 @@ import OpenImageIO as oiio
 
 from svrgs_addon.files.atomic import atomic_path
 from svrgs_addon.files.registry import load_scene
-from svrgs_addon.metrics.evaluate import render_options
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.report.pictures import to_uint8
 from svrgs_addon.render import color_maps
-from svrgs_addon.report.pictures import to_uint8
+from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.views.dataset import load_dataset
 
 GAP, MARGIN, QUALITY = 6, 12, 88  # pixels, pixels, of JPEG in percent
 

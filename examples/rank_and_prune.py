@@ -8,9 +8,9 @@ import sys
 from svrgs_addon.files.registry import load_scene, write_scene
 from svrgs_addon.finetune.saliency import removal_errors
 from svrgs_addon.finetune.scores import top
-from svrgs_addon.metrics.evaluate import mean_psnr, render_options
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.render.metrics.evaluate import mean_psnr, render_options
+from svrgs_addon.views.dataset import load_dataset
 
 splat, folder, out = sys.argv[1:]
 

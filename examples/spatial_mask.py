@@ -5,11 +5,11 @@ python examples/spatial_mask.py scene.ply colors.png mask.png
 
 import sys
 
-from svrgs_addon.bench.scenes import facing_camera
 from svrgs_addon.files.images import write_image
 from svrgs_addon.files.registry import load_scene
-from svrgs_addon.native import Rasterizer, RenderOptions
-from svrgs_addon.report.pictures import mask_to_rgb
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.prune.report.pictures import mask_to_rgb
+from svrgs_bench.scenes import facing_camera
 
 splat, colors, mask = sys.argv[1:]
 

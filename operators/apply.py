@@ -9,7 +9,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.errors import SplatError
+from ..svrgs_addon.system.errors import SplatError
 from . import applied_jobs, bridge, edit_guard, job_result
 from .job_watch import delete_job, is_busy, job_of
 from .select import select

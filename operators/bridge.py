@@ -1,7 +1,7 @@
 """Blender's objects <-> Scene of svrgs_addon: splats, and the empties above them. Cameras are in bridge_cameras.py.
 
 A splat is a point cloud, or a mesh of points in Blender 4.2, which has no point clouds. Its attributes are those of Blender 5.3's own
-splats (svrgs_addon/blender/attribute_layout.py):
+splats (svrgs_addon/scene/attribute_layout.py):
 
 - The numbers are those of the file. The matrix of the object, or of its root, turns them into Blender's coordinates.
 - `scale` and opacity are activated and `rotation` is normalised. The raw values lie in attributes `svrgs:...`; one is used as long as
@@ -21,10 +21,10 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix
 
-from ..svrgs_addon.blender.attribute_layout import BASE, POSITION, RAW_POSITION, REQUIRED, SH, from_attributes, notes_of, to_attributes
-from ..svrgs_addon.errors import SceneError, SplatError
-from ..svrgs_addon.geometry.moved_points import moved_parts
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.scene.attribute_layout import BASE, POSITION, RAW_POSITION, REQUIRED, SH, from_attributes, notes_of, to_attributes
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.scene.moved_points import moved_parts
+from ..svrgs_addon.system.errors import SceneError, SplatError
 
 NOTES = "svrgs"  # property of a splat's data-block: types and order of further columns, comments
 Y_DOWN = "svrgs_y_down"  # property of a splat without a root: whether its import has turned it from y down to z up; default True

@@ -10,9 +10,9 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix
 
-from ..svrgs_addon.blender import lens as lenses
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import SceneError
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.system.errors import SceneError
+from ..svrgs_addon.views import lens as lenses
 
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
 DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras

@@ -9,10 +9,10 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix, Quaternion, Vector
 
-from ..svrgs_addon.blender.attribute_layout import BASE, POSITION
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.geometry import bounds
-from ..svrgs_addon.geometry.upright import levelled, tilt, up_direction
+from ..svrgs_addon.scene import bounds
+from ..svrgs_addon.scene.attribute_layout import BASE, POSITION
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.scene.upright import levelled, tilt, up_direction
 from . import bridge, bridge_cameras
 from .bridge_graph import REMOVED
 

@@ -6,7 +6,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
-from ..svrgs_addon.native_library import thresholds
+from ..svrgs_addon.native.library import thresholds
 
 WIDTH = 4096  # texels in a row of a texture that stores a list
 CONSTANTS = {  # push constants of the quads beside the matrix modelview, as vectors of 4: smaller ones would be padded

@@ -15,14 +15,14 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix
 
-from ..svrgs_addon.blender.lens import camera_of_projection
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import SceneError
-from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
-from ..svrgs_addon.geometry.merge import merged
 from ..svrgs_addon.render.meshes import Surface, Triangles, surface
 from ..svrgs_addon.render.thinning import Thinning
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.scene.affine import UNIFORM, stretch, transformed
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.scene.merge import merged
+from ..svrgs_addon.system.errors import SceneError
+from ..svrgs_addon.views.lens import camera_of_projection
 from . import bridge, bridge_cameras, bridge_order
 
 REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn

@@ -1,4 +1,4 @@
-"""Other numbers of Gaussians of a quick result than its job left: the job has kept the order of its removals and merges (decimate/saved_order.py).
+"""Other numbers of Gaussians of a quick result than its job left: the job has kept the order of its removals and merges (finetune/decimate/saved_order.py).
 
 The data of the splat stay those of the job. What is drawn, compared, exported and applied has the number that the slider Keep shows.
 """
@@ -14,12 +14,12 @@ import numpy as np
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.decimate.saved_order import ORDER, SavedOrder, read_order
-from ..svrgs_addon.errors import SceneError, SplatError
 from ..svrgs_addon.files.registry import read_scene
-from ..svrgs_addon.geometry.moved_points import common_motion
+from ..svrgs_addon.finetune.decimate.saved_order import ORDER, SavedOrder, read_order
 from ..svrgs_addon.jobs.job_folder import JobFolder
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.scene.moved_points import common_motion
+from ..svrgs_addon.system.errors import SceneError, SplatError
 from . import bridge, job_paths, pairs
 
 SHOWN = "svrgs_shown"  # property of a pruned splat: the number of Gaussians that is shown instead of the job's own

@@ -6,9 +6,9 @@ import bpy
 import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.render.panorama import Panorama
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.system.errors import SceneError
 from . import bridge_cameras
 
 KIND = "EQUIRECTANGULAR"

@@ -12,10 +12,10 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix, Vector
 
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import SceneError
-from ..svrgs_addon.selection.options import Criteria
-from ..svrgs_addon.selection.select import selected
+from ..svrgs_addon.prune.selection.options import Criteria
+from ..svrgs_addon.prune.selection.select import selected
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.system.errors import SceneError
 from . import bridge, bridge_graph
 
 SELECTED = "svrgs:selected"  # attribute: marks the selected Gaussians
@@ -28,7 +28,7 @@ COMBINED = {
     "INTERSECT": lambda before, mask: before & mask,
 }
 
-Views = Callable[[bridge_graph.PlacedScene, str], list[Camera]]  # the views of a splat, in its coordinates; the word as in selection/select.py
+Views = Callable[[bridge_graph.PlacedScene, str], list[Camera]]  # the views of a splat, in its coordinates; the word as in prune/selection/select.py
 
 
 def find(obj: bpy.types.Object, wanted: Criteria, views: Views, volume: bpy.types.Object | None) -> np.ndarray:

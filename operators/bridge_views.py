@@ -8,9 +8,9 @@ import bpy
 import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import SceneError
-from ..svrgs_addon.geometry.affine import UNIFORM, stretch
+from ..svrgs_addon.scene.affine import UNIFORM, stretch
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.system.errors import SceneError
 from . import bridge_cameras
 
 ITEMS = [  # the numbers are stored in .blend files

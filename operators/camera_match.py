@@ -13,8 +13,8 @@ from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import StringProperty
 
-from ..svrgs_addon.errors import NativeError, SplatError
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.system.errors import NativeError, SplatError
 from . import bridge, edit_guard
 from .dataset_paths import dataset_of
 from .job_watch import redraw_panels
@@ -71,7 +71,7 @@ def _work() -> float | None:
 def _check(key: tuple, scene: Scene):
     """Runs in a thread: no bpy here."""
     from ..svrgs_addon.jobs.photo_sample import read_in_child  # not needed to start Blender
-    from ..svrgs_addon.metrics.explained import fit, mismatch
+    from ..svrgs_addon.render.metrics.explained import fit, mismatch
 
     try:
         _found[key] = mismatch(fit(scene, read_in_child(*key[2:])))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..svrgs_addon.blender import subprocess_python
+from ..svrgs_addon.system import subprocess_python
 
 _commands: list = []  # what Blender returned when the command was registered
 

@@ -9,15 +9,15 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon import native
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.files.registry import file_size
-from ..svrgs_addon.metrics import flip, psnr, ssim
-from ..svrgs_addon.metrics.evaluate import picture_options, rounded_to_8_bits
-from ..svrgs_addon.native import Rasterizer
-from ..svrgs_addon.report.pictures import contact_sheet, difference_image, to_uint8
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.native import library
+from ..svrgs_addon.native.rasterizer import Rasterizer
+from ..svrgs_addon.prune.report.pictures import contact_sheet, difference_image, to_uint8
+from ..svrgs_addon.render.metrics import flip, psnr, ssim
+from ..svrgs_addon.render.metrics.evaluate import picture_options, rounded_to_8_bits
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.system.errors import NativeError, SceneError, SplatError
 from . import bridge, bridge_cameras, bridge_graph, bridge_images, comparison_images, job_result
 from .contribution import chosen_cameras
 from .preferences import threads
@@ -36,7 +36,7 @@ class ComparedSplats:
         places = (obj.matrix_world.copy() for obj in (original, pruned))
         self.placed = [bridge_graph.placed([part]) for part in zip(self.scenes, places, strict=True)]
         self.rasterizer = Rasterizer()
-        native.set_threads(threads(context))
+        library.set_threads(threads(context))
 
     def render(self, camera: Camera, background) -> tuple:
         """(original, pruned): images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's world."""

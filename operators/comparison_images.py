@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..svrgs_addon.report.pictures import difference_image, wipe
+from ..svrgs_addon.prune.report.pictures import difference_image, wipe
 from . import bridge_images
 
 ORIGINAL, PRUNED, DIFFERENCE, WIPE = (f"SVR-GS {name}" for name in ("Original", "Pruned", "Difference", "Wipe"))

@@ -6,12 +6,12 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import EnumProperty
 
-from ..svrgs_addon import native
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import NativeError, SceneError, SplatError
 from ..svrgs_addon.finetune.scores import contribution
-from ..svrgs_addon.metrics.evaluate import render_options
-from ..svrgs_addon.native import Rasterizer
+from ..svrgs_addon.native import library
+from ..svrgs_addon.native.rasterizer import Rasterizer
+from ..svrgs_addon.render.metrics.evaluate import render_options
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.system.errors import NativeError, SceneError, SplatError
 from . import bridge, bridge_cameras, bridge_graph, edit_guard
 from .preferences import threads
 
@@ -48,7 +48,7 @@ class SVRGS_OT_contribution(bpy.types.Operator):
     def execute(self, context):
         obj = context.object
         try:
-            native.set_threads(threads(context))
+            library.set_threads(threads(context))
             scene = bridge.scene_from_object(obj)
             placed = bridge_graph.placed([(scene, obj.matrix_world.copy())])
             cameras = views(context, chosen_cameras(context, self.cameras), placed)

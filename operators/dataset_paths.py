@@ -17,8 +17,8 @@ from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
-from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.photographs.sources import find_cameras
+from ..svrgs_addon.system.errors import SplatError
+from ..svrgs_addon.views.sources import find_cameras
 from . import bridge, bridge_cameras
 from .job_paths import FOLDER, folder_of
 from .option_properties import RELATIVE

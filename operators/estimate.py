@@ -8,9 +8,9 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.blender import subprocess_python
-from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import write_scene
+from ..svrgs_addon.system import subprocess_python
+from ..svrgs_addon.system.errors import SplatError
 from . import bridge
 from .child_work import ChildWork
 from .job import JobOperator, given_views, options_of, start_problem
@@ -88,7 +88,7 @@ class SVRGS_OT_estimate(JobOperator):
         options, cameras = options_of(context, obj), given_views(context, obj)
         write_scene(Path(temp_dir.name) / "scene.ply", bridge.scene_from_object(obj))
         if cameras:
-            from ..svrgs_addon.photographs.cameras_json import write_cameras_json  # a Blender that only starts does not need it
+            from ..svrgs_addon.views.cameras_json import write_cameras_json  # a Blender that only starts does not need it
 
             write_cameras_json(Path(temp_dir.name) / "cameras.json", cameras)
             options["cameras"] = str(Path(temp_dir.name) / "cameras.json")

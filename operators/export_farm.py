@@ -10,13 +10,13 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
-from ..svrgs_addon.blender import subprocess_python
-from ..svrgs_addon.errors import SceneError
-from ..svrgs_addon.farm.farm_job import CAPTURES, OWN, FarmJob, Task, common_folder, refuse_folder, refuse_same_names, relative
 from ..svrgs_addon.files.registry import FORMATS, write_scene
+from ..svrgs_addon.jobs.farm.farm_job import CAPTURES, OWN, FarmJob, Task, common_folder, refuse_folder, refuse_same_names, relative
 from ..svrgs_addon.jobs.job_folder import CAMERAS
-from ..svrgs_addon.memory import size_text
-from ..svrgs_addon.photographs.cameras_json import write_cameras_json
+from ..svrgs_addon.system import subprocess_python
+from ..svrgs_addon.system.errors import SceneError
+from ..svrgs_addon.system.memory import size_text
+from ..svrgs_addon.views.cameras_json import write_cameras_json
 from . import bridge, depths, goals
 from .child_work import ChildWork
 from .export_space import selected_splats

@@ -9,11 +9,11 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..svrgs_addon.blender import subprocess_python
-from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.files.level_files import level_files
 from ..svrgs_addon.files.registry import FORMATS, size_on_disk, write_scene
-from ..svrgs_addon.memory import size_text
+from ..svrgs_addon.system import subprocess_python
+from ..svrgs_addon.system.errors import SceneError
+from ..svrgs_addon.system.memory import size_text
 from .child_work import ChildWork
 from .export_space import KINDS, WHAT_FOR, ExportSpace, selected_splats
 from .job import JobOperator

@@ -12,9 +12,9 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import FORMATS, format_to_write, left_out, menu_label, split_name, suffixes, write_scene
 from ..svrgs_addon.files.splat_format import SplatFormat
+from ..svrgs_addon.system.errors import SplatError
 from . import bridge, job_result
 from .export_space import KINDS, ExportSpace
 from .splat_size import size_in

@@ -6,12 +6,12 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty
 
-from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.files.registry import FORMATS
 from ..svrgs_addon.files.repair import drop_nonfinite
-from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
-from ..svrgs_addon.geometry.merge import joined
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.scene.affine import UNIFORM, stretch, transformed
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.scene.merge import joined
+from ..svrgs_addon.system.errors import SceneError
 from . import bridge, bridge_graph, job_result
 from .splat_transforms import stretch_warning
 from .translation import OWN

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.geometry.bounds import clipping
+from ..svrgs_addon.scene.bounds import clipping
 from . import bridge, bridge_cameras
 from .bridge_framing import photographed_view, sphere_of, viewing_distance
 

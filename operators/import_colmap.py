@@ -15,8 +15,8 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
-from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
-from ..svrgs_addon.errors import SplatError
+from ..svrgs_addon.system.errors import SplatError
+from ..svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
 from . import bridge, bridge_cameras, dataset_paths, undistort
 from .bridge_framing import level
 from .frame import frame

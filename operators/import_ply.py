@@ -10,9 +10,9 @@ from bpy.props import BoolProperty, CollectionProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
 
-from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import INDEXES, check_readable, menu_label, read_scene, split_name, suffixes
 from ..svrgs_addon.files.repair import bake_filter, drop_nonfinite
+from ..svrgs_addon.system.errors import SplatError
 from . import bridge
 from .frame import frame
 from .select import select

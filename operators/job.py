@@ -11,11 +11,11 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.system.errors import SplatError
 from . import bridge, bridge_views, dataset_paths, depths, edit_guard, goals, job_queue, job_result
 from .job_paths import JOBS_FOLDER
 from .job_watch import current, delete_job, is_busy, is_resumable, job_of, link, load_result, start_timer

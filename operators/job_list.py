@@ -19,11 +19,11 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 from bpy.props import PointerProperty, StringProperty
 
-from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import read_scene
 from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
-from ..svrgs_addon.memory import size_text
+from ..svrgs_addon.system.errors import SplatError
+from ..svrgs_addon.system.memory import size_text
 from . import applied_jobs, bridge, dataset_paths, edit_guard, job_queue, job_result
 from .job import JobOperator, job_folders, resume, stop, stop_problem
 from .job_paths import folder_of

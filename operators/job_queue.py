@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.jobs.job_process import Job
+from ..svrgs_addon.system.errors import SplatError
 
 jobs: dict[str, Job] = {}  # by folder
 _queue: list[Job] = []

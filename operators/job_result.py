@@ -14,13 +14,13 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.files.registry import read_scene
-from ..svrgs_addon.geometry.affine import transformed
-from ..svrgs_addon.geometry.moved_points import common_motion
 from ..svrgs_addon.jobs.job_folder import JobFolder
-from ..svrgs_addon.jobs.kept_share import BOUNDARY, lowest, merged, numbered
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.prune.kept_share import BOUNDARY, lowest, merged, numbered
+from ..svrgs_addon.scene.affine import transformed
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.scene.moved_points import common_motion
+from ..svrgs_addon.system.errors import SceneError
 from . import bridge, bridge_order
 from .bridge_graph import HIDE_MODIFIER, REMOVED
 from .pairs import ORIGINAL, PRUNED, join, original_of, pruned_of

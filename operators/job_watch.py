@@ -14,9 +14,9 @@ import contextlib
 import bpy
 from bpy.app.handlers import persistent
 
-from ..svrgs_addon.errors import FormatError, SplatError
 from ..svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ..svrgs_addon.jobs.job_process import Job
+from ..svrgs_addon.system.errors import FormatError, SplatError
 from . import bridge, edit_guard, job_pictures, job_queue, job_result, train_result
 from .job_paths import FOLDER, folder_of
 from .job_queue import jobs

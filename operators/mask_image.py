@@ -9,11 +9,11 @@ import time
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon import native
-from ..svrgs_addon.errors import NativeError, SceneError, SplatError
-from ..svrgs_addon.native import Rasterizer, RenderOptions
+from ..svrgs_addon.native import library
+from ..svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from ..svrgs_addon.prune.report.pictures import with_color_bar
 from ..svrgs_addon.render import color_maps
-from ..svrgs_addon.report.pictures import with_color_bar
+from ..svrgs_addon.system.errors import NativeError, SceneError, SplatError
 from . import bridge_cameras, bridge_graph, bridge_images, scene_cache
 from .preferences import threads
 
@@ -34,7 +34,7 @@ def refresh(context: bpy.types.Context) -> dict:
         raise SceneError(tr("there is no visible splat: import one"))
     obj = bridge_graph.camera(depsgraph)
     camera = placed.seen_by(_sized(bridge_cameras.camera_from_object(obj, scene), scene.svrgs_looking.mask_size))
-    native.set_threads(threads(context))
+    library.set_threads(threads(context))
     if not _rasterizer:
         _rasterizer.append(Rasterizer())
     options = RenderOptions(antialiased=placed.scene.antialiased, mask_kind="svr", picture_only=True)

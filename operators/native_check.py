@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon import native
-from ..svrgs_addon.errors import NativeError
+from ..svrgs_addon.native import library
+from ..svrgs_addon.system.errors import NativeError
 
 
 def native_problem() -> str:
     """What to do if the native library does not load; empty if it does."""
     try:
-        native.best_level()
+        library.best_level()
     except NativeError:  # it is missing, or built for another computer, or of another version
         return tr("The native library does not load: install the extension's zip again")
     return ""

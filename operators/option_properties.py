@@ -1,4 +1,4 @@
-"""Blender properties made from the options of `svrgs prune` (svrgs_addon/jobs/options.py), and the menu of methods."""
+"""Blender properties made from the options of `svrgs prune` (svrgs_addon/prune/options.py), and the menu of methods."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 
 from ..svrgs_addon.finetune.methods import DEFAULT, METHODS, PAPER_METHOD
 from ..svrgs_addon.finetune.methods.base import Method
-from ..svrgs_addon.jobs.options import PruneOptions
-from ..svrgs_addon.option_kinds import options_of
+from ..svrgs_addon.prune.options import PruneOptions
+from ..svrgs_addon.system.option_kinds import options_of
 
 PROPERTY_TYPES = {bool: BoolProperty, int: IntProperty, float: FloatProperty, str: StringProperty, Path: StringProperty}
 RELATIVE = (

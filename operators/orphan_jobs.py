@@ -9,9 +9,9 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.errors import FormatError, SplatError
 from ..svrgs_addon.jobs.job_folder import digest_of
 from ..svrgs_addon.jobs.job_process import Job
+from ..svrgs_addon.system.errors import FormatError, SplatError
 from . import applied_jobs, bridge
 from .job import JobOperator
 from .job_list import all_jobs, owners, state_text

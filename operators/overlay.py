@@ -17,16 +17,16 @@ import bpy
 import gpu
 from bpy.app.handlers import persistent
 
-from ..svrgs_addon import native
-from ..svrgs_addon.blender.lens import depth_of_projection, step_back
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import NativeError, SplatError
-from ..svrgs_addon.native_library import thresholds
-from ..svrgs_addon.native_pictures import depth_order
+from ..svrgs_addon.native import library
+from ..svrgs_addon.native.library import thresholds
+from ..svrgs_addon.native.pictures import depth_order
 from ..svrgs_addon.render.live_view import LiveView, Picture
 from ..svrgs_addon.render.passes import overlay_rgba
 from ..svrgs_addon.render.quads import Quads, colors, highlighted, painted, quads
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.system.errors import NativeError, SplatError
+from ..svrgs_addon.views.lens import depth_of_projection, step_back
 from . import bridge, bridge_gpu, bridge_graph, viewport_wipe
 from .bridge_selection import SELECTED
 from .preferences import threads
@@ -129,7 +129,7 @@ class Overlay:
             self.close_views(context.region)
             depth = bridge_gpu.scene_depth(context.region.width, context.region.height) if self.clouds else None
             if depth is not None:
-                native.set_threads(threads(context))
+                library.set_threads(threads(context))
                 for side in sides:
                     self.draw_cloud(context, self.clouds[side.name], self.view_of(context.region, side.name), camera, depth, side.columns)
         except (SplatError, NativeError):  # an object of scale 0, or no native library: the panels report it

@@ -11,10 +11,10 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.blender import subprocess_python
-from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import write_scene
-from ..svrgs_addon.photographs.camera_files import load_cameras
+from ..svrgs_addon.system import subprocess_python
+from ..svrgs_addon.system.errors import SplatError
+from ..svrgs_addon.views.camera_files import load_cameras
 from . import bridge, bridge_graph, bridge_views, edit_guard
 from .child_work import ChildWork
 from .job import JobOperator

@@ -15,10 +15,10 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
-from ..svrgs_addon.blender import subprocess_python
 from ..svrgs_addon.cli.batch_list import default_output
-from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import format_to_write, read_scene, write_scene
+from ..svrgs_addon.system import subprocess_python
+from ..svrgs_addon.system.errors import SplatError
 from . import bridge, edit_guard, job_result
 from .option_properties import RELATIVE, method_property, option_property
 from .preferences import threads

@@ -7,7 +7,7 @@ import math
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..svrgs_addon.jobs.options import MIN_CONTRIBUTION
+from ..svrgs_addon.prune.options import MIN_CONTRIBUTION
 from . import bridge, bridge_views, depths, former_methods, goals, job_result
 from .devices import DEVICES
 from .option_properties import RELATIVE, limited_time_property, method_choice_property, method_property, option_property, time_property

@@ -10,10 +10,10 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.finetune.methods import METHODS
 from ..svrgs_addon.finetune.methods.base import Method
 from ..svrgs_addon.jobs.job_process import Job
+from ..svrgs_addon.system.errors import SplatError
 from . import (
     bridge,
     bridge_order,
@@ -31,7 +31,7 @@ from . import (
     job_result,
     orphan_jobs,
     place_cameras,
-)  # fmt: skip
+)
 from .job import resume_sentence
 from .job_watch import current, is_busy, is_resumable
 from .native_check import native_problem

@@ -13,12 +13,12 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon import native
-from ..svrgs_addon.errors import NativeError, SceneError, SplatError
-from ..svrgs_addon.native import Rasterizer
+from ..svrgs_addon.native import library
+from ..svrgs_addon.native.rasterizer import Rasterizer
 from ..svrgs_addon.render.composite import composite, composite_while, split
 from ..svrgs_addon.render.panorama import composite_view
 from ..svrgs_addon.render.passes import BEHIND, PASSES, blank, passes
+from ..svrgs_addon.system.errors import NativeError, SceneError, SplatError
 from . import bridge_cameras, bridge_graph, bridge_images, bridge_meshes, bridge_panorama
 from .bridge_images import working_space
 from .preferences import threads
@@ -52,7 +52,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
         width, height = columns.stop - columns.start, rows.stop - rows.start
         layers, problem = blank(height, width, kinds(depsgraph.scene)), ""
         try:
-            native.set_threads(threads(bpy.context))
+            library.set_threads(threads(bpy.context))
             whole = self.picture(depsgraph)
             layers |= {name: pixels[rows, columns] for name, pixels in (whole or {}).items()}
         except (SplatError, NativeError) as error:

@@ -9,8 +9,8 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from ..svrgs_addon.geometry.morton_order import morton_order
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.scene.morton_order import morton_order
 from . import bridge, bridge_graph, bridge_order
 
 

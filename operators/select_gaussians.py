@@ -11,9 +11,9 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ..svrgs_addon import native
-from ..svrgs_addon.errors import NativeError, SceneError, SplatError
-from ..svrgs_addon.selection.options import Criteria
+from ..svrgs_addon.native import library
+from ..svrgs_addon.prune.selection.options import Criteria
+from ..svrgs_addon.system.errors import NativeError, SceneError, SplatError
 from . import bridge, bridge_order, bridge_selection, edit_guard
 from .contribution import cameras_property, chosen_cameras, views
 from .preferences import threads
@@ -101,7 +101,7 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         layout.prop(self, "invert")
 
     def work(self, context, obj: bpy.types.Object) -> str:
-        native.set_threads(threads(context))
+        library.set_threads(threads(context))
         if self.criterion == "EDIT_MODE":
             mask = bridge_selection.found_in_edit_mode(obj)
         else:

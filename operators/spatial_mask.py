@@ -6,7 +6,7 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.errors import NativeError, SplatError
+from ..svrgs_addon.system.errors import NativeError, SplatError
 from . import bridge_images, mask_image
 
 DELAY = 0.1  # seconds after the last change

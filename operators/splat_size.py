@@ -5,9 +5,9 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.errors import SplatError
 from ..svrgs_addon.files.registry import FORMATS, foreseen_size, sampled_size
 from ..svrgs_addon.files.splat_format import SplatFormat
+from ..svrgs_addon.system.errors import SplatError
 from . import bridge
 
 MOST_READ = 1_000_000  # Gaussians of a splat that is read to foresee the size

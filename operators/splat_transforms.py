@@ -1,7 +1,7 @@
 """Apply Splat Transforms, Join Splats, and Write Shapes: the points, shapes and colours of splats change together.
 
 Blender's own Apply and Join move points only. A splat stores where its points were when its shapes were written. So whoever reads it
-gets shapes and colours that have followed the points (svrgs_addon/blender/attribute_layout.py); Write Shapes stores them.
+gets shapes and colours that have followed the points (svrgs_addon/scene/attribute_layout.py); Write Shapes stores them.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 
-from ..svrgs_addon.errors import SceneError, SplatError
-from ..svrgs_addon.geometry.affine import UNIFORM, stretch, transformed
-from ..svrgs_addon.geometry.merge import joined
+from ..svrgs_addon.scene.affine import UNIFORM, stretch, transformed
+from ..svrgs_addon.scene.merge import joined
+from ..svrgs_addon.system.errors import SceneError, SplatError
 from . import bridge, edit_guard, job_result
 from .job_watch import is_busy, is_resumable, job_of
 from .select import select

@@ -12,7 +12,7 @@ from bpy.props import IntProperty, PointerProperty, StringProperty
 
 from ..svrgs_addon.jobs.job_folder import JobFolder
 from ..svrgs_addon.jobs.job_process import Job
-from ..svrgs_addon.jobs.options import ITERATIONS
+from ..svrgs_addon.prune.options import ITERATIONS
 from . import bridge, bridge_cameras, dataset_paths, job_queue
 from .job import JobOperator, new_folder
 from .job_watch import is_busy, is_resumable, job_of, link, start_timer

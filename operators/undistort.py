@@ -12,8 +12,8 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.blender.posed_photos import PosedPhotos, read_in_child
-from ..svrgs_addon.errors import SplatError
+from ..svrgs_addon.system.errors import SplatError
+from ..svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
 from . import bridge_cameras, dataset_paths
 from .job_watch import redraw_panels
 

@@ -7,9 +7,9 @@ from typing import Any
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.errors import SceneError
 from ..svrgs_addon.files import usd
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.system.errors import SceneError
 from . import bridge, bridge_graph
 
 NAME = "userProperties:blender:object_name"  # attribute of prims by which Blenders without a map of prims tell them apart

@@ -13,13 +13,13 @@ import bpy
 import gpu
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon import native
-from ..svrgs_addon.camera import Camera
-from ..svrgs_addon.errors import NativeError, SplatError
+from ..svrgs_addon.native import library
 from ..svrgs_addon.render.composite import composite
 from ..svrgs_addon.render.live_view import LiveView, Picture
 from ..svrgs_addon.render.meshes import Triangles
 from ..svrgs_addon.render.passes import linear_rgba
+from ..svrgs_addon.scene.camera import Camera
+from ..svrgs_addon.system.errors import NativeError, SplatError
 from . import bridge_gpu, bridge_graph, bridge_meshes, scene_cache, viewport_wipe
 from .bridge_images import working_space
 from .preferences import threads
@@ -111,7 +111,7 @@ class Viewport:
         if not self.shown or self.triangles is None:
             return self.problem or tr("there is no visible splat: import one")
         try:
-            native.set_threads(threads(context))
+            library.set_threads(threads(context))
             sides = viewport_wipe.sides(context.scene, self.shown)
             for closed in self.panes.keys() - {side.name for side in sides}:
                 self.panes.pop(closed).live.close()

@@ -18,8 +18,8 @@ from bpy.app.translations import pgettext_iface as tr
 from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
-from ..svrgs_addon.errors import SplatError
-from ..svrgs_addon.scene import Scene
+from ..svrgs_addon.scene.gaussians import Scene
+from ..svrgs_addon.system.errors import SplatError
 from . import compare, comparison_images, scene_cache
 from .job_watch import redraw_panels
 

@@ -21,7 +21,7 @@ def main() -> int:
     words = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
     if words[:1] == ["prune"]:
         words = [*words, "--batch"]
-    exit_status = part("exit_status")
+    exit_status = part("system.exit_status")
     return exit_status.guarded(lambda: run(words), lambda sentence: print(f"svrgs: {sentence}", file=sys.stderr))
 
 
@@ -33,11 +33,11 @@ def part(name: str):
 
 
 def run(words: list[str]) -> int:
-    packages, library, processes = part("blender.packages"), part("library_path"), part("system.processes")
+    packages, library, processes = part("system.wheels"), part("native.library_path"), part("system.processes")
     own, extensions = blender_folders()
     found = packages.find(own, extensions)
-    variables = part("blender.subprocess_python").environment(found)
-    variables[part("packages").MISSING_VARIABLE] = packages.missing(found, extensions)
+    variables = part("system.subprocess_python").environment(found)
+    variables[part("system.packages").MISSING_VARIABLE] = packages.missing(found, extensions)
     variables[library.LIBRARY_VARIABLE] = str(library.library_path(folder / "svrgs_addon" for folder in extensions))
     child = processes.ChildProcess([sys.executable, "-m", "svrgs_addon", *words], env=variables)
     for number in processes.stop_signals():

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from svrgs_addon.large.blocks import Divided, divide
-from svrgs_addon.large.learning import prepare_around
-from svrgs_addon.large.merging import merge, reduce
-from svrgs_addon.large.scoring import score
-from svrgs_addon.photographs.dataset import Dataset
+from svrgs_addon.prune.blocks.divided import Divided, divide
+from svrgs_addon.prune.blocks.learning import prepare_around
+from svrgs_addon.prune.blocks.merging import merge, reduce
+from svrgs_addon.prune.blocks.scoring import score
+from svrgs_addon.views.dataset import Dataset
 
 
 def ready(splat: Path, data: Dataset, folder: Path, most: int) -> Divided:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from svrgs_addon.camera import Camera
+from svrgs_addon.scene.camera import Camera
 
 
 def write_colmap(folder: Path, cameras: list[Camera], points: np.ndarray, model: str = "PINHOLE"):

@@ -35,7 +35,7 @@ def tiny(tmp_path_factory):
 @pytest.fixture(scope="module")
 def data(tiny):
     """The tiny dataset, loaded."""
-    from svrgs_addon.photographs.dataset import load_dataset
+    from svrgs_addon.views.dataset import load_dataset
 
     return load_dataset(tiny.folder)
 
@@ -43,7 +43,7 @@ def data(tiny):
 @pytest.fixture
 def small_pictures(monkeypatch):
     """Quick jobs in this process decide on smaller pictures than those of users, in a fraction of the time."""
-    from svrgs_addon.jobs import quick
+    from svrgs_addon.prune import quick
 
     monkeypatch.setattr(quick, "SIDE", 192)
 
@@ -52,9 +52,9 @@ def small_pictures(monkeypatch):
 def default_threads():
     """As many threads as processors again, after a test that changes their number."""
     yield
-    from svrgs_addon import native
+    from svrgs_addon.native import library
 
-    native.set_threads(0)
+    library.set_threads(0)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def svrgs(capfd):
 @pytest.fixture
 def stop_at(monkeypatch):
     """Sends Ctrl-C, once, when a job by blocks tells of a step, at or after this share of it."""
-    from svrgs_addon.jobs.progress import Reporter
+    from svrgs_addon.prune.progress import Reporter
 
     told = Reporter.part
 

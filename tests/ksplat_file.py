@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from svrgs_addon.scene import SH_COEFFICIENTS, Scene
+from svrgs_addon.scene.gaussians import SH_COEFFICIENTS, Scene
 
 BANDS = tuple(zip(SH_COEFFICIENTS[:-1], SH_COEFFICIENTS[1:], strict=True))  # of SH degree 1, 2, 3
 

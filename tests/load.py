@@ -45,13 +45,14 @@ def stages(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], 
 def generate(folder: Path, options: argparse.Namespace):
     """The scene, and photographs of it with their COLMAP model."""
     from colmap_model import write_colmap
-    from svrgs_addon import native
-    from svrgs_addon.bench.scenes import orbit_camera, room
     from svrgs_addon.files.images import write_image
     from svrgs_addon.files.ply import write_ply
+    from svrgs_addon.native import library
+    from svrgs_addon.native.rasterizer import Rasterizer
+    from svrgs_bench.scenes import orbit_camera, room
 
-    native.set_threads(options.threads)
-    scene, rasterizer = room(options.count), native.Rasterizer()
+    library.set_threads(options.threads)
+    scene, rasterizer = room(options.count), Rasterizer()
     write_ply(folder / "scene.ply", scene)
     cameras = [replace(orbit_camera(*options.size, turn=360 * i / VIEWS), name=f"{i:02}.png") for i in range(VIEWS)]
     for camera in cameras:

@@ -8,15 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 
 import scenes
-from svrgs_addon import native
 from svrgs_addon.finetune.moments import packed
-from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.native import library
+from svrgs_addon.native.rasterizer import COUNTS, IMAGES, Rasterizer, RenderOptions
 
-LEVELS = native.supported_levels()
+LEVELS = library.supported_levels()
 FLOAT_LEVELS = [level for level in LEVELS if level != "float64"]
 ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
-FLOAT_IMAGES = tuple(native.IMAGES)
-IMAGES = (*FLOAT_IMAGES, *native.COUNTS)
+FLOAT_IMAGES = tuple(IMAGES)
+IMAGES = (*FLOAT_IMAGES, *COUNTS)
 LOSS_IMAGES = ("rgb", "depth", "alpha", "mask")  # those a gradient may come from
 BACKGROUND = (0.2, 0.5, 0.9)
 CAMERA = scenes.camera(40, 27)
@@ -57,7 +57,7 @@ def image_weights(camera, seed: int = 0) -> dict[str, np.ndarray]:
     return {name: rng.normal(size=(*size, 3) if name == "rgb" else size) for name in LOSS_IMAGES}
 
 
-def backward(level: str, weights: dict[str, np.ndarray], count: int, wanted=native.GRADS) -> dict[str, np.ndarray]:
+def backward(level: str, weights: dict[str, np.ndarray], count: int, wanted=library.GRADS) -> dict[str, np.ndarray]:
     """Gradients of the last view, a row per Gaussian of the scene: zero where it is not visible."""
     r = rasterizer(level)
     rows = r.backward({name: np.ascontiguousarray(w, r.dtype) for name, w in weights.items()}, wanted)

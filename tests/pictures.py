@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import scenes
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.photographs.dataset import Dataset
-from svrgs_addon.scene import Scene
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.views.dataset import Dataset
 
 WIDTH, HEIGHT = 48, 36
 EYES = [(x, y, -4.0) for y in (-0.6, 0.6) for x in (-1.0, 0.0, 1.0)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from svrgs_addon.files.ply import read_ply
-from svrgs_addon.scene import SH_COEFFICIENTS, Scene
+from svrgs_addon.scene.gaussians import SH_COEFFICIENTS, Scene
 
 ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 STANDARD = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()

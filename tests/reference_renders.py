@@ -8,7 +8,7 @@ import torch
 
 import scenes
 from reference import rasterize as ref
-from svrgs_addon.camera import Camera
+from svrgs_addon.scene.camera import Camera
 
 BACKGROUND = (0.2, 0.5, 0.9)
 IMAGES = [f.name for f in fields(ref.Render)]

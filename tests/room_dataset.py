@@ -13,10 +13,10 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from colmap_model import write_colmap
-from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.files.images import write_image
 from svrgs_addon.files.ply import write_ply
-from svrgs_addon.native import Rasterizer
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_bench.scenes import orbit_camera, room
 
 WIDTH, HEIGHT = 640, 360
 POINTS = 10_000  # of the sparse model, at most

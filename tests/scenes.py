@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from reference import rasterize as ref
-from svrgs_addon.camera import Camera
-from svrgs_addon.scene import SH_COEFFICIENTS, Scene
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.scene.gaussians import SH_COEFFICIENTS, Scene
 
 DISTANCE = 4.0
 

@@ -8,10 +8,10 @@ import numpy as np
 from svrgs_addon.finetune.engine import StepResult
 from svrgs_addon.finetune.model import PARAMETERS, Model
 from svrgs_addon.finetune.run import Run
-from svrgs_addon.metrics import psnr
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.photographs.dataset import Dataset
-from svrgs_addon.scene import Scene
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.render.metrics import psnr
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.views.dataset import Dataset
 
 
 def logit(p: float) -> float:

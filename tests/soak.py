@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from svrgs_addon import native
-from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.native import Rasterizer, RenderOptions, mask_kinds
+from svrgs_addon.native import library
+from svrgs_addon.native.library import mask_kinds
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_bench.scenes import orbit_camera, room
 
 WARM_UP = 500  # renders in which buffers may grow to the largest scene and picture
 LIMIT = 2e6  # bytes of growth after that; seen 0.1e6
@@ -38,7 +39,7 @@ def soak(renders: int, seen: Callable[[np.ndarray], object] = lambda image: None
     chance, sizes = random.Random(0), np.zeros(renders, np.int64)
     for number in range(renders):
         if number % THREADS_EVERY == 0:
-            native.set_threads(chance.randint(1, 4))
+            library.set_threads(chance.randint(1, 4))
         if number % SCENE_EVERY == 0:
             scene = room(chance.choice(COUNTS), chance.randrange(4), seed=number)
         if number % RENDERER_EVERY == 0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svrgs_addon.blender import activation as a
+from svrgs_addon.scene import activation as a
 
 RNG = np.random.default_rng(0)
 LOGITS = np.concatenate([RNG.normal(0, 8, 10_000), [0, -0.0, 120, -120, np.inf, -np.inf]]).astype(np.float32)

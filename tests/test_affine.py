@@ -10,11 +10,11 @@ import torch
 
 import scenes
 from reference.rasterize import view_colours
-from svrgs_addon.errors import SceneError
-from svrgs_addon.geometry.affine import stretch, transformed
-from svrgs_addon.geometry.rotations import quats_from_matrices, rotation_matrices
-from svrgs_addon.geometry.sh_rotation import band_rotation, rotate_sh
-from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.scene.affine import stretch, transformed
+from svrgs_addon.scene.rotations import quats_from_matrices, rotation_matrices
+from svrgs_addon.scene.sh_rotation import band_rotation, rotate_sh
+from svrgs_addon.system.errors import SceneError
 
 
 def some_rotation(seed: int) -> np.ndarray:

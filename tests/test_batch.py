@@ -18,11 +18,11 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from svrgs_addon.cli.batch_list import Item, expand
-from svrgs_addon.errors import SceneError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.files.registry import read_scene
 from svrgs_addon.jobs import worker
-from svrgs_addon.jobs.options import PruneOptions
+from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.system.errors import SceneError
 
 ROOT = Path(__file__).resolve().parents[1]
 BATCH = ROOT / "svrgs_addon" / "batch.py"

@@ -6,20 +6,20 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from svrgs_addon import native
-from svrgs_addon.bench import knobs, variants
-from svrgs_addon.bench.accuracy import error
-from svrgs_addon.bench.cases import room_case
-from svrgs_addon.bench.floors import LANES, stage_floors
-from svrgs_addon.bench.interactive import measure_interactive, measure_viewport
-from svrgs_addon.bench.measure import measure, peaks_of, work_counts
-from svrgs_addon.bench.plots import charts
-from svrgs_addon.bench.scaling import measure_scaling
-from svrgs_addon.bench.scenes import room
-from svrgs_addon.bench.skips import measure_skips
-from svrgs_addon.bench.text import as_text
-from svrgs_addon.bench.trial import Trial
 from svrgs_addon.files.ply import write_ply
+from svrgs_addon.native import library
+from svrgs_bench import knobs, variants
+from svrgs_bench.accuracy import error
+from svrgs_bench.cases import room_case
+from svrgs_bench.floors import LANES, stage_floors
+from svrgs_bench.interactive import measure_interactive, measure_viewport
+from svrgs_bench.measure import measure, peaks_of, work_counts
+from svrgs_bench.plots import charts
+from svrgs_bench.scaling import measure_scaling
+from svrgs_bench.scenes import room
+from svrgs_bench.skips import measure_skips
+from svrgs_bench.text import as_text
+from svrgs_bench.trial import Trial
 
 STAGES = ["project", "tiles", "sort", "blend", "mask", "mask_visible", "raster_grads", "parameter_grads", "loss", "adam", "forward", "backward", "step"]
 WORK = {"visible", "pairs", "used_pairs", "blocks", "hit_blocks", "evaluated", "hits", "contributing"}
@@ -37,7 +37,7 @@ def small():
 def all_threads():
     """Measuring changes the size of the pool."""
     yield
-    native.set_threads(0)
+    library.set_threads(0)
 
 
 def ignore(_sentence: str):
@@ -105,7 +105,7 @@ def test_error_of_the_truth_is_zero(small):
 
 
 def test_stages_add_up(small):
-    peaks = peaks_of(native.best_level(), [1])
+    peaks = peaks_of(library.best_level(), [1])
     (case,) = measure(small, peaks, error(small), repeat=5)
     stages = {name: stage["ms"] for name, stage in case["stages"].items()}
     assert stages["forward"] > stages["blend"] and stages["backward"] > stages["raster_grads"]
@@ -117,17 +117,17 @@ def test_stages_add_up(small):
 
 def test_floors_follow_the_peaks(small):
     work, peak = work_counts(Trial(small)), {"fma": 1e11, "read": 1e10, "update": 2e10}
-    level = native.best_level()
+    level = library.best_level()
     floors, faster = (stage_floors(work, small.facts, level, {name: k * rate for name, rate in peak.items()}) for k in (1, 2))
     assert faster == pytest.approx({name: floor / 2 for name, floor in floors.items()})
-    assert LANES.keys() == native.levels().keys()
+    assert LANES.keys() == library.levels().keys()
 
 
 def test_skips_change_no_picture(small):
     entries = {entry["skip"]: entry for entry in measure_skips(small, 1, ignore)}
-    assert entries.keys() == {*native.skips(), "mask", "behind_the_stop", "kept_view", "unused_gradients", "sparse_adam", "sh_bands"}
+    assert entries.keys() == {*library.skips(), "mask", "behind_the_stop", "kept_view", "unused_gradients", "sparse_adam", "sh_bands"}
     assert all(entry["gain"] > 0 and (entry["image_max"] or 0) <= 1e-6 for entry in entries.values())
-    for skip in native.skips():
+    for skip in library.skips():
         on, off = entries[skip]["work_on"], entries[skip]["work_off"]
         assert off["pairs"] + off["blocks"] > on["pairs"] + on["blocks"] and off["contributing"] == on["contributing"]
 
@@ -157,12 +157,12 @@ def test_knobs_chosen_at_run_time_and_their_charts(small, monkeypatch):
     told = []
     entries = knobs.measure_knobs(small, 1, told.append)
     assert "no compiler" in told[0]
-    assert [entry["value"] for entry in entries if entry["knob"] == "simd"] == native.supported_levels()[:-1]
+    assert [entry["value"] for entry in entries if entry["knob"] == "simd"] == library.supported_levels()[:-1]
     assert all(entry["forward_ms"] > 0 and entry["image_mean"] < 1e-2 for entry in entries)
     documents = charts({"knobs": entries})
     assert documents.keys() == {"knob-simd"}
     labels = ET.fromstring(documents["knob-simd"]).findall(".//*[@class='label']")
-    assert f"{native.best_level()} (default)" in [label.text for label in labels]
+    assert f"{library.best_level()} (default)" in [label.text for label in labels]
 
 
 def test_every_knob_has_one_default_and_a_title():
@@ -174,7 +174,7 @@ def test_every_knob_has_one_default_and_a_title():
 
 
 def test_front_keeps_what_nothing_beats():
-    from svrgs_addon.report.point_chart import Point, front
+    from svrgs_addon.prune.report.point_chart import Point, front
 
     points = [Point(1, 5, "a"), Point(2, 6, "beaten"), Point(3, 2, "b"), Point(3, 3, "beaten too")]
     assert [point.label for point in front(points)] == ["a", "b"]

@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svrgs_addon import native
-from svrgs_addon.bench.cores import COUNTS, makespan, measure_cores
-from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.bench.timing import seconds
-from svrgs_addon.native_library import traced
+from svrgs_addon.native import library
+from svrgs_addon.native.library import traced
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.system import processor
+from svrgs_bench.cores import COUNTS, makespan, measure_cores
+from svrgs_bench.scenes import orbit_camera, room
+from svrgs_bench.timing import seconds
 
 
 @pytest.fixture(autouse=True)
 def usual_threads():
     yield
-    native.set_threads(0)
+    library.set_threads(0)
 
 
 def test_a_thread_that_is_free_takes_the_next_task():
@@ -26,22 +27,22 @@ def test_a_thread_that_is_free_takes_the_next_task():
 
 
 def test_each_task_of_one_thread_is_timed():
-    rasterizer, scene, camera = native.Rasterizer(), room(2_000), orbit_camera(160, 120)
-    native.set_threads(1)
+    rasterizer, scene, camera = Rasterizer(), room(2_000), orbit_camera(160, 120)
+    library.set_threads(1)
     took = []
-    jobs = traced(lambda: took.append(seconds(rasterizer.forward, scene, camera, native.RenderOptions())))
+    jobs = traced(lambda: took.append(seconds(rasterizer.forward, scene, camera, RenderOptions())))
     bins = -(-160 // 128) * -(-120 // 128)  # of 16 tiles, each of which is a task, too
     assert len(jobs) >= 4 and any(len(job) == 17 * bins for job in jobs) and all((job >= 0).all() for job in jobs)
     assert 0.2 * took[0] < sum(job.sum() for job in jobs) < took[0]
     assert len(traced(lambda: None)) == 0
-    rasterizer.forward(scene, camera, native.RenderOptions())
-    native.set_threads(2)
-    assert traced(lambda: rasterizer.forward(scene, camera, native.RenderOptions())) == []
+    rasterizer.forward(scene, camera, RenderOptions())
+    library.set_threads(2)
+    assert traced(lambda: rasterizer.forward(scene, camera, RenderOptions())) == []
 
 
 def test_more_threads_are_foreseen_to_be_faster_up_to_the_serial_part():
     found = measure_cores(3, lambda _: None, ((5_000, (320, 192)),))
-    assert [entry["what"] for entry in found["entries"]] == ["picture", "step"] and native.threads() == found["threads"]
+    assert [entry["what"] for entry in found["entries"]] == ["picture", "step"] and library.threads() == found["threads"]
     for entry in found["entries"]:
         speed = [entry["speed_up"][str(count)] for count in COUNTS]
         assert speed[0] == pytest.approx(1, abs=1e-3) and speed == sorted(speed) and 0 < entry["serial"] < 0.9

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svrgs_addon.camera import Camera
-from svrgs_addon.geometry.bounds import clipping, corners, median_depth, robust_box, sphere_around, viewing_distance
+from svrgs_addon.scene.bounds import clipping, corners, median_depth, robust_box, sphere_around, viewing_distance
+from svrgs_addon.scene.camera import Camera
 
 
 def test_outliers_do_not_widen_the_box():

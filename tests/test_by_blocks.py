@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 
 from scenes import ball
-from svrgs_addon import memory
-from svrgs_addon.bench.scenes import room
-from svrgs_addon.decimate.order import hidden, looks
-from svrgs_addon.errors import SceneError
 from svrgs_addon.files import ply
 from svrgs_addon.files.registry import load_scene, read_scene, size_on_disk, write_scene
 from svrgs_addon.files.streamed_sog import read_level
+from svrgs_addon.finetune.decimate.order import hidden, looks
 from svrgs_addon.finetune.saliency import reduced
-from svrgs_addon.jobs import by_blocks, run_job
-from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.large.sample import MOST, finer, refuse_hidden, sample_of
-from svrgs_addon.large.tuning import tune
-from svrgs_addon.metrics.evaluate import render_options
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.photographs.cameras_json import write_cameras_json
-from svrgs_addon.rig import place, place_rig
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune import by_blocks, run_job
+from svrgs_addon.prune.blocks.sample import MOST, finer, refuse_hidden, sample_of
+from svrgs_addon.prune.blocks.tuning import tune
+from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.system import memory
+from svrgs_addon.system.errors import SceneError
+from svrgs_addon.views.cameras_json import write_cameras_json
+from svrgs_addon.views.rig import place, place_rig
+from svrgs_bench.scenes import room
 
 COUNT = 3_000
 
@@ -125,7 +125,7 @@ def test_a_drop_is_held(svrgs, short, source, tmp_path, suffix):
 
 
 def test_a_drop_that_the_format_alone_exceeds_is_refused_before_views_are_scored(svrgs, short, monkeypatch, source, tmp_path):
-    monkeypatch.setattr("svrgs_addon.large.whole.score", lambda *_: pytest.fail("views were scored"))
+    monkeypatch.setattr("svrgs_addon.prune.blocks.whole.score", lambda *_: pytest.fail("views were scored"))
     done = svrgs("prune", source, "--quick", "--max-drop", 1e-4, "--out", tmp_path / "o.spz")
     assert done.status == 2 and "the format alone loses" in done.err and not any(tmp_path.iterdir())
 
@@ -140,7 +140,7 @@ def test_levels_are_files_of_their_own(svrgs, short, source, tmp_path):
 
 
 def test_without_a_number_the_result_is_the_whole_scene(svrgs, short, monkeypatch, source, tmp_path):
-    monkeypatch.setattr("svrgs_addon.large.whole.tune", lambda divided, *_: tuned.append(divided) or tune(divided, *_))
+    monkeypatch.setattr("svrgs_addon.prune.blocks.whole.tune", lambda divided, *_: tuned.append(divided) or tune(divided, *_))
     tuned = []
     result = svrgs("prune", source, "--quick", "--levels", "0.3", "--out", tmp_path / "o.ply", "--json").json
     assert result["count"] == COUNT and result["psnr"] > 60 and result["levels"][0]["count"] == round(0.3 * COUNT) and len(tuned) == 1
@@ -155,7 +155,7 @@ def test_levels_of_a_streamed_sog_are_in_it(svrgs, short, source, tmp_path):
 
 
 def test_a_full_disk_is_told_before_views_are_scored(svrgs, short, monkeypatch, source, tmp_path):
-    monkeypatch.setattr("svrgs_addon.large.whole.score", lambda *_: pytest.fail("views were scored"))
+    monkeypatch.setattr("svrgs_addon.prune.blocks.whole.score", lambda *_: pytest.fail("views were scored"))
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=4 * COUNT * (12 + 3 * 4) * 2))
     done = svrgs("prune", source, "--quick", "--target", 0.9, "--out", tmp_path / "o.ply")
     assert done.status == 2 and "are free; free disk space or choose another folder" in done.err and not any(tmp_path.iterdir())
@@ -215,7 +215,7 @@ def test_cameras_are_placed_for_a_scene_that_is_too_large_too(svrgs, monkeypatch
 
 
 def test_a_sample_covers_about_what_all_gaussians_do(monkeypatch, source):
-    monkeypatch.setattr("svrgs_addon.large.sample.MOST", COUNT // 2)
+    monkeypatch.setattr("svrgs_addon.prune.blocks.sample.MOST", COUNT // 2)
     scene, enlarged = sample_of(source)
     whole = load_scene(source).scene
     assert MOST > COUNT and scene.count == COUNT // 2 and enlarged == pytest.approx((COUNT / scene.count) ** 0.5, rel=0.01)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import scenes
-from svrgs_addon.camera import Camera, evenly
+from svrgs_addon.scene.camera import Camera, evenly
 
 CAMERAS = {name: (scenes.CAMERAS | scenes.ORTHOGRAPHIC)[name] for name in ("rotated", "off_centre", "parallel_rotated", "parallel_off_centre")}
 POINTS = np.random.default_rng(0).normal(0, 0.5, (30, 3))

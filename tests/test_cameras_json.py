@@ -8,10 +8,10 @@ import os
 import numpy as np
 import pytest
 
-from svrgs_addon.camera import Camera
-from svrgs_addon.errors import FormatError
-from svrgs_addon.photographs.cameras_json import load_cameras_json, write_cameras_json
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.system.errors import FormatError
+from svrgs_addon.views.cameras_json import load_cameras_json, write_cameras_json
+from svrgs_addon.views.dataset import load_dataset
 
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")

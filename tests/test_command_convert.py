@@ -13,7 +13,7 @@ from svrgs_addon.cli.main import main
 from svrgs_addon.files import spooled
 from svrgs_addon.files.registry import describe, read_scene, write_scene
 from svrgs_addon.files.streamed_sog import read_level
-from svrgs_addon.geometry.morton_order import morton_order
+from svrgs_addon.scene.morton_order import morton_order
 from test_formats import differences, like_trained
 
 

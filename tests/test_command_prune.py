@@ -19,8 +19,8 @@ from command_checks import MEASURES, TEST_VIEWS, files, refused
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import scores
 from svrgs_addon.finetune.methods import METHODS
-from svrgs_addon.metrics.evaluate import render_options
-from svrgs_addon.native import Rasterizer
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.render.metrics.evaluate import render_options
 
 ROOT = Path(__file__).resolve().parents[1]
 

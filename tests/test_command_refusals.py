@@ -15,8 +15,8 @@ pytest.importorskip("OpenImageIO")
 import tiny_dataset
 from command_checks import files, refused
 from svrgs_addon.files.ply import read_ply, write_ply
-from svrgs_addon.jobs import train_and_prune
-from svrgs_addon.native import Rasterizer
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune import train_and_prune
 
 
 @pytest.fixture

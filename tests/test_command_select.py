@@ -12,10 +12,10 @@ pytest.importorskip("OpenImageIO")
 
 import scenes
 from command_checks import files, refused
-from svrgs_addon import memory
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import read_parts, write_scene
-from svrgs_addon.selection.criteria import sizes
+from svrgs_addon.prune.selection.criteria import sizes
+from svrgs_addon.system import memory
 
 
 @pytest.fixture

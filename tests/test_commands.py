@@ -24,9 +24,9 @@ from svrgs_addon.cli import commands
 from svrgs_addon.files.images import read_image
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import FORMATS, load_scene, size_on_disk
-from svrgs_addon.native import Rasterizer, RenderOptions
-from svrgs_addon.outputs import PICTURES
-from svrgs_addon.photographs.cameras_json import write_cameras_json
+from svrgs_addon.native.outputs import PICTURES
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.views.cameras_json import write_cameras_json
 
 
 def truth_file(tiny, folder: Path) -> Path:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import scenes
-from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.files.images import linear_to_srgb
-from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render.composite import FAR, ON_CATCHER, PASS_OUTPUTS, composite, composite_while, split
 from svrgs_addon.render.meshes import Surface
 from svrgs_addon.render.passes import linear_rgba, overlay_rgba
+from svrgs_bench.scenes import orbit_camera, room
 
 CAMERA = orbit_camera(64, 40)
 

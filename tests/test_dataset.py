@@ -16,10 +16,10 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from row_dataset import HEIGHT, OPENCV, POINTS, WIDTH, make_dataset, only_the_three_files, photo
-from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.images import write_image
-from svrgs_addon.photographs import dataset as dataset_module
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.system.errors import FormatError, SceneError
+from svrgs_addon.views import dataset as dataset_module
+from svrgs_addon.views.dataset import load_dataset
 
 # --- what is read
 

@@ -11,8 +11,8 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from row_dataset import OPENCV, make_dataset, make_model, only_the_three_files
-from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.system.errors import FormatError, SceneError
+from svrgs_addon.views.dataset import load_dataset
 
 
 def test_photographs_are_refused_if_fewer_than_a_third_are_there(tmp_path):

@@ -13,14 +13,15 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from plans import prune_settings
-from svrgs_addon import native
-from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.files.registry import load_scene
 from svrgs_addon.finetune import loop
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.model import Model
-from svrgs_addon.native import GRADS, IMAGES, Rasterizer, RenderOptions
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.native import library
+from svrgs_addon.native.library import GRADS
+from svrgs_addon.native.rasterizer import IMAGES, Rasterizer, RenderOptions
+from svrgs_addon.views.dataset import load_dataset
+from svrgs_bench.scenes import orbit_camera, room
 
 THREADS = (1, 2, 3, 7, 16)
 pytestmark = pytest.mark.usefixtures("default_threads")
@@ -59,7 +60,7 @@ def hundred_steps(tiny, data) -> tuple[str, str]:
 def test_one_hash_for_any_number_of_threads(tiny):
     data, found = load_dataset(tiny.folder), {}
     for threads in THREADS:
-        native.set_threads(threads)
+        library.set_threads(threads)
         found[threads] = (*one_view(), *hundred_steps(tiny, data))
     assert len(set(found.values())) == 1, found
 
@@ -69,9 +70,9 @@ def test_as_many_threads_as_the_process_may_use():
     allowed = os.sched_getaffinity(0)
     try:
         os.sched_setaffinity(0, {min(allowed)})
-        native.set_threads(0)
-        assert native.threads() == 1
+        library.set_threads(0)
+        assert library.threads() == 1
     finally:
         os.sched_setaffinity(0, allowed)
-    native.set_threads(0)
-    assert native.threads() == len(allowed)
+    library.set_threads(0)
+    assert library.threads() == len(allowed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import digests
-from svrgs_addon import native
+from svrgs_addon.native import library
 
 
 @pytest.fixture(scope="module")
@@ -15,12 +15,12 @@ def program(tmp_path_factory):
 
 @pytest.mark.parametrize("level", digests.RECORDED_LEVELS)
 def test_levels_that_are_the_same_everywhere_give_what_is_recorded(program, level):
-    if level not in native.supported_levels():
+    if level not in library.supported_levels():
         pytest.skip(f"this processor has no {level}")
     assert not digests.differences(digests.lines(program, level), digests.recorded(level))
 
 
-@pytest.mark.parametrize("level", [level for level in native.supported_levels() if level not in digests.RECORDED_LEVELS])
+@pytest.mark.parametrize("level", [level for level in library.supported_levels() if level not in digests.RECORDED_LEVELS])
 def test_other_levels_give_the_same_on_one_thread_and_on_three(program, level):
     assert len(digests.lines(program, level)) == len(digests.recorded("scalar"))
 

@@ -14,14 +14,14 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
-from svrgs_addon import memory
-from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.files import disk_space
 from svrgs_addon.files.disk_space import CAN_HOLD, HeldSpace, refuse_shortage
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import loop
-from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.jobs.job_folder import JobFolder
+from svrgs_addon.prune import train_and_prune
+from svrgs_addon.system import memory
+from svrgs_addon.system.errors import Cancelled, SceneError
 from tiny_jobs import SETTINGS, TRAINING
 
 REFUSED = r"o\.ply: needs [\d.]+ [kM]B of disk space for the result and a checkpoint, but only 10\.0 kB are free in .+; free disk space"

@@ -11,8 +11,8 @@ import pytest
 from svrgs_addon.cli.main import main
 from svrgs_addon.files.registry import load_scene
 from svrgs_addon.jobs.photo_sample import read_in_child
-from svrgs_addon.metrics.explained import ENOUGH, explained, fit, mismatch, mismatch_of, sample_views
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.render.metrics.explained import ENOUGH, explained, fit, mismatch, mismatch_of, sample_views
+from svrgs_addon.views.dataset import load_dataset
 from tiny_dataset import write_tiny
 
 

@@ -68,7 +68,7 @@ def data(tiny, tmp_path_factory) -> Path:
     import scenes
     from svrgs_addon.cli.main import main as run_svrgs
     from svrgs_addon.files.images import write_image
-    from svrgs_addon.photographs.colmap import read_model
+    from svrgs_addon.views.colmap import read_model
     from transforms_dataset import write_transforms
 
     folder = tmp_path_factory.mktemp("data")

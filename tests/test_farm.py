@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from svrgs_addon.cli.main import main
-from svrgs_addon.farm import openjd, run_tasks
-from svrgs_addon.farm.farm_job import FarmJob
-from svrgs_addon.farm.run_tasks import dataset_sha256
 from svrgs_addon.files.images import write_image
 from svrgs_addon.files.registry import describe, read_scene, write_scene
+from svrgs_addon.jobs.farm import openjd, run_tasks
+from svrgs_addon.jobs.farm.farm_job import FarmJob
+from svrgs_addon.jobs.farm.run_tasks import dataset_sha256
 
 ROOT = Path(__file__).resolve().parents[1]
-FLAMENCO = ROOT / "svrgs_addon/farm/flamenco/svrgs_prune.js"
+FLAMENCO = ROOT / "svrgs_addon/jobs/farm/flamenco/svrgs_prune.js"
 STEPS = ["--iterations", "40", "--recovery", "20"]
 
 
@@ -168,7 +168,7 @@ def test_a_task_that_is_killed_and_tried_again_ends_with_the_same_bytes(captures
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, capsys):
-    from svrgs_addon.photographs.cameras_json import write_cameras_json
+    from svrgs_addon.views.cameras_json import write_cameras_json
 
     write_cameras_json(tmp_path / "cameras.json", tiny.cameras)
     words = ["--cameras", str(tmp_path / "cameras.json"), "--block", "60", "--target", "0.4", "--out", str(tmp_path / "one.ply")]

@@ -17,11 +17,11 @@ pytest.importorskip("OpenImageIO")
 
 from faults import WRITERS, digest
 from plans import prune_settings
-from svrgs_addon.errors import SceneError, SplatError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import checkpoint, loop
-from svrgs_addon.jobs import train_and_prune
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.prune import train_and_prune
+from svrgs_addon.system.errors import SceneError, SplatError
+from svrgs_addon.views.dataset import load_dataset
 
 resource = pytest.importorskip("resource", reason="this system cannot limit the size of files")
 

@@ -9,8 +9,6 @@ import scenes
 from pictures import EYES, HEIGHT, WIDTH, photographed
 from plans import plan_of
 from short_runs import bits, disturbed, quality, to_the_end
-from svrgs_addon import native
-from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.finetune import loop
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.loop import run_to_end
@@ -18,6 +16,8 @@ from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify, Phase, Rates, recovery_phase
 from svrgs_addon.finetune.torch_engine import TorchEngine
+from svrgs_addon.native import library
+from svrgs_addon.system.errors import Cancelled, SceneError
 
 
 def training(engine=None, dtype=np.float32) -> Run:
@@ -33,9 +33,9 @@ def training(engine=None, dtype=np.float32) -> Run:
 @pytest.fixture
 def thread_count():
     """Sets the size of the pool; the number before comes back afterwards."""
-    before = native.threads()
-    yield native.set_threads
-    native.set_threads(before)
+    before = library.threads()
+    yield library.set_threads
+    library.set_threads(before)
 
 
 def test_a_run_is_the_same_for_any_number_of_threads_and_every_time(thread_count):

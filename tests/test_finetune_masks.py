@@ -9,14 +9,14 @@ import scenes
 from pictures import photographed
 from plans import plan_of
 from short_runs import Puller, bits, logit, quality, to_the_end
-from svrgs_addon import native
-from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import masks
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.model import PARAMETERS, Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify, Phase, Rates, recovery_phase
-from svrgs_addon.scene import Scene
+from svrgs_addon.native.rasterizer import sample_masks
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.system.errors import SceneError
 
 # --- draws and decisions
 
@@ -42,7 +42,7 @@ def test_draws_depend_on_seed_and_step_and_not_on_the_models_precision():
     twice, wide = masks.draw(model, 3, 8)[0], masks.draw(Model({k: v.astype(np.float64) for k, v in model.values.items()}), 3, 8)
     assert (twice == drawn).all() and (wide[0] == drawn).all() and wide[1].dtype == np.float64
     others = [masks.draw(model, 3, 9)[0], masks.draw(model, 4, 8)[0]]
-    others += [native.sample_masks(model.mask_logits, 3, masks._EVENT_STREAM + 8)[0]]
+    others += [sample_masks(model.mask_logits, 3, masks._EVENT_STREAM + 8)[0]]
     assert all(0.3 < (other != drawn).mean() < 0.7 for other in others)
 
 

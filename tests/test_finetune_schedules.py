@@ -8,11 +8,11 @@ import scenes
 from pictures import photographed
 from plans import plan_of, prune_settings, train_settings
 from short_runs import Puller, logit
-from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.plan import Plan
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify, Phase, Rates, recovery_phase
+from svrgs_addon.system.errors import SceneError
 
 
 def small_run(settings: Plan) -> Run:

@@ -14,8 +14,8 @@ from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates
 from svrgs_addon.finetune.views import LEFT_OUT, Views, as_real, fitting_reduction
-from svrgs_addon.metrics import psnr
-from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.render.metrics import psnr
 
 F32 = np.dtype(np.float32)
 

@@ -11,12 +11,12 @@ import pytest
 
 from ksplat_file import ksplat_of
 from scenes import random_scene
-from svrgs_addon.errors import SceneError
 from svrgs_addon.files import compressed_ply, spz
 from svrgs_addon.files.axes import turned_over
 from svrgs_addon.files.registry import FORMATS, describe, file_size, format_to_read, format_to_write, read_scene, write_scene
-from svrgs_addon.geometry.morton_order import morton_order
-from svrgs_addon.scene import Scene
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.scene.morton_order import morton_order
+from svrgs_addon.system.errors import SceneError
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WRITTEN = (".compressed.ply", ".spz", ".splat", ".glb", ".spz.glb", ".sog", ".usdc", ".usda")

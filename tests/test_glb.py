@@ -10,12 +10,12 @@ import struct
 import numpy as np
 import pytest
 
-from svrgs_addon.errors import FormatError, TooMany
 from svrgs_addon.files import glb
 from svrgs_addon.files.axes import turned_around, turned_over
 from svrgs_addon.files.glb_container import Glb
 from svrgs_addon.files.registry import read_scene, write_scene
-from svrgs_addon.geometry.affine import transformed
+from svrgs_addon.scene.affine import transformed
+from svrgs_addon.system.errors import FormatError, TooMany
 from test_formats import differences, judged, like_trained, rotations
 
 SPLAT, DRAFT = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"

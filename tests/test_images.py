@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.images import image_size, library_path, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
+from svrgs_addon.system.errors import FormatError, SceneError
 
 oiio = pytest.importorskip("OpenImageIO")
 

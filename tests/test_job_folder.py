@@ -14,13 +14,13 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from job_checks import ROOT, SHORT, create, follow
-from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.jobs import job_folder as folders
 from svrgs_addon.jobs import job_plot
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
-from svrgs_addon.jobs.options import RECOVERY
+from svrgs_addon.prune.options import RECOVERY
+from svrgs_addon.system.errors import FormatError, SceneError
 
 GOOD = {"schema": 1, "name": "a", "count": 3, "options": {"colmap": "somewhere"}}
 HOSTILE = [

@@ -18,12 +18,12 @@ pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
 from job_checks import LONG, MEDIUM, ROOT, SHORT, at_work, create, follow
-from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.jobs import job_folder as folders
 from svrgs_addon.jobs import job_plot
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
+from svrgs_addon.system.errors import FormatError, SceneError
 
 
 @pytest.fixture(scope="module")

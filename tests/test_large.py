@@ -13,23 +13,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.decimate.order import looks, order_of
-from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.registry import read_scene, write_scene
+from svrgs_addon.finetune.decimate.order import looks, order_of
 from svrgs_addon.finetune.refit import Look, middle_scale, pace_for, refit
 from svrgs_addon.finetune.saliency import reduced
-from svrgs_addon.large.blocks import Divided, divide, scene_of
-from svrgs_addon.large.likeness import Likeness
-from svrgs_addon.large.merging import LEAST, counts, merge, merged, reduce
-from svrgs_addon.large.pruning import write_joined
-from svrgs_addon.large.scoring import UNITS, picture_path, score, total, visibility
-from svrgs_addon.large.tuning import best_share, cut, mixed, tune, tuned_blocks
-from svrgs_addon.large.views import seen
-from svrgs_addon.metrics.evaluate import render_options
-from svrgs_addon.native import VISIBILITY, Rasterizer
-from svrgs_addon.native_library import PARAMETERS
-from svrgs_addon.photographs.cameras_json import write_cameras_json
+from svrgs_addon.native.library import PARAMETERS
+from svrgs_addon.native.rasterizer import VISIBILITY, Rasterizer
+from svrgs_addon.prune.blocks.divided import Divided, divide, scene_of
+from svrgs_addon.prune.blocks.likeness import Likeness
+from svrgs_addon.prune.blocks.merging import LEAST, counts, merge, merged, reduce
+from svrgs_addon.prune.blocks.pruning import write_joined
+from svrgs_addon.prune.blocks.scoring import UNITS, picture_path, score, total, visibility
+from svrgs_addon.prune.blocks.tuning import best_share, cut, mixed, tune, tuned_blocks
+from svrgs_addon.prune.blocks.visible import seen
+from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.system.errors import FormatError, SceneError
+from svrgs_addon.views.cameras_json import write_cameras_json
+from svrgs_bench.scenes import orbit_camera, room
 
 COUNT = 6_000
 FEW = 240
@@ -54,7 +54,7 @@ def small_parts(monkeypatch) -> float:
     """What views blend is found out in small parts of their pictures. The largest alpha T of Gaussians that may be missed there: the last ones of rays that
     end in another part."""
     for name, value in {"PORTION": COUNT // 20, "LEAST": 16, "REACH": 6.0}.items():
-        monkeypatch.setattr(f"svrgs_addon.large.views.{name}", value)
+        monkeypatch.setattr(f"svrgs_addon.prune.blocks.visible.{name}", value)
     return 1e-3
 
 
@@ -148,7 +148,7 @@ def test_so_many_are_left_as_are_wanted_at_one_cost_for_all_blocks(ordered):
 
 
 def test_the_same_gaussians_are_merged_whatever_the_number_of_blocks(source, cameras, tmp_path, monkeypatch):
-    monkeypatch.setattr("svrgs_addon.large.merging.CELL", COUNT // 16)
+    monkeypatch.setattr("svrgs_addon.prune.blocks.merging.CELL", COUNT // 16)
     files = []
     for most in (COUNT, COUNT // 4, COUNT // 16):
         divided, _ = scored(source, tmp_path / str(most), most, 1, cameras)
@@ -166,7 +166,7 @@ def test_orders_of_other_cells_are_refused(source, cameras, tmp_path, monkeypatc
     divided, _ = scored(source, tmp_path, COUNT, 1, cameras)
     reduce(divided, cameras)
     merge(divided, 0)
-    monkeypatch.setattr("svrgs_addon.large.merging.CELL", COUNT // 2)
+    monkeypatch.setattr("svrgs_addon.prune.blocks.merging.CELL", COUNT // 2)
     with pytest.raises(FormatError, match="merge it again"):
         counts(divided, COUNT // 2)
 

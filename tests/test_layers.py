@@ -13,18 +13,14 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("svrgs_addon", "operators", "panels")  # each may import those before it
 # Rooms of svrgs_addon, likewise; "" are the files beside them.
-ROOMS = (
-    "system", "", "geometry", "files", "photographs", "blender", "metrics", "render", "rig", "decimate",
-    "finetune", "selection", "report", "large", "jobs", "farm", "bench", "cli",
-)  # fmt: skip
+ROOMS = ("system", "scene", "native", "files", "views", "render", "finetune", "prune", "jobs", "cli")
 TOP = ("__main__.py", "batch.py")  # of svrgs_addon, above every room
 FILES = [path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))]
 ALL_FILES = [path for folder in (*LAYERS, "tests", "benchmarks", "examples", "tools") for path in sorted((ROOT / folder).rglob("*.py"))]
 NATIVE_FILES = [path for pattern in ("*.h", "*.cc") for path in sorted((ROOT / "native").rglob(pattern))]
 BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "bl_ui"}
 HEAVY = {"torch", "pycolmap", "OpenImageIO", "scipy", "bpy"}
-NATIVE = ("native.py", "native_library.py", "native_pictures.py", "native_decimation.py")
-MAX_FILE, MAX_FUNCTION = 400, 40  # lines
+MAX_FILE, MAX_FUNCTION = 500, 60  # lines
 
 
 def imports(tree: ast.AST, file: Path) -> Iterator[tuple[str, bool]]:
@@ -59,8 +55,7 @@ def label(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("file", FILES, ids=label)
-def test_imports(file):
+def check_imports(file: Path):
     layer = LAYERS.index(file.relative_to(ROOT).parts[0])
     tree = ast.parse(file.read_text())
     for module, relative in imports(tree, file):
@@ -68,12 +63,22 @@ def test_imports(file):
         assert layer > 0 or top not in BLENDER, f"only operators and panels may import {top}"
         assert relative or top not in LAYERS, f"{module} must be imported relatively: the extension's package has another name"
         assert top not in LAYERS[layer + 1 :], f"{module} is above"
-        assert top != "ctypes" or file.name in NATIVE or file.parent.name == "system", f"only {', '.join(NATIVE)} call the native library"
+        assert top != "ctypes" or file.parent.name in ("native", "system"), "only svrgs_addon/native/ calls the native library"
         assert layer < 2 or not relative or module.startswith("panels"), "panels know operators and properties by name"
         assert layer == 0 or top != "numpy" or file.name.startswith("bridge"), "only bridge*.py turn Blender's data into arrays"
     if layer == 0 and file.name != "torch_engine.py":
         heavy = {module.split(".")[0] for module, _ in imports(at_top(tree), file)} & HEAVY
         assert not heavy, f"{heavy} must be imported inside functions"
+
+
+def test_imports():
+    broken = {}
+    for file in FILES:
+        try:
+            check_imports(file)
+        except AssertionError as error:
+            broken[label(file)] = str(error).splitlines()[0]
+    assert not broken
 
 
 def test_the_import_reader_sees_every_form():
@@ -116,17 +121,16 @@ def circles(graph: dict[str, set[str]]) -> list[str]:
 def room_of(file: Path) -> int:
     """Its place in ROOMS; a file of TOP stands above them all."""
     parts = file.relative_to(ROOT / "svrgs_addon").parts
-    return len(ROOMS) if parts[0] in TOP else ROOMS.index(parts[0] if len(parts) > 1 else "")
+    return len(ROOMS) if parts[0] in TOP else ROOMS.index(parts[0]) if len(parts) > 1 else -1
 
 
 GRAPH = import_graph(FILES)
 ROOM_FILES = {module_of(file): file for file in FILES if file.is_relative_to(ROOT / "svrgs_addon")}
 
 
-@pytest.mark.parametrize("module", ROOM_FILES)
-def test_rooms_import_no_room_above(module):
-    above = [found for found in GRAPH[module] if room_of(ROOM_FILES[found]) > room_of(ROOM_FILES[module])]
-    assert not above, f"{module} is below {above}"
+def test_rooms_import_no_room_above():
+    above = {module: [found for found in GRAPH[module] if room_of(ROOM_FILES[found]) > room_of(file)] for module, file in ROOM_FILES.items()}
+    assert not {module: found for module, found in above.items() if found}
 
 
 @pytest.mark.parametrize("layer", LAYERS)
@@ -144,14 +148,16 @@ def test_a_circle_would_be_found():
 # --- sizes
 
 
-@pytest.mark.parametrize("file", [*ALL_FILES, *NATIVE_FILES], ids=label)
-def test_files_and_functions_are_short(file):
-    text = file.read_text()
-    lines = text.count("\n")
-    assert lines <= MAX_FILE, "split it: it holds more than one concern"
-    functions = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)) if file.suffix == ".py" else ()
-    long = {node.name: node.end_lineno - node.lineno + 1 for node in functions if node.end_lineno - node.lineno + 1 > MAX_FUNCTION}
-    assert not long, "functions of more than 40 lines"
+def test_files_and_functions_are_short():
+    """A function is as long as its one thought. These limits are far above that."""
+    long = {}
+    for file in [*ALL_FILES, *NATIVE_FILES]:
+        text = file.read_text()
+        long[label(file)] = text.count("\n") - MAX_FILE
+        for node in ast.walk(ast.parse(text)) if file.suffix == ".py" else ():
+            if isinstance(node, ast.FunctionDef):
+                long[f"{label(file)}: {node.name}"] = node.end_lineno - node.lineno + 1 - MAX_FUNCTION
+    assert not {name: lines for name, lines in long.items() if lines > 0}, "lines above the limit"
 
 
 # --- what is loaded
@@ -172,4 +178,4 @@ def test_importing_the_package_loads_nothing_heavy():
 def test_info_loads_nothing_heavy(tiny):
     loaded = loaded_after("import sys\nfrom svrgs_addon.cli.main import main\nassert main(sys.argv[1:]) == 0", "info", str(tiny.splat))
     assert "numpy" in loaded and not loaded & HEAVY
-    assert not {f"svrgs_addon.{name}" for name in ("native", "finetune", "photographs", "render", "jobs.run_job")} & loaded
+    assert not {f"svrgs_addon.{name}" for name in ("native.rasterizer", "finetune", "views", "render", "prune.run_job")} & loaded

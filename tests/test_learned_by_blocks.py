@@ -15,25 +15,25 @@ import room_dataset
 from block_checks import ready
 from job_checks import create
 from plans import prune_settings
-from svrgs_addon.errors import FormatError, MemoryShort, SceneError
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.finetune.model import PARAMETERS, Model
 from svrgs_addon.finetune.plan import Plan
 from svrgs_addon.finetune.run import Run
-from svrgs_addon.jobs import run_job
 from svrgs_addon.jobs.job_recorder import PruneRecorder
-from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.large.blocks import Divided, divide, gathered, scene_of
-from svrgs_addon.large.learning import decide, recover, targets
-from svrgs_addon.large.likeness import PhotographLikeness
-from svrgs_addon.large.request import FILE, Request, methods
-from svrgs_addon.large.tuning import CUT, TUNED
-from svrgs_addon.metrics.evaluate import evaluate
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.photographs.dataset import Dataset, load_dataset
-from svrgs_addon.scene import Scene
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune import run_job
+from svrgs_addon.prune.blocks.divided import Divided, divide, gathered, scene_of
+from svrgs_addon.prune.blocks.learning import decide, recover, targets
+from svrgs_addon.prune.blocks.likeness import PhotographLikeness
+from svrgs_addon.prune.blocks.request import FILE, Request, methods
+from svrgs_addon.prune.blocks.tuning import CUT, TUNED
+from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.render.metrics.evaluate import evaluate
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.system.errors import FormatError, MemoryShort, SceneError
+from svrgs_addon.views.dataset import Dataset, load_dataset
 from tiny_dataset import COUNT, FAINT
 
 STEPS = ("--iterations", 40, "--recovery", 20)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import scenes
-from svrgs_addon.blender.lens import Lens, camera_of_projection, depth_of_projection, intrinsics, lens_of, step_back
+from svrgs_addon.views.lens import Lens, camera_of_projection, depth_of_projection, intrinsics, lens_of, step_back
 
 
 @pytest.mark.parametrize("camera", scenes.CAMERAS.values(), ids=scenes.CAMERAS)

@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from svrgs_addon.errors import Cancelled
 from svrgs_addon.render.live_view import COARSE, LiveView
+from svrgs_addon.system.errors import Cancelled
 
 
 class Painter:

@@ -12,7 +12,6 @@ import scenes
 from pictures import photographed
 from plans import train_settings
 from short_runs import bits, disturbed, logit, to_the_end
-from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import checkpoint, mcmc
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.model import MASK, Model
@@ -20,9 +19,10 @@ from svrgs_addon.finetune.penalties import MeanOpacity, MeanScale
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import MCMC, Densify
 from svrgs_addon.finetune.torch_engine import TorchEngine
-from svrgs_addon.geometry.rotations import rotated, rotation_matrices
-from svrgs_addon.jobs.options import TrainOptions
-from svrgs_addon.jobs.run_job import plan_of_training
+from svrgs_addon.prune.options import TrainOptions
+from svrgs_addon.prune.run_job import plan_of_training
+from svrgs_addon.scene.rotations import rotated, rotation_matrices
+from svrgs_addon.system.errors import SceneError
 
 RULE = MCMC(cap=10_000)
 

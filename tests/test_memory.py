@@ -15,17 +15,17 @@ pytest.importorskip("OpenImageIO")
 import scenes
 import tiny_dataset
 from plans import plan_of
-from svrgs_addon import memory, packages
-from svrgs_addon.bench.scenes import room
 from svrgs_addon.cli import commands
-from svrgs_addon.errors import Cancelled, NativeError, SceneError, TooMany
 from svrgs_addon.files import ply
 from svrgs_addon.files.ply import write_ply
 from svrgs_addon.files.registry import load_parts, load_scene, write_scene
 from svrgs_addon.finetune.settings import Densify, Phase, Rates
-from svrgs_addon.jobs import train_and_prune
-from svrgs_addon.photographs.dataset import Dataset, load_dataset
-from svrgs_addon.system import memory as readings
+from svrgs_addon.prune import train_and_prune
+from svrgs_addon.system import memory, packages
+from svrgs_addon.system import memory_limits as readings
+from svrgs_addon.system.errors import Cancelled, NativeError, SceneError, TooMany
+from svrgs_addon.views.dataset import Dataset, load_dataset
+from svrgs_bench.scenes import room
 
 FEW, MANY = 300_000, 1_000_000  # Gaussians: parts, and copies of theirs, need the same in both
 REFUSED = r"needs about [\d.]+ [kMG]B of memory, but only [\d.]+ [kMG]B are available"
@@ -162,7 +162,7 @@ def test_lack_of_memory_in_the_middle_is_one_sentence(svrgs, tiny, monkeypatch, 
     def fail(*_):
         raise error
 
-    monkeypatch.setattr("svrgs_addon.large.opened.load_scene", fail)
+    monkeypatch.setattr("svrgs_addon.prune.blocks.block_rasterizer.load_scene", fail)
     done = svrgs("eval", tiny.splat, "--colmap", tiny.folder)
     assert done.status == 1 and done.err.startswith(f"svrgs: {sentence}") and done.err.count("\n") == 1, done.err
 
@@ -184,7 +184,7 @@ def test_sizes_have_sensible_units(value, text):
 def test_a_childs_peak_is_its_own():
     """However much the process holds that starts it."""
     held = np.ones(150_000_000, np.uint8)
-    code = "import numpy as np; from svrgs_addon.system.memory import peak; array = np.ones(20_000_000, np.uint8); del array; print(peak())"
+    code = "import numpy as np; from svrgs_addon.system.memory_limits import peak; array = np.ones(20_000_000, np.uint8); del array; print(peak())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 20_000_000 < int(done.stdout) < 100_000_000 < held.nbytes
 
@@ -192,7 +192,7 @@ def test_a_childs_peak_is_its_own():
 PARTS = """
 import sys
 from svrgs_addon.files.registry import load_parts
-from svrgs_addon.system.memory import peak
+from svrgs_addon.system.memory_limits import peak
 assert sum(part.count for part in load_parts(sys.argv[1]))
 print(peak())
 """
@@ -232,7 +232,7 @@ def test_files_with_more_gaussians_than_are_read_as_a_whole_are_converted(svrgs,
 METRICS = """
 import numpy as np
 from svrgs_addon import metrics, native
-from svrgs_addon.system.memory import peak, proc_bytes
+from svrgs_addon.system.memory_limits import peak, proc_bytes
 native.set_threads(2)
 a, b = np.random.default_rng(0).random((2, 1500, 2000, 3), np.float32)
 start = proc_bytes("self/status", "VmRSS")
@@ -294,13 +294,13 @@ GROWTH = """
 import sys
 import numpy as np
 from svrgs_addon import memory, native
-from svrgs_addon.bench.cases import Case
-from svrgs_addon.bench.scenes import orbit_camera
-from svrgs_addon.bench.trial import Trial
+from svrgs_bench.cases import Case
+from svrgs_bench.scenes import orbit_camera
+from svrgs_bench.trial import Trial
 from svrgs_addon.finetune import densify
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.files.registry import load_scene
-from svrgs_addon.system.memory import peak, proc_bytes
+from svrgs_addon.system.memory_limits import peak, proc_bytes
 camera, start = orbit_camera(640, 480), peak()
 scene = load_scene(sys.argv[1]).scene
 read = peak() - start

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from plain_triangles import plain_triangles
-from svrgs_addon import native
-from svrgs_addon.camera import Camera
-from svrgs_addon.errors import NativeError
 from svrgs_addon.files.images import linear_to_srgb, srgb_to_linear
+from svrgs_addon.native import library
 from svrgs_addon.render.meshes import AMBIENT, LIGHT, Surface, Triangles, surface
 from svrgs_addon.render.textures import LARGEST, texture
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.system.errors import NativeError
 
 SIMPLE = Camera(np.eye(4), np.array([[50.0, 0, 32], [0, 50, 20], [0, 0, 1]]), 64, 40)
 PARALLEL = replace(SIMPLE, K=np.array([[12.0, 0, 32], [0, 12, 20], [0, 0, 1]]), orthographic=True)
@@ -152,13 +152,13 @@ def test_what_is_behind_the_camera_or_not_finite_is_not_seen():
 def test_pictures_do_not_depend_on_the_number_of_threads():
     rng = np.random.default_rng(5)
     mesh = plain_triangles(rng.uniform((-3, -2, 1), (3, 2, 6), (300, 1, 3)) + rng.normal(0, 0.3, (300, 3, 3)), rng.random((300, 3)))
-    camera, before, found = replace(SIMPLE, width=640, height=400, K=np.diag([10, 10, 1]) @ SIMPLE.K), native.threads(), []
+    camera, before, found = replace(SIMPLE, width=640, height=400, K=np.diag([10, 10, 1]) @ SIMPLE.K), library.threads(), []
     try:
         for threads in (1, 2, 5):
-            native.set_threads(threads)
+            library.set_threads(threads)
             found.append(surface(mesh, camera))
     finally:
-        native.set_threads(before)
+        library.set_threads(before)
     for other in found[1:]:
         for name in ("depth", "rgba", "share"):
             np.testing.assert_array_equal(getattr(other, name), getattr(found[0], name))

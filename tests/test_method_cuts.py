@@ -22,7 +22,7 @@ from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
 from svrgs_addon.finetune.penalties import EffectiveRank
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
-from svrgs_addon.native import RenderOptions
+from svrgs_addon.native.rasterizer import RenderOptions
 from weights_of_pixels import expected_dominance, expected_slopes, weights
 
 CAMERAS = [scenes.camera(29, 23), scenes.camera(31, 21, eye=(1.5, -1.0, -3.5), roll=20)]  # too small to be reduced

@@ -20,8 +20,8 @@ from svrgs_addon.finetune.methods import METHODS, lightgaussian, method_named
 from svrgs_addon.finetune.model import PARAMETERS, Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
-from svrgs_addon.native import RenderOptions
-from svrgs_addon.scene import Scene
+from svrgs_addon.native.rasterizer import RenderOptions
+from svrgs_addon.scene.gaussians import Scene
 
 BACKGROUND = (0.2, 0.5, 0.9)
 

@@ -11,7 +11,6 @@ import scenes
 from pictures import photographed
 from plans import LEARNED, RANKED, prune_settings, train_settings
 from short_runs import bits, disturbed, to_the_end
-from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import checkpoint
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import FORMER_NAMES, METHODS, method_named, paper_method
@@ -19,6 +18,7 @@ from svrgs_addon.finetune.model import MASK, Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.finetune.torch_engine import TorchEngine
+from svrgs_addon.system.errors import SceneError
 
 FAMILIES = tuple({type(METHODS[name]): name for name in (*METHODS, "svr", "maskgs-alpha")}.values())  # one of each class
 

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.metrics import flip, flip_map, load_lpips, psnr, ssim
+from svrgs_addon.render.metrics import flip, flip_map, load_lpips, psnr, ssim
+from svrgs_addon.system.errors import FormatError, SceneError
 
 METRICS = (psnr, ssim, flip)
 
@@ -259,5 +259,5 @@ def test_lpips_never_runs_code_from_a_file(tmp_path):
 
 def test_importing_the_metrics_loads_numpy_only():
     heavy = "{'torch', 'scipy', 'OpenImageIO', 'bpy'}"
-    code = f"import sys, svrgs_addon.metrics, svrgs_addon.report; sys.exit(bool({heavy} & set(sys.modules)))"
+    code = f"import sys, svrgs_addon.render.metrics, svrgs_addon.prune.report; sys.exit(bool({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -14,12 +14,12 @@ pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
 from job_checks import ROOT, SHORT, create, follow
-from svrgs_addon.errors import Cancelled, FormatError
-from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.jobs.job_process import Job
-from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.system.errors import Cancelled, FormatError
+from svrgs_addon.views.dataset import load_dataset
 from tiny_jobs import SETTINGS, checkpoints, prune
 
 MISSING = ("01.png", "05.png", "08.png")  # the last is a test view

@@ -14,7 +14,7 @@ from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.model import PARAMETERS, Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify, Phase, Rates, recovery_phase
-from svrgs_addon.geometry.morton_order import BITS, morton_codes, morton_order, spread_bits
+from svrgs_addon.scene.morton_order import BITS, morton_codes, morton_order, spread_bits
 
 
 def cloud(n: int = 5_000, outliers: int = 0) -> np.ndarray:

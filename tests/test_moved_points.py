@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import scenes
-from svrgs_addon.geometry.affine import transformed
-from svrgs_addon.geometry.moved_points import common_motion, follow_points, moved_parts
+from svrgs_addon.scene.affine import transformed
+from svrgs_addon.scene.moved_points import common_motion, follow_points, moved_parts
 
 
 def similarity(seed: int, mirror: bool = False) -> np.ndarray:

@@ -10,7 +10,7 @@ import torch
 import scenes
 from native_helpers import ARRAYS, BACKGROUND, FLOAT_IMAGES, FLOAT_LEVELS, IMAGES, LEVELS, backward, image_weights, relative_l2, render
 from reference import rasterize as ref
-from svrgs_addon.native import COUNTS
+from svrgs_addon.native.rasterizer import COUNTS
 
 KINDS = ("svr", "self", "a", "b")
 SIZES = {  # around tile edges, and many tiles in a row

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from native_helpers import FLOAT_LEVELS, LEVELS, rasterizer
-from svrgs_addon import native
-from svrgs_addon.errors import NativeError
 from svrgs_addon.finetune.moments import packed, unpacked, zero_moments
+from svrgs_addon.native import library
+from svrgs_addon.system.errors import NativeError
 
 pytestmark = pytest.mark.usefixtures("default_threads")
 
@@ -162,12 +162,12 @@ def test_adam_refuses_rows_outside_the_array_or_out_of_order(ids):
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
 def test_adam_has_the_same_bits_for_any_number_of_threads(share):
-    r = rasterizer(native.best_level())
+    r = rasterizer(library.best_level())
     start, grads = steps_of(20_000, 3, r.dtype, steps=2)
     ids = np.flatnonzero(np.random.default_rng(2).random(20_000) < share).astype(np.uint32)
     results = set()
     for threads in (1, 2, 3, 7, 16):
-        native.set_threads(threads)
+        library.set_threads(threads)
         arrays = [start.copy(), zero_moments(start)]
         for step, grad in enumerate(grads, 1):
             r.adam(*arrays, np.ascontiguousarray(grad[ids]), None if share == 1 else ids, lr=0.02, step=step)

@@ -8,10 +8,10 @@ import pytest
 
 import scenes
 from native_helpers import IMAGES, LEVELS, frontal, isotropic, rasterizer, render, typed
-from svrgs_addon import native
-from svrgs_addon.camera import Camera
-from svrgs_addon.errors import NativeError
-from svrgs_addon.native import Rasterizer, RenderOptions, sample_masks
+from svrgs_addon.native import library
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions, sample_masks
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.system.errors import NativeError
 
 # --- sizes
 
@@ -251,4 +251,4 @@ def test_sh_of_no_degree_is_refused():
 
 
 def test_interface_version_is_that_of_the_library():
-    assert native._library().svrgs_interface_version() == native.INTERFACE_VERSION
+    assert library.library().svrgs_interface_version() == library.INTERFACE_VERSION

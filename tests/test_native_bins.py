@@ -10,9 +10,10 @@ import pytest
 
 import scenes
 from native_helpers import LEVELS, backward, image_weights, rasterizer, relative_l2, render
-from svrgs_addon import native
-from svrgs_addon.native_library import traced
-from svrgs_addon.scene import Scene
+from svrgs_addon.native import library
+from svrgs_addon.native.library import traced
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.scene.gaussians import Scene
 
 WIDTH, HEIGHT, PART = 413, 301, 120  # a bin has 128 pixels; the image ends within a tile
 WHOLE = scenes.parallel(scenes.camera(WIDTH, HEIGHT, fov=60))  # in perspective, the shape of large Gaussians is limited at the borders of a picture
@@ -51,14 +52,14 @@ def scene(request) -> Scene:
 
 
 def test_a_crowded_picture_of_one_bin_has_a_list_for_each_tile():
-    rasterizer, scene, by_tile = native.Rasterizer(), crowded(), []
-    native.set_threads(1)
+    rasterizer, scene, by_tile = Rasterizer(), crowded(), []
+    library.set_threads(1)
     for camera in (WHOLE, *(part for _, part in parts_of(WHOLE))):
-        jobs = traced(lambda: rasterizer.forward(scene, camera, native.RenderOptions()))  # noqa: B023
+        jobs = traced(lambda: rasterizer.forward(scene, camera, RenderOptions()))  # noqa: B023
         bins, tiles = -(-camera.width // 128) * -(-camera.height // 128), -(-camera.width // 32) * -(-camera.height // 32)
         by_tile.append(rasterizer.work()["pairs"] > ONE_BIN * bins**2)
         assert len(jobs[-1]) == (2 * tiles if by_tile[-1] else 17 * bins)  # a list, and its tile or tiles
-    native.set_threads(0)
+    library.set_threads(0)
     assert not by_tile[0] and any(by_tile) and not all(by_tile[1:])
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from native_helpers import FLOAT_LEVELS
-from svrgs_addon import native
-from svrgs_addon.camera import Camera
-from svrgs_addon.errors import Cancelled, NativeError
-from svrgs_addon.native import VISIBILITY, Rasterizer, RenderOptions
-from svrgs_addon.native_decimation import REMOVED, decimate
-from svrgs_addon.scene import Scene
+from svrgs_addon.native import library
+from svrgs_addon.native.decimation import REMOVED, decimate
+from svrgs_addon.native.rasterizer import VISIBILITY, Rasterizer, RenderOptions
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.system.errors import Cancelled, NativeError
 
 COUNT = 600
 
@@ -96,9 +96,9 @@ def test_an_order_leaves_each_row_in_one_place():
 def test_the_bits_do_not_depend_on_the_number_of_threads():
     scene, found = cloud(3_000), []
     for threads in (1, 2, 5):
-        native.set_threads(threads)
+        library.set_threads(threads)
         found.append(ordered(scene, 200))
-    native.set_threads(0)
+    library.set_threads(0)
     for other in found[1:]:
         assert (found[0].a == other.a).all() and (found[0].b == other.b).all() and (found[0].costs == other.costs).all()
         assert all((found[0].results[name] == other.results[name]).all() for name in other.results)

@@ -8,7 +8,7 @@ import pytest
 import scenes
 from native_helpers import LEVELS, frontal, isotropic, rasterizer, render
 from reference import rasterize as reference
-from svrgs_addon import native
+from svrgs_addon.native import library
 from weights_of_pixels import expected_dominance, expected_slopes, parts
 
 COUNT = 40
@@ -50,7 +50,7 @@ def test_sums_do_not_depend_on_the_number_of_threads(level):
     scene, found = scenes.random_scene(300, 6, 1, scale=0.3), set()
     camera = scenes.camera(150, 130)
     for threads in (1, 2, 3):
-        native.set_threads(threads)
+        library.set_threads(threads)
         render(level, scene, camera, None, ("rgb",))
         sums = np.zeros(300), np.zeros(300)
         rasterizer(level).add_slopes(sums[0])

@@ -5,9 +5,9 @@ import pytest
 
 from native_helpers import FLOAT_LEVELS, LEVELS
 from reference import flip as reference
-from svrgs_addon import native
-from svrgs_addon.errors import NativeError
-from svrgs_addon.native_pictures import flip_errors
+from svrgs_addon.native import library
+from svrgs_addon.native.pictures import flip_errors
+from svrgs_addon.system.errors import NativeError
 
 pytestmark = pytest.mark.usefixtures("default_threads")
 
@@ -67,12 +67,12 @@ def test_flip_does_not_depend_on_threads():
     a, b = image_pair(95, 300)
     found = []
     for threads in (1, 3, 7):
-        native.set_threads(threads)
-        found.append(native_flip(native.best_level(), a, b))
+        library.set_threads(threads)
+        found.append(native_flip(library.best_level(), a, b))
     assert (found[0] == found[1]).all() and (found[0] == found[2]).all()
 
 
 @pytest.mark.parametrize("ppd", [0.0, 0.9, -1.0, 401.0, np.nan])
 def test_other_viewers_are_refused(ppd):
     with pytest.raises(NativeError, match="pixels per degree"):
-        native_flip(native.best_level(), *image_pair(8, 8), ppd)
+        native_flip(library.best_level(), *image_pair(8, 8), ppd)

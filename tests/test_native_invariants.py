@@ -21,8 +21,8 @@ from native_helpers import (
     rasterizer,
     render,
 )
-from svrgs_addon import native
-from svrgs_addon.scene import Scene
+from svrgs_addon.native import library
+from svrgs_addon.scene.gaussians import Scene
 
 
 def joined(*parts: Scene) -> Scene:
@@ -98,7 +98,7 @@ def test_culled_gaussians_change_no_bit(level):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("kind", native.mask_kinds())
+@pytest.mark.parametrize("kind", library.mask_kinds())
 def test_nothing_to_draw_is_the_background(level, kind):
     behind, faint = scenes.random_scene(30, 1, 1), scenes.random_scene(30, 2, 1)
     behind.means[:, 2] = -10

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from reference import rasterize as ref
-from svrgs_addon import native
-from svrgs_addon.outputs import OUTPUTS
+from svrgs_addon.native import library
+from svrgs_addon.native.outputs import OUTPUTS
 
 HEADER = (Path(__file__).parents[1] / "native" / "include" / "svrgs.h").read_text()
 
@@ -28,7 +28,7 @@ def enum(name: str) -> list[str]:
 
 
 def test_thresholds_are_those_of_the_reference():
-    found = native.thresholds()
+    found = library.thresholds()
     expected = {
         "near": ref.NEAR,
         "blur": ref.BLUR,
@@ -47,16 +47,16 @@ def test_names_are_those_of_the_enums():
     def of(names, prefix: str) -> list[str]:
         return [f"{prefix}_{name.upper()}" for name in names]
 
-    assert of(native.mask_kinds(), "SVRGS_MASK") == enum("svrgs_mask_kind")[:-1]
-    assert of(native.stages(), "SVRGS") == enum("svrgs_stage")[:-1]
-    assert of(native.skips(), "SVRGS") == enum("svrgs_skip")[:-1]
-    assert [name.replace("DOUBLE", "FLOAT64") for name in enum("svrgs_level")[:-1]] == of(native.levels(), "SVRGS")
-    assert list(native.skips().values()) == [1, 2, 4, 8]
+    assert of(library.mask_kinds(), "SVRGS_MASK") == enum("svrgs_mask_kind")[:-1]
+    assert of(library.stages(), "SVRGS") == enum("svrgs_stage")[:-1]
+    assert of(library.skips(), "SVRGS") == enum("svrgs_skip")[:-1]
+    assert [name.replace("DOUBLE", "FLOAT64") for name in enum("svrgs_level")[:-1]] == of(library.levels(), "SVRGS")
+    assert list(library.skips().values()) == [1, 2, 4, 8]
 
 
 @pytest.mark.parametrize("index", [-1, 1000])
 def test_there_is_no_name_outside_an_enum(index):
-    ask = native._library().svrgs_name
+    ask = library.library().svrgs_name
     assert [ask(names, index) for names in (0, 1, 2, 3)] == [None] * 4
     assert ask(4, 0) is None and ask(-1, 0) is None
 

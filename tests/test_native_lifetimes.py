@@ -10,7 +10,7 @@ import pytest
 
 import scenes
 from native_helpers import frontal, typed
-from svrgs_addon.native import Rasterizer
+from svrgs_addon.native.rasterizer import Rasterizer
 
 
 def test_a_thousand_renderers_come_and_go():
@@ -23,19 +23,19 @@ def test_a_thousand_renderers_come_and_go():
 
 COMING_AND_GOING = """
 import _ctypes, gc, hashlib, os, sys
-from svrgs_addon.bench.scenes import orbit_camera, room
+from svrgs_bench.scenes import orbit_camera, room
 scene, camera, found = room(500, 1), orbit_camera(64, 48), set()
 before = len(os.listdir("/proc/self/task")) if os.path.exists("/proc/self/task") else 0
 for _ in range(20):
-    from svrgs_addon import native
-    native.set_threads(3)
-    found.add(hashlib.sha256(native.Rasterizer().forward(scene, camera)["rgb"]).hexdigest())
-    native.set_threads(1)
+    from svrgs_addon.native import library, rasterizer
+    library.set_threads(3)
+    found.add(hashlib.sha256(rasterizer.Rasterizer().forward(scene, camera)["rgb"]).hexdigest())
+    library.set_threads(1)
     gc.collect()
-    handle = native._library()._handle
-    del native
-    for name in ("native", "native_library"):
-        del sys.modules["svrgs_addon"].__dict__[name], sys.modules[f"svrgs_addon.{name}"]
+    handle = library.library()._handle
+    del library, rasterizer
+    for name in ("library", "rasterizer"):
+        del sys.modules["svrgs_addon.native"].__dict__[name], sys.modules[f"svrgs_addon.native.{name}"]
     _ctypes.dlclose(handle)
 assert not before or len(os.listdir("/proc/self/task")) == before, "threads are left"
 print(len(found))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from native_helpers import LEVELS
-from svrgs_addon import native
 from svrgs_addon.files.images import srgb_to_linear
-from svrgs_addon.native_pictures import linear_colours
+from svrgs_addon.native import library
+from svrgs_addon.native.pictures import linear_colours
 
 SRGB = np.eye(3)
 WIDE = np.array([[0.627, 0.069, 0.016], [0.329, 0.920, 0.088], [0.043, 0.011, 0.896]])  # about that of Rec. 2020
@@ -60,9 +60,9 @@ def test_the_number_of_threads_changes_no_bit():
     rgb, alpha = drawn(90, 101, np.float32)
     found = []
     for threads in (1, 2, 7):
-        native.set_threads(threads)
+        library.set_threads(threads)
         found.append(linear_colours(rgb, alpha, WIDE).tobytes())
-    native.set_threads(0)
+    library.set_threads(0)
     assert found[0] == found[1] == found[2]
 
 

@@ -6,8 +6,8 @@ import torch
 
 from native_helpers import FLOAT_LEVELS, LEVELS, rasterizer, relative_l2
 from reference import loss as ref_loss
-from svrgs_addon import native
-from svrgs_addon.errors import NativeError
+from svrgs_addon.native import library
+from svrgs_addon.system.errors import NativeError
 
 pytestmark = pytest.mark.usefixtures("default_threads")
 
@@ -97,12 +97,12 @@ def test_loss_values_do_not_depend_on_the_gradient_being_wanted(level):
     assert with_grad[:2] == without[:2] and without[2] is None
 
 
-@pytest.mark.parametrize("level", [native.best_level(), "float64"])
+@pytest.mark.parametrize("level", [library.best_level(), "float64"])
 def test_loss_has_the_same_bits_for_any_number_of_threads(level):
     image, target = image_pair(190, 330)
     results = []
     for threads in (1, 2, 3, 7, 16):
-        native.set_threads(threads)
+        library.set_threads(threads)
         l1, ssim, grad = native_loss(level, image, target)
         results.append((l1, ssim, grad.tobytes()))
     assert len(set(results)) == 1
@@ -120,10 +120,10 @@ def test_mask_loss_is_the_mean_square_of_f(size, level):
 
 
 def test_mask_loss_does_not_depend_on_the_number_of_threads_and_refuses_an_empty_mask():
-    r, F = rasterizer(native.best_level()), np.random.default_rng(2).random((300, 171), np.float32)
+    r, F = rasterizer(library.best_level()), np.random.default_rng(2).random((300, 171), np.float32)
     found = []
     for threads in (1, 2, 5):
-        native.set_threads(threads)
+        library.set_threads(threads)
         value, grad = r.mask_loss(F, 0.1)
         found.append((value, grad.tobytes()))
     assert len(set(found)) == 1

@@ -7,8 +7,9 @@ import pytest
 
 import scenes
 from native_helpers import IMAGES, LEVELS, assert_same_bits, backward, image_weights, rasterizer, render
-from svrgs_addon import native
-from svrgs_addon.errors import NativeError
+from svrgs_addon.native import library
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.system.errors import NativeError
 
 CAMERA = scenes.camera(61, 43)
 
@@ -23,7 +24,7 @@ def masks(scene):
 
 
 @pytest.mark.parametrize("full", [True, False])
-@pytest.mark.parametrize("skip", native.skips())
+@pytest.mark.parametrize("skip", library.skips())
 @pytest.mark.parametrize("level", LEVELS)
 def test_a_skip_changes_no_image_and_no_gradient(scene, level, skip, full):
     results = []
@@ -60,17 +61,17 @@ def test_skips_save_work(scene):
 
 def test_counting_needs_a_view():
     with pytest.raises(NativeError, match="svrgs_forward"):
-        native.Rasterizer("scalar").work(count_pixels=True)
+        Rasterizer("scalar").work(count_pixels=True)
 
 
 def test_stages_take_time(scene):
     render("scalar", scene, CAMERA)
     backward("scalar", image_weights(CAMERA), scene.count)
     seconds = rasterizer("scalar").stage_seconds()
-    assert tuple(seconds) == native.stages()
-    assert all(0 < seconds[name] < 10 for name in native.stages() if name not in ("loss", "adam"))
+    assert tuple(seconds) == library.stages()
+    assert all(0 < seconds[name] < 10 for name in library.stages() if name not in ("loss", "adam"))
 
 
 def test_peaks_are_those_of_a_computer():
-    peaks = native.peaks(native.best_level())
+    peaks = library.peaks(library.best_level())
     assert 1e8 < peaks["fma"] < 1e14 and 1e7 < peaks["read"] < 1e13 and 1e7 < peaks["update"] < 1e13

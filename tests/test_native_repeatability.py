@@ -17,9 +17,10 @@ from native_helpers import (
     scattered,
     typed,
 )
-from svrgs_addon import native
-from svrgs_addon.errors import NativeError
-from svrgs_addon.native import GRADS, Rasterizer, RenderOptions
+from svrgs_addon.native import library
+from svrgs_addon.native.library import GRADS
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.system.errors import NativeError
 
 pytestmark = pytest.mark.usefixtures("default_threads")
 
@@ -63,14 +64,14 @@ def dense_view(level: str) -> dict[str, np.ndarray]:
     return everything(level, scene, scenes.random_masks(10_000, 1), camera=scenes.camera(100, 70, fov=75))
 
 
-@pytest.mark.parametrize("level", [native.best_level(), "scalar", "float64"])
+@pytest.mark.parametrize("level", [library.best_level(), "scalar", "float64"])
 def test_same_bits_for_any_number_of_threads(level):
-    native.set_threads(1)
+    library.set_threads(1)
     expected = dense_view(level)
     assert len(expected["visible"]) > 8192
     for threads in (1, 2, 3, 7, 16):
-        native.set_threads(threads)
-        assert native.threads() == threads
+        library.set_threads(threads)
+        assert library.threads() == threads
         for _ in range(2 if threads > 1 else 1):
             assert_same_bits(dense_view(level), expected)
 
@@ -90,9 +91,9 @@ def test_depth_limits_keep_their_bits_for_any_threads_and_skips(level, full):
     expected, whole = limited_view(level, full=full), limited_view(level, limit=None, full=full)["hits"]
     assert (expected["hits"] < whole).mean() > 0.4 and (expected["hits"] == whole)[:, 90:].all()
     for threads in (1, 3, 16):
-        native.set_threads(threads)
+        library.set_threads(threads)
         assert_same_bits(limited_view(level, full=full), expected)
-    assert_same_bits(limited_view(level, full=full, disabled_skips=tuple(native.skips())), expected)
+    assert_same_bits(limited_view(level, full=full, disabled_skips=tuple(library.skips())), expected)
 
 
 @pytest.mark.parametrize("level", LEVELS)

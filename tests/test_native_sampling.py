@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from svrgs_addon import native
-from svrgs_addon.native import sample_masks
+from svrgs_addon.native import library
+from svrgs_addon.native.rasterizer import sample_masks
 
 pytestmark = pytest.mark.usefixtures("default_threads")
 
@@ -90,7 +90,7 @@ def test_draws_do_not_depend_on_the_number_of_threads():
     logits = np.random.default_rng(0).normal(0, 3, 50_000).astype(np.float32)
     results = set()
     for threads in (1, 2, 3, 7, 16):
-        native.set_threads(threads)
+        library.set_threads(threads)
         results.add(b"".join(a.tobytes() for a in sample_masks(logits, 1, 2)))
     assert len(results) == 1
 

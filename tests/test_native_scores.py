@@ -9,7 +9,7 @@ import torch
 import scenes
 from native_helpers import CAMERA, LEVELS, assert_same_bits, backward, everything, image_weights, rasterizer, render
 from reference import rasterize as ref
-from svrgs_addon.scene import Scene
+from svrgs_addon.scene.gaussians import Scene
 
 
 def reference_weights(scene, masks, camera) -> np.ndarray:

@@ -21,7 +21,7 @@ from native_helpers import (
     typed,
     view_and_gradients,
 )
-from svrgs_addon.camera import Camera
+from svrgs_addon.scene.camera import Camera
 
 CAMERAS = scenes.CAMERAS | scenes.ORTHOGRAPHIC
 

@@ -12,9 +12,9 @@ import pytest
 
 import scenes
 from native_helpers import CAMERA, FLOAT_IMAGES, assert_same_bits, typed
-from svrgs_addon import native
-from svrgs_addon.errors import Cancelled, NativeError
-from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.native import library
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.system.errors import Cancelled, NativeError
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -74,9 +74,9 @@ def test_renderers_work_side_by_side():
 def test_fewer_threads_where_the_system_gives_no_more():
     """In a process of its own whose address space holds few stacks."""
     code = (
-        "import resource\nfrom svrgs_addon import native\nfrom svrgs_addon.system.memory import proc_bytes\n"
-        "native.threads()\nlimit = proc_bytes('self/status', 'VmSize') + (100 << 20)\n"
-        "resource.setrlimit(resource.RLIMIT_AS, (limit, limit))\nnative.set_threads(32)\nassert 1 <= native.threads() < 32, native.threads()\n"
+        "import resource\nfrom svrgs_addon.native import library\nfrom svrgs_addon.system.memory_limits import proc_bytes\n"
+        "library.threads()\nlimit = proc_bytes('self/status', 'VmSize') + (100 << 20)\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (limit, limit))\nlibrary.set_threads(32)\nassert 1 <= library.threads() < 32, library.threads()\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -84,16 +84,16 @@ def test_fewer_threads_where_the_system_gives_no_more():
 
 @pytest.mark.parametrize("asked", [1000, 10**26])
 def test_threads_that_would_only_wait_are_not_started(asked, default_threads):
-    native.set_threads(asked)
-    assert native.threads() == max(32, 8 * len(os.sched_getaffinity(0)))
+    library.set_threads(asked)
+    assert library.threads() == max(32, 8 * len(os.sched_getaffinity(0)))
 
 
 def test_thousands_of_short_jobs_with_more_threads_than_cores():
     """In a process of its own: a thread that left a job too late would change a bit, and one that does not tell that it has left would let it wait for ever."""
     code = (
-        "import time\nimport numpy as np\nfrom svrgs_addon import native\n"
+        "import time\nimport numpy as np\nfrom svrgs_addon.native import library\nfrom svrgs_addon.native.rasterizer import sample_masks\n"
         "logits = np.random.default_rng(5).normal(0, 1, 3 * 8192 + 5).astype(np.float32)\n"  # four tasks
-        "draw = lambda: native.sample_masks(logits, 1, 2)[0].tobytes()\nnative.set_threads(1)\nexpected = draw()\nnative.set_threads(9)\n"
+        "draw = lambda: sample_masks(logits, 1, 2)[0].tobytes()\nlibrary.set_threads(1)\nexpected = draw()\nlibrary.set_threads(9)\n"
         "for k in range(3000):\n    assert draw() == expected, k\n    if k % 50 == 0:\n        time.sleep(0.001)\n"  # long enough for the threads to sleep
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=300)

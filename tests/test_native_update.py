@@ -9,9 +9,9 @@ import pytest
 
 import scenes
 from native_helpers import ARRAYS, LEVELS, image_weights, rasterizer, some_moments, typed
-from svrgs_addon import native
-from svrgs_addon.errors import NativeError
-from svrgs_addon.native import RenderOptions
+from svrgs_addon.native import library
+from svrgs_addon.native.rasterizer import RenderOptions
+from svrgs_addon.system.errors import NativeError
 
 CAMERA = scenes.camera(41, 29)
 COUNT = 70
@@ -125,7 +125,7 @@ def test_existence_logits_need_their_slopes():
 @pytest.mark.parametrize("count", [16, 262, 264, 520])
 def test_parameters_may_end_anywhere(count):
     """Within the whole vectors that narrow rows are updated in, and these across the blocks gradients are made in."""
-    level = native.best_level()
+    level = library.best_level()
     r, two, one = rasterizer(level), world(level, 1, count), world(level, 1, count)
     for scene in (two, one):
         scene.opacity_logits[:] = 3
@@ -137,7 +137,7 @@ def test_parameters_may_end_anywhere(count):
 
 @pytest.mark.parametrize("apart", [("opacity_logits",), ("log_scales",), ("means", "quats")])
 def test_what_is_not_updated_has_its_gradients_instead(apart):
-    r, two, one, before = (make(native.best_level()) for make in (rasterizer, *[lambda level: world(level, 3)] * 3))
+    r, two, one, before = (make(library.best_level()) for make in (rasterizer, *[lambda level: world(level, 3)] * 3))
     render(r, one)
     tensors = {name: (getattr(one, name), one.moments[name]) for name in ARRAYS if name not in apart}
     grads, bad = r.backward_update(one.weights, tensors, rates_of(one), step=7, wanted=("masks", *apart))
@@ -174,11 +174,11 @@ def test_the_result_does_not_depend_on_the_number_of_threads():
     results = []
     try:
         for threads in (1, 2, 3, 7):
-            native.set_threads(threads)
-            results.append(world(native.best_level(), 3))
-            in_one_call(rasterizer(native.best_level()), results[-1])
+            library.set_threads(threads)
+            results.append(world(library.best_level(), 3))
+            in_one_call(rasterizer(library.best_level()), results[-1])
     finally:
-        native.set_threads(0)
+        library.set_threads(0)
     for other in results[1:]:
         assert_same(results[0], other)
 

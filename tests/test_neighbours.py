@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svrgs_addon.geometry.neighbours import nearest_distances, nearest_rows
+from svrgs_addon.scene.neighbours import nearest_distances, nearest_rows
 
 RNG = np.random.default_rng(0)
 CLOUDS = {

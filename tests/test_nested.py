@@ -17,16 +17,16 @@ from pictures import photographed
 from plans import prune_settings
 from short_runs import bits, disturbed, to_the_end
 from svrgs_addon.cli.batch_list import expand
-from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.model import PARAMETERS, Model
 from svrgs_addon.finetune.nested import SIZES, nested_order, size_of_step, smaller_sizes
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import removal_errors
-from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.jobs.job_process import Job
-from svrgs_addon.native import Rasterizer
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune import train_and_prune
+from svrgs_addon.system.errors import Cancelled, SceneError
 
 COUNT, SMALLEST = 60, 0.1
 SETTINGS = prune_settings("removal", 16, 60, nested=SMALLEST, target=40)

@@ -16,9 +16,9 @@ from pathlib import Path
 import pytest
 
 import platforms
-from svrgs_addon.blender import packages
-from svrgs_addon.errors import NativeError, SceneError
-from svrgs_addon.library_path import FILE_NAME, LIBRARY_VARIABLE, library_path
+from svrgs_addon.native.library_path import FILE_NAME, LIBRARY_VARIABLE, library_path
+from svrgs_addon.system import wheels
+from svrgs_addon.system.errors import NativeError, SceneError
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ("OpenImageIO", "pycolmap")
@@ -34,8 +34,8 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="wheels for Linu
 def root(tmp_path, monkeypatch) -> Path:
     """Folder of a checkout without wheels. Of the packages this Python has numpy alone; the cache is an empty folder."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(packages, "ROOT", tmp_path / "root")
-    monkeypatch.setattr(packages, "importable", lambda: {"numpy": Path("/numpy")})
+    monkeypatch.setattr(wheels, "ROOT", tmp_path / "root")
+    monkeypatch.setattr(wheels, "importable", lambda: {"numpy": Path("/numpy")})
     (tmp_path / "root/wheels").mkdir(parents=True)
     (tmp_path / "root/Makefile").touch()
     return tmp_path / "root"
@@ -51,14 +51,14 @@ def add_wheel(root: Path, package: str, tags: str = f"{TAG}-{TAG}-{PLATFORM}") -
 
 def test_fitting_wheels_are_unpacked_once(root, tmp_path):
     for tags in (f"{TAG}-{TAG}-{PLATFORM}", f"cp39-cp39-{PLATFORM}", f"{TAG}-{TAG}-manylinux_2_28_other"):
-        wheels = [add_wheel(root, name, tags) for name in NAMES]
-    found = packages.find()
+        made = [add_wheel(root, name, tags) for name in NAMES]
+    found = wheels.find()
     cache = tmp_path / "cache/svrgs"
     assert found == {"numpy": Path("/numpy")} | {name: cache / f"{name.lower()}-1.0-{TAG}-{TAG}-{PLATFORM}" for name in NAMES}
     assert len(list(cache.iterdir())) == 2 and all((found[name] / name / "__init__.py").is_file() for name in NAMES)
-    for wheel in wheels:
+    for wheel in made:
         wheel.write_bytes(b"no longer read")
-    assert packages.find() == found
+    assert wheels.find() == found
 
 
 def test_folders_come_before_wheels_and_other_extensions_after_them(root, tmp_path):
@@ -66,8 +66,8 @@ def test_folders_come_before_wheels_and_other_extensions_after_them(root, tmp_pa
     (tmp_path / "blender/OpenImageIO").mkdir(parents=True)
     for name in NAMES:
         add_wheel(tmp_path / "extension", name).rename(tmp_path / "extension/wheels" / f"{name.lower()}-0.9-{TAG}-{TAG}-{PLATFORM}.whl")
-    assert packages.find([tmp_path / "blender"])["OpenImageIO"] == tmp_path / "blender"
-    found = packages.find([], [tmp_path / "extension"])
+    assert wheels.find([tmp_path / "blender"])["OpenImageIO"] == tmp_path / "blender"
+    found = wheels.find([], [tmp_path / "extension"])
     assert [found[name].name.split("-")[1] for name in NAMES] == ["0.9", "1.0"]
 
 
@@ -81,7 +81,7 @@ def test_a_process_that_was_quicker_is_no_error(root, tmp_path, monkeypatch):
         return rename(made, folder)
 
     monkeypatch.setattr(Path, "rename", late)
-    found = packages.find()
+    found = wheels.find()
     assert sorted(path.name for path in (tmp_path / "cache/svrgs").iterdir()) == sorted(found[name].name for name in NAMES)
 
 
@@ -91,7 +91,7 @@ def test_a_damaged_wheel_leaves_nothing_behind(root, tmp_path, damage):
     wheel = add_wheel(root, "OpenImageIO")
     wheel.write_bytes(damage(wheel.read_bytes()))
     with pytest.raises(SceneError, match=rf"{wheel.name}: is damaged \(.*\); delete it and run 'make wheels'"):
-        packages.find()
+        wheels.find()
     assert list((tmp_path / "cache/svrgs").iterdir()) == []
 
 
@@ -102,7 +102,7 @@ def test_what_a_killed_process_left_is_removed_after_an_hour(root, tmp_path):
     for folder in (left, filling):
         (folder / "pycolmap").mkdir(parents=True)
     os.utime(left, (0, 0))
-    packages.find()
+    wheels.find()
     assert not left.exists() and filling.exists()
 
 
@@ -110,7 +110,7 @@ def test_a_cache_that_cannot_be_written_is_named(root, tmp_path):
     add_wheel(root, "OpenImageIO")
     (tmp_path / "cache").write_text("a file")
     with pytest.raises(SceneError, match="cannot be unpacked into .*cache/svrgs.*; set XDG_CACHE_HOME to another folder"):
-        packages.find()
+        wheels.find()
 
 
 @pytest.mark.parametrize(
@@ -125,30 +125,30 @@ def test_what_is_missing_is_said_with_the_versions_that_fit(root, tags, sentence
     for tag in tags:
         for name in NAMES:
             add_wheel(root, name, tag)
-    found = packages.find()
+    found = wheels.find()
     assert list(found) == ["numpy"]
-    assert re.search(rf"^Python {sys.version_info[0]}\.{sys.version_info[1]} \(.*\) lacks OpenImageIO and pycolmap.*{sentence}", packages.missing(found))
-    assert packages.missing(packages.PACKAGES) == ""
+    assert re.search(rf"^Python {sys.version_info[0]}\.{sys.version_info[1]} \(.*\) lacks OpenImageIO and pycolmap.*{sentence}", wheels.missing(found))
+    assert wheels.missing(wheels.PACKAGES) == ""
 
 
 def test_an_extension_without_wheels_names_the_other_zips_and_a_package_of_pip_names_pip(root):
     (root / "Makefile").unlink()
-    assert re.search("lacks OpenImageIO and pycolmap: run .* -m pip install OpenImageIO pycolmap$", packages.missing(["numpy"]))
+    assert re.search("lacks OpenImageIO and pycolmap: run .* -m pip install OpenImageIO pycolmap$", wheels.missing(["numpy"]))
     (root / "blender_manifest.toml").touch()
-    assert "lacks OpenImageIO and pycolmap: use a Blender with a Python for which there is a zip with packages, or run" in packages.missing(["numpy"])
+    assert "lacks OpenImageIO and pycolmap: use a Blender with a Python for which there is a zip with packages, or run" in wheels.missing(["numpy"])
 
 
 def test_numpy_is_asked_of_the_system(root, monkeypatch):
-    monkeypatch.setattr(packages, "importable", dict)
+    monkeypatch.setattr(wheels, "importable", dict)
     with pytest.raises(SceneError, match="lacks numpy.*on Debian the package python3-numpy"):
-        packages.find()
+        wheels.find()
 
 
 def test_the_native_library_may_be_that_of_an_extension(tmp_path, monkeypatch):
     monkeypatch.delenv(LIBRARY_VARIABLE, raising=False)
     assert library_path([tmp_path]) == ROOT / "svrgs_addon" / FILE_NAME
     sentence = r"the native library .*{} is missing: run 'make native' in a checkout, or install the extension's zip"
-    monkeypatch.setattr("svrgs_addon.library_path.__file__", str(tmp_path / "checkout/library_path.py"))
+    monkeypatch.setattr("svrgs_addon.native.library_path.__file__", str(tmp_path / "checkout/native/library_path.py"))
     with pytest.raises(NativeError, match=sentence.format(f"checkout/{FILE_NAME}")):
         library_path([tmp_path])
     (tmp_path / FILE_NAME).touch()
@@ -210,9 +210,9 @@ def test_two_batches_at_once_need_numpy_and_wheels_alone(bare, tiny, tmp_path):
     both = [start(prune([bare], batch, tiny, tmp_path / name), tmp_path / "cache") for name in ("a.ply", "b.ply")]
     for status, out, err in map(finish, both):
         assert (status, json.loads(out)["count"], err) == (0, 125, "")
-    wheels = fitting_wheels()
-    assert sorted(path.name for path in (tmp_path / "cache/svrgs").iterdir()) == [wheel.stem for wheel in wheels]
-    for wheel in wheels:
+    fitting = fitting_wheels()
+    assert sorted(path.name for path in (tmp_path / "cache/svrgs").iterdir()) == [wheel.stem for wheel in fitting]
+    for wheel in fitting:
         with zipfile.ZipFile(wheel) as archive:
             folder = tmp_path / "cache/svrgs" / wheel.stem
             assert all((folder / item.filename).stat().st_size == item.file_size for item in archive.infolist() if not item.is_dir())

@@ -14,7 +14,7 @@ import pytest
 
 import build_extension
 import platforms
-from svrgs_addon.bench import variants
+from svrgs_bench import variants
 
 ROOT = Path(__file__).resolve().parents[1]
 DIST = ROOT / "dist"
@@ -102,7 +102,9 @@ def test_an_installed_wheel_needs_no_compiler(tmp_path):
     python = tmp_path / "env/bin/python"
     subprocess.run([sys.executable, "-m", "venv", "--system-site-packages", tmp_path / "env"], check=True)
     subprocess.run([python, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--force-reinstall", wheel], env=environment, check=True)
-    code = "import svrgs_addon, svrgs_addon.native as n; print(svrgs_addon.__version__, svrgs_addon.__file__, n.best_level() in n.supported_levels())"
+    code = (
+        "import svrgs_addon, svrgs_addon.native.rasterizer as n; print(svrgs_addon.__version__, svrgs_addon.__file__, n.best_level() in n.supported_levels())"
+    )
     done = subprocess.run([python, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True)
     version, file, works = done.stdout.split()
     assert (version, works) == (platforms.VERSION, "True") and Path(file).is_relative_to(tmp_path / "env"), done.stderr

@@ -9,14 +9,14 @@ import pytest
 
 from native_helpers import typed
 from plain_triangles import plain_triangles
-from svrgs_addon.bench.scenes import room
-from svrgs_addon.camera import Camera
-from svrgs_addon.errors import Cancelled, NativeError
-from svrgs_addon.native import Rasterizer, RenderOptions
-from svrgs_addon.native_pictures import add_view
+from svrgs_addon.native.pictures import add_view
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render.composite import FAR, Composite, composite, split
 from svrgs_addon.render.meshes import surface
 from svrgs_addon.render.panorama import Panorama, Patch, composite_panorama, composite_view, directions, patches
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.system.errors import Cancelled, NativeError
+from svrgs_bench.scenes import room
 
 FULL = Panorama(np.eye(4), 160, 80)
 PART = Panorama(np.eye(4), 70, 90, (-0.4, 1.9), (-0.2, 1.5))

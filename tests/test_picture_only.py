@@ -7,9 +7,9 @@ import pytest
 
 import scenes
 from native_helpers import CAMERA, LEVELS, assert_same_bits, rasterizer, typed
-from svrgs_addon import native
-from svrgs_addon.errors import NativeError
-from svrgs_addon.native import COUNTS, IMAGES, Rasterizer, RenderOptions
+from svrgs_addon.native import library
+from svrgs_addon.native.rasterizer import COUNTS, IMAGES, Rasterizer, RenderOptions
+from svrgs_addon.system.errors import NativeError
 
 OUTPUTS = (*IMAGES, *COUNTS)
 
@@ -22,7 +22,7 @@ def views(level: str, mask_kind: str = "svr", camera=CAMERA, count: int = 60, **
     return draw(False), draw(True)
 
 
-@pytest.mark.parametrize("mask_kind", native.mask_kinds())
+@pytest.mark.parametrize("mask_kind", library.mask_kinds())
 @pytest.mark.parametrize("level", LEVELS)
 def test_the_picture_is_the_same(level, mask_kind):
     kept, only = views(level, mask_kind)
@@ -35,12 +35,12 @@ def test_the_picture_is_the_same_on_any_number_of_threads_and_with_depth_limits(
     limit = np.full((100, 150), 4, np.float32)
     try:
         for threads in (1, 2, 7):
-            native.set_threads(threads)
+            library.set_threads(threads)
             for more in ({}, {"depth_limit": limit}):
-                kept, only = views(native.best_level(), camera=camera, count=400, **more)
+                kept, only = views(library.best_level(), camera=camera, count=400, **more)
                 assert_same_bits(only, kept)
     finally:
-        native.set_threads(0)
+        library.set_threads(0)
 
 
 def test_the_view_has_no_gradients_and_no_statistics():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from svrgs_addon.files.images import linear_to_srgb
+from svrgs_addon.prune.report.pictures import contact_sheet, wipe, with_color_bar
 from svrgs_addon.render import color_maps
-from svrgs_addon.report.pictures import contact_sheet, wipe, with_color_bar
 
 
 @pytest.mark.parametrize("name", color_maps.NAMES)

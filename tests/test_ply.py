@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from ply_cases import ARRAYS, STANDARD, assert_same, make_scene, ply_bytes, read_bytes
-from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.atomic import atomic_write, check_space, check_writable
 from svrgs_addon.files.ply import read_ply, read_ply_parts, write_ply
 from svrgs_addon.files.repair import clamp_extremes, drop_nonfinite
+from svrgs_addon.system.errors import FormatError, SceneError
 
 # --- what is stored
 

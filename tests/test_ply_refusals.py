@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ply_cases import STANDARD, ply_bytes, read_bytes
-from svrgs_addon.errors import FormatError
 from svrgs_addon.files.ply import read_ply
+from svrgs_addon.system.errors import FormatError
 
 
 def test_truncated_at_every_header_byte(tmp_path):

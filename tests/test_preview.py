@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import scenes
-from svrgs_addon.bench.preview import Preview
-from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.native import Rasterizer
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_bench.preview import Preview
+from svrgs_bench.scenes import orbit_camera, room
 
 
 @pytest.fixture(scope="module")

@@ -10,12 +10,12 @@ import torch
 
 import scenes
 from reference import rasterize as ref
-from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.blender.activation import opacities
-from svrgs_addon.geometry.rotations import rotation_matrices
-from svrgs_addon.native_pictures import depth_order
+from svrgs_addon.native.pictures import depth_order
 from svrgs_addon.render.quads import HIGHLIGHT, TINT, colors, highlighted, quads, recolored
-from svrgs_addon.scene import SH_C0
+from svrgs_addon.scene.activation import opacities
+from svrgs_addon.scene.gaussians import SH_C0
+from svrgs_addon.scene.rotations import rotation_matrices
+from svrgs_bench.scenes import orbit_camera, room
 
 
 def test_each_gaussian_has_its_mean_opacity_and_covariance_once():

@@ -9,13 +9,13 @@ from plans import prune_settings
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import scores
 from svrgs_addon.finetune.quality import HALVED, psnr_after, psnr_removed
-from svrgs_addon.jobs import quality_forecast
 from svrgs_addon.jobs.estimate import estimate
-from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.jobs.quality_forecast import LEAST_STEPS, forecast, spread
-from svrgs_addon.jobs.run_job import prune_scene
-from svrgs_addon.metrics.evaluate import mean_psnr, render_options
-from svrgs_addon.native import Rasterizer
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune import quality_forecast
+from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.prune.quality_forecast import LEAST_STEPS, forecast, spread
+from svrgs_addon.prune.run_job import prune_scene
+from svrgs_addon.render.metrics.evaluate import mean_psnr, render_options
 
 SHARES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05)
 PLAN = prune_settings("removal", 900, 1500)

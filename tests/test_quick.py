@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from scenes import ball
-from svrgs_addon.decimate.order import looks, order_of
-from svrgs_addon.errors import Cancelled, SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import read_scene
 from svrgs_addon.files.streamed_sog import read_level
+from svrgs_addon.finetune.decimate.order import looks, order_of
 from svrgs_addon.finetune.refit import interpolated
-from svrgs_addon.jobs import smallest_file
-from svrgs_addon.jobs.context import JobContext
-from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.jobs.quick import prune_quick
-from svrgs_addon.metrics.evaluate import render_options
-from svrgs_addon.metrics.psnr import psnr
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.rig.around import cameras_around, middle_and_radius
-from svrgs_addon.scene import Scene
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune import smallest_file
+from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.prune.quick import prune_quick
+from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.render.metrics.psnr import psnr
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.system.errors import Cancelled, SceneError
+from svrgs_addon.views.rig.around import cameras_around, middle_and_radius
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -178,7 +178,7 @@ def test_lost_columns_are_named(tmp_path):
 @pytest.mark.parametrize("target", [0.2, 0.9])
 def test_steps_that_do_harm_are_taken_back(splat, monkeypatch, target):
     """The steps of this test paint all Gaussians grey."""
-    from svrgs_addon.jobs import quick
+    from svrgs_addon.prune import quick
 
     before = []
     monkeypatch.setattr(quick, "refit", lambda scene, *_: before.append(scene) or dataclasses.replace(scene, sh=np.zeros_like(scene.sh)))
@@ -198,7 +198,7 @@ def test_a_full_disk_costs_the_order_and_not_the_result(splat, monkeypatch, tmp_
     def full(*_):
         raise SceneError("the disk is full")
 
-    monkeypatch.setattr("svrgs_addon.jobs.quick.write_order", full)
+    monkeypatch.setattr("svrgs_addon.prune.quick.write_order", full)
     out = splat.with_name("small.ply")
     result = prune_quick(PruneOptions(scene=splat, out=out, target=0.5, quick=True), JobContext(out, order=tmp_path))
     assert read_ply(out).count == result["count"] == 1_000 and "the disk is full" in result["notes"][-1]

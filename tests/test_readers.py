@@ -20,10 +20,10 @@ from fuzz import NAMES
 from fuzz.mutate import mutated
 from fuzz.seeds import camera_entries, ply_seeds
 from fuzz.targets import Checkpoint, cameras_json, ply
-from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import FORMATS, describe, load_scene
-from svrgs_addon.scene import SH_COEFFICIENTS, Scene
+from svrgs_addon.scene.gaussians import SH_COEFFICIENTS, Scene
+from svrgs_addon.system.errors import FormatError, SceneError
 
 ROOT = Path(__file__).resolve().parents[1]
 ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")

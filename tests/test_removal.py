@@ -10,7 +10,6 @@ import pytest
 import scenes
 from pictures import photographed
 from plans import prune_settings, train_settings
-from svrgs_addon.errors import SceneError
 from svrgs_addon.finetune import settings
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import removal
@@ -19,7 +18,8 @@ from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import SHARE, removal_errors, saliency, views_that_see
 from svrgs_addon.finetune.settings import Rates, rates_for
-from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.system.errors import SceneError
 
 COUNT = 60
 

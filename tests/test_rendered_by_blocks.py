@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 import tiny_dataset
-from svrgs_addon import memory
-from svrgs_addon.bench.scenes import orbit_camera, room
 from svrgs_addon.files.registry import write_scene
-from svrgs_addon.large import blocks, folder, whole
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.outputs import PICTURES
-from svrgs_addon.photographs.cameras_json import write_cameras_json
+from svrgs_addon.native.outputs import PICTURES
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.blocks import divided, folder, whole
+from svrgs_addon.system import memory
+from svrgs_addon.views.cameras_json import write_cameras_json
+from svrgs_bench.scenes import orbit_camera, room
 
 COUNT = 5_000
 SAID = "it is done by blocks in "
@@ -49,7 +49,7 @@ def short(monkeypatch, tmp_path):
     place.mkdir()
     monkeypatch.setattr(memory, "reading", lambda _: 10**15)
     monkeypatch.setattr(tempfile, "tempdir", str(place))
-    monkeypatch.setattr(blocks.divide, "__defaults__", (COUNT // 6, *blocks.divide.__defaults__[1:]))
+    monkeypatch.setattr(divided.divide, "__defaults__", (COUNT // 6, *divided.divide.__defaults__[1:]))
     return place
 
 
@@ -121,7 +121,7 @@ def test_other_cameras_are_refused(svrgs, short, tiny, tmp_path):
 
 
 def test_pictures_that_are_too_large_are_refused_at_once(svrgs, short, monkeypatch, source, cameras, tmp_path):
-    monkeypatch.setattr("svrgs_addon.large.opened.divide", lambda *_: pytest.fail("the scene was divided"))
+    monkeypatch.setattr("svrgs_addon.prune.blocks.block_rasterizer.divide", lambda *_: pytest.fail("the scene was divided"))
     monkeypatch.setattr(memory, "available", lambda: 100_000)
     said = svrgs("render", source, "--cameras", cameras, "--out", tmp_path / "out")
     assert said.status == 2 and "of memory" in said.err and not (tmp_path / "out").exists()
@@ -147,7 +147,7 @@ def all_mapped() -> str:
 def test_a_stop_leaves_no_blocks_behind(source, cameras, tmp_path):
     (tmp_path / "temporary").mkdir()
     code = "from svrgs_addon import memory; from svrgs_addon.cli.main import main; memory.reading = lambda _: 10**15; "
-    code += "import svrgs_addon.large.opened as o, time, sys; o.seen = lambda *a, **k: time.sleep(60); sys.exit(main(sys.argv[1:]))"
+    code += "import svrgs_addon.prune.blocks.block_rasterizer as o, time, sys; o.seen = lambda *a, **k: time.sleep(60); sys.exit(main(sys.argv[1:]))"
     words = [sys.executable, "-c", code, "render", str(source), "--cameras", str(cameras), "--out", str(tmp_path / "out")]
     process = subprocess.Popen(words, env={**os.environ, "TMPDIR": str(tmp_path / "temporary")}, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + 50

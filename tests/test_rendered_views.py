@@ -10,23 +10,23 @@ import pytest
 
 from job_checks import follow
 from scenes import ball
-from svrgs_addon.camera import Camera
-from svrgs_addon.errors import Cancelled, FormatError, SceneError
 from svrgs_addon.files.images import to_float
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
-from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.jobs.rendered_views import LONGEST, rendered_dataset
-from svrgs_addon.jobs.run_job import prune_scene
-from svrgs_addon.metrics.evaluate import render_options
-from svrgs_addon.metrics.psnr import psnr, with_error
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.photographs.camera_files import load_cameras
-from svrgs_addon.photographs.cameras_json import load_cameras_json, write_cameras_json
-from svrgs_addon.rig import place
-from svrgs_addon.rig.around import cameras_around
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.prune.rendered_views import LONGEST, rendered_dataset
+from svrgs_addon.prune.run_job import prune_scene
+from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.render.metrics.psnr import psnr, with_error
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.system.errors import Cancelled, FormatError, SceneError
+from svrgs_addon.views.camera_files import load_cameras
+from svrgs_addon.views.cameras_json import load_cameras_json, write_cameras_json
+from svrgs_addon.views.rig import place
+from svrgs_addon.views.rig.around import cameras_around
 
 FEW = {"FIRST": 12, "SECOND": 4, "LEAST": 8, "MOST": 12, "USUAL": 16}  # views of a rig in these tests
 
@@ -35,8 +35,8 @@ FEW = {"FIRST": 12, "SECOND": 4, "LEAST": 8, "MOST": 12, "USUAL": 16}  # views o
 def few_views(monkeypatch):
     for name, value in FEW.items():
         monkeypatch.setattr(place, name, value)
-    monkeypatch.setattr("svrgs_addon.rig.viewpoints.SMALLEST", 96)
-    monkeypatch.setattr("svrgs_addon.rig.viewpoints.LARGEST", 96)
+    monkeypatch.setattr("svrgs_addon.views.rig.viewpoints.SMALLEST", 96)
+    monkeypatch.setattr("svrgs_addon.views.rig.viewpoints.LARGEST", 96)
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svrgs_addon.errors import SceneError
-from svrgs_addon.report.line_chart import Series, line_chart
-from svrgs_addon.report.page import Phase, Report, View, page, write_report
-from svrgs_addon.report.pictures import data_uri, difference_image, mask_to_rgb, png_bytes
-from svrgs_addon.report.svg_axes import nice_ticks, short_number
+from svrgs_addon.prune.report.line_chart import Series, line_chart
+from svrgs_addon.prune.report.page import Phase, Report, View, page, write_report
+from svrgs_addon.prune.report.pictures import data_uri, difference_image, mask_to_rgb, png_bytes
+from svrgs_addon.prune.report.svg_axes import nice_ticks, short_number
+from svrgs_addon.system.errors import SceneError
 
 BEFORE = {
     "psnr": 27.41,

@@ -13,8 +13,8 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
-from svrgs_addon.errors import SceneError
 from svrgs_addon.files.atomic import reserved
+from svrgs_addon.system.errors import SceneError
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -15,13 +15,13 @@ pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
 from plans import prune_settings
-from svrgs_addon.errors import Cancelled, FormatError
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.finetune import loop
 from svrgs_addon.finetune.checkpoint import read_manifest
-from svrgs_addon.jobs import train_and_prune
-from svrgs_addon.memory import checkpoint as checkpoint_bytes
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.prune import train_and_prune
+from svrgs_addon.system.errors import Cancelled, FormatError
+from svrgs_addon.system.memory import checkpoint as checkpoint_bytes
+from svrgs_addon.views.dataset import load_dataset
 from tiny_jobs import SETTINGS, TRAINING, checkpoints, prune
 
 

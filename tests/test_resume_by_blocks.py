@@ -13,17 +13,17 @@ import pytest
 from block_checks import ready
 from job_checks import create
 from plans import prune_settings
-from svrgs_addon.errors import Cancelled, FormatError, MemoryShort, SceneError
 from svrgs_addon.finetune import checkpoint, loop
 from svrgs_addon.finetune.run import Run
-from svrgs_addon.jobs import run_job
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
-from svrgs_addon.large.folder import refuse_foreign, remove
-from svrgs_addon.large.learning import RUNS, decide, recover
-from svrgs_addon.large.tasks import FILE, progress
-from svrgs_addon.large.tuning import CUT, TUNED
-from svrgs_addon.photographs.dataset import load_dataset
+from svrgs_addon.prune import run_job
+from svrgs_addon.prune.blocks.folder import refuse_foreign, remove
+from svrgs_addon.prune.blocks.learning import RUNS, decide, recover
+from svrgs_addon.prune.blocks.tasks import FILE, progress
+from svrgs_addon.prune.blocks.tuning import CUT, TUNED
+from svrgs_addon.system.errors import Cancelled, FormatError, MemoryShort, SceneError
+from svrgs_addon.views.dataset import load_dataset
 
 
 @pytest.fixture

@@ -7,15 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from svrgs_addon import native
-from svrgs_addon.errors import SceneError
-from svrgs_addon.geometry.merge import merged
-from svrgs_addon.native import Rasterizer, RenderOptions, thresholds
-from svrgs_addon.rig import Rig, place_rig, quick_rig
-from svrgs_addon.rig.around import cameras_around, middle_and_radius
-from svrgs_addon.rig.place import MOST, OUTSIDE
-from svrgs_addon.rig.preview import COLORS, preview
-from svrgs_addon.scene import Scene
+from svrgs_addon.native import library
+from svrgs_addon.native.library import thresholds
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.scene.merge import merged
+from svrgs_addon.system.errors import SceneError
+from svrgs_addon.views.rig import Rig, place_rig, quick_rig
+from svrgs_addon.views.rig.around import cameras_around, middle_and_radius
+from svrgs_addon.views.rig.place import MOST, OUTSIDE
+from svrgs_addon.views.rig.preview import COLORS, preview
 
 
 def scene_of(means: np.ndarray, scale: float) -> Scene:
@@ -127,7 +128,7 @@ def test_held_out_views_are_not_those_of_the_rig():
 def test_the_same_seed_gives_the_same_rig_on_any_number_of_threads(default_threads):
     rigs = []
     for threads in (1, 3):
-        native.set_threads(threads)
+        library.set_threads(threads)
         rigs.append(place_rig(solid(1_000), views=32, seed=4))
     assert all((a.viewmat == b.viewmat).all() and (a.K == b.K).all() for a, b in zip(rigs[0].cameras, rigs[1].cameras, strict=True))
     assert (place_rig(solid(1_000), views=32, seed=5).cameras[0].viewmat != rigs[0].cameras[0].viewmat).any()

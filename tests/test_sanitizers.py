@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from svrgs_addon.bench import variants
+from svrgs_bench import variants
 
 ROOT = Path(__file__).resolve().parents[1]
 CORPUS = sorted((ROOT / "tests/fuzz/corpus").iterdir())

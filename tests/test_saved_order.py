@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from scenes import ball
-from svrgs_addon.decimate.order import looks, order_of
-from svrgs_addon.decimate.saved_order import MERGED, ORDER, read_order, write_order
-from svrgs_addon.errors import SplatError
 from svrgs_addon.files.ply import read_ply, write_ply
-from svrgs_addon.jobs.context import JobContext
-from svrgs_addon.jobs.options import PruneOptions
-from svrgs_addon.jobs.quick import prune_quick
-from svrgs_addon.metrics.evaluate import render_options
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.native_library import PARAMETERS
-from svrgs_addon.rig.around import cameras_around
-from svrgs_addon.scene import Scene
+from svrgs_addon.finetune.decimate.order import looks, order_of
+from svrgs_addon.finetune.decimate.saved_order import MERGED, ORDER, read_order, write_order
+from svrgs_addon.native.library import PARAMETERS
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.prune.quick import prune_quick
+from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.system.errors import SplatError
+from svrgs_addon.views.rig.around import cameras_around
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 

@@ -10,7 +10,7 @@ import pytest
 from svrgs_addon.files import spz
 from svrgs_addon.files.axes import turned_over
 from svrgs_addon.files.registry import read_scene, write_scene
-from svrgs_addon.scene import Scene
+from svrgs_addon.scene.gaussians import Scene
 from test_formats import differences, like_trained
 
 gsply = pytest.importorskip("gsply")

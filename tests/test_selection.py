@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import scenes
-from svrgs_addon.camera import Camera
-from svrgs_addon.errors import SceneError
 from svrgs_addon.files.registry import invisible
-from svrgs_addon.metrics.evaluate import render_options
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.scene import Scene
-from svrgs_addon.selection import criteria, haze
-from svrgs_addon.selection.islands import on_small_islands
-from svrgs_addon.selection.options import OF_VIEWS, Criteria
-from svrgs_addon.selection.select import selected
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.selection import criteria, haze
+from svrgs_addon.prune.selection.islands import on_small_islands
+from svrgs_addon.prune.selection.options import OF_VIEWS, Criteria
+from svrgs_addon.prune.selection.select import selected
+from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.system.errors import SceneError
 
 SCENE = scenes.random_scene(200, seed=3)
 CAMERAS = [scenes.CAMERAS[name] for name in ("rotated", "off_centre", "narrow")]

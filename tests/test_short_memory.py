@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svrgs_addon import memory
-from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.errors import SceneError
 from svrgs_addon.files.registry import write_scene
-from svrgs_addon.large import views
-from svrgs_addon.large.block_size import as_memory_allows
-from svrgs_addon.large.blocks import MOST, divide
-from svrgs_addon.metrics.evaluate import render_options
-from svrgs_addon.native import Rasterizer
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.blocks import visible
+from svrgs_addon.prune.blocks.block_size import as_memory_allows
+from svrgs_addon.prune.blocks.divided import MOST, divide
+from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.system import memory
+from svrgs_addon.system.errors import SceneError
+from svrgs_bench.scenes import orbit_camera, room
 
 COUNT = 6_000
 CAMERA = orbit_camera(160, 120, 0.0)
@@ -30,19 +30,19 @@ def source(tmp_path_factory) -> Path:
 
 def test_a_view_is_looked_at_in_smaller_parts_where_memory_is_short(source, tmp_path, monkeypatch):
     divided, rasterizer = divide(source, tmp_path), Rasterizer()
-    many = views.seen(divided, CAMERA, rasterizer)[0]
+    many = visible.seen(divided, CAMERA, rasterizer)[0]
     parts: list[int] = []
-    blended = views._blended
-    monkeypatch.setattr(views, "_blended", lambda *words: parts.append(sum(map(len, words[2]))) or blended(*words))
-    monkeypatch.setattr(views, "FEWEST", COUNT // 100), monkeypatch.setattr(views, "REACH", np.inf)
-    monkeypatch.setattr(memory, "available", lambda: views._needed(many.count + COUNT // 10, CAMERA))
-    few = views.seen(divided, CAMERA, rasterizer)[0]
+    blended = visible._blended
+    monkeypatch.setattr(visible, "_blended", lambda *words: parts.append(sum(map(len, words[2]))) or blended(*words))
+    monkeypatch.setattr(visible, "FEWEST", COUNT // 100), monkeypatch.setattr(visible, "REACH", np.inf)
+    monkeypatch.setattr(memory, "available", lambda: visible._needed(many.count + COUNT // 10, CAMERA))
+    few = visible.seen(divided, CAMERA, rasterizer)[0]
     assert len(parts) == 2, "and no more, because its longer side would have less than LEAST pixels"
     images = [rasterizer.forward(scene, CAMERA, render_options(scene))["rgb"].copy() for scene in (many, few)]
     assert np.abs(images[0] - images[1]).max() < 2e-3
     monkeypatch.setattr(memory, "available", lambda: 100_000)
     with pytest.raises(SceneError, match="of the view .* needs about"):
-        views.seen(divided, CAMERA, rasterizer)
+        visible.seen(divided, CAMERA, rasterizer)
 
 
 @pytest.mark.parametrize(

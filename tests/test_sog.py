@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from svrgs_addon.cli.batch_list import expand
-from svrgs_addon.errors import FormatError
 from svrgs_addon.files.registry import read_scene, write_scene
+from svrgs_addon.system.errors import FormatError
 from test_formats import by_gaussforge, like_trained
 
 

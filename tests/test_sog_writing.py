@@ -9,12 +9,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from svrgs_addon.errors import SceneError
 from svrgs_addon.files import sog_writer
 from svrgs_addon.files.palette import nearest, palette, table
 from svrgs_addon.files.quantised import picture_weights
 from svrgs_addon.files.registry import read_scene, write_scene
-from svrgs_addon.geometry.morton_order import morton_order
+from svrgs_addon.scene.morton_order import morton_order
+from svrgs_addon.system.errors import SceneError
 from test_formats import differences, like_trained
 
 

@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
-from svrgs_addon.jobs.stop_request import StopRequest
+from svrgs_addon.prune.stop_request import StopRequest
 from tiny_jobs import checkpoints
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -141,6 +141,6 @@ def test_a_second_ctrl_c_ends_at_once(tiny, tmp_path):
 
 
 def test_sigterm_while_nothing_can_be_kept_ends_without_a_stack_trace():
-    code = "import os, signal\nfrom svrgs_addon.photographs.colmap import import_pycolmap\nimport_pycolmap()\nos.kill(os.getpid(), signal.SIGTERM)"
+    code = "import os, signal\nfrom svrgs_addon.views.colmap import import_pycolmap\nimport_pycolmap()\nos.kill(os.getpid(), signal.SIGTERM)"
     done = run("-c", code)
     assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")

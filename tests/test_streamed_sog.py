@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from svrgs_addon.errors import FormatError, SceneError, TooMany
 from svrgs_addon.files import sog, streamed_sog
 from svrgs_addon.files.opened import MAX_COUNT
 from svrgs_addon.files.registry import describe, read_scene, size_on_disk, split_name, write_scene
 from svrgs_addon.files.splat_format import joined
 from svrgs_addon.files.streamed_sog import read_level, write_levels
-from svrgs_addon.scene import Scene
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.system.errors import FormatError, SceneError, TooMany
 from test_formats import like_trained
 
 

@@ -13,7 +13,6 @@ pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
 from plans import prune_settings
-from svrgs_addon.errors import SceneError
 from svrgs_addon.files import compressed_ply
 from svrgs_addon.files.registry import as_held, load_scene
 from svrgs_addon.finetune import checkpoint, quality, recovery_pruning
@@ -25,7 +24,8 @@ from svrgs_addon.finetune.recovery_pruning import RecoveryPruning
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates, Settings
 from svrgs_addon.finetune.strength_controller import StrengthController, controller_for
-from svrgs_addon.jobs import train_and_prune
+from svrgs_addon.prune import train_and_prune
+from svrgs_addon.system.errors import SceneError
 
 STEPS = 2_000
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from native_helpers import FLOAT_LEVELS
-from svrgs_addon.bench.stress import measure_stress
-from svrgs_addon.bench.stress_rows import rows
+from svrgs_bench.stress import measure_stress
+from svrgs_bench.stress_rows import rows
 
 IMAGE_BOUND = 1e-5  # worst seen 9.1e-7
 GRADIENT_BOUND = 5e-4  # worst seen 4.3e-5

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from svrgs_addon.errors import SceneError
 from svrgs_addon.files.atomic import atomic_path, atomic_write, check_space, check_writable, reserved
 from svrgs_addon.system import locks, replacing
 from svrgs_addon.system import windows as system_calls
+from svrgs_addon.system.errors import SceneError
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from svrgs_addon.system import here, macos, memory
+from svrgs_addon.system import here, macos, memory_limits
 
 GB = 10**9
 PROCESS_LIMIT, JOB_LIMIT, TIME_LIMIT = 0x100, 0x200, 0x2
@@ -23,15 +23,15 @@ def model(windows):
 
 
 def test_this_system_reports_its_memory():
-    assert 10**8 < memory.available() < 10**14
-    assert 10**6 < memory.peak() < memory.available() + 10**11
+    assert 10**8 < memory_limits.available() < 10**14
+    assert 10**6 < memory_limits.peak() < memory_limits.available() + 10**11
 
 
 def test_windows_reports_what_is_free_and_can_be_committed(model):
-    assert memory.available() == 6 * GB and memory.peak() == 2 * GB
+    assert memory_limits.available() == 6 * GB and memory_limits.peak() == 2 * GB
     model.memory["available_page_file"] = 4 * GB
-    assert memory.available() == 4 * GB
-    assert memory.address_limit() is None
+    assert memory_limits.available() == 4 * GB
+    assert memory_limits.address_limit() is None
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_windows_reports_what_is_free_and_can_be_committed(model):
 )
 def test_the_limits_of_a_job_object_count(model, limits, available):
     model.limits = limits
-    assert memory.available() == available
+    assert memory_limits.available() == available
 
 
 class FakeKernel:
@@ -77,7 +77,7 @@ def test_macos_reports_free_and_inactive_pages(monkeypatch, status, available):
     monkeypatch.setattr(macos, "system_library", lambda: kernel)
     monkeypatch.setattr(os, "sysconf", {"SC_PAGE_SIZE": 16384}.__getitem__, raising=False)
     macos._host.cache_clear()
-    assert memory._system_available() == (available and available * 16384)
+    assert memory_limits._system_available() == (available and available * 16384)
     macos._host.cache_clear()
 
 
@@ -85,8 +85,8 @@ def test_the_peak_of_macos_is_in_bytes(monkeypatch):
     resource = pytest.importorskip("resource")
     known = resource.getrusage(resource.RUSAGE_SELF)
     monkeypatch.setattr(here, "WINDOWS", False)
-    monkeypatch.setattr(memory, "proc_bytes", lambda *_: int("no such file"))
-    monkeypatch.setattr(memory.resource, "getrusage", lambda _: known)
+    monkeypatch.setattr(memory_limits, "proc_bytes", lambda *_: int("no such file"))
+    monkeypatch.setattr(memory_limits.resource, "getrusage", lambda _: known)
     for macos_, factor in ((True, 1), (False, 1024)):
         monkeypatch.setattr(here, "MACOS", macos_)
-        assert memory.peak() == known.ru_maxrss * factor
+        assert memory_limits.peak() == known.ru_maxrss * factor

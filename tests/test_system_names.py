@@ -15,10 +15,10 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
-from svrgs_addon.errors import FormatError, SceneError
-from svrgs_addon.exit_status import plain, printable
 from svrgs_addon.files.atomic import atomic_write, check_writable
 from svrgs_addon.system import here
+from svrgs_addon.system.errors import FormatError, SceneError
+from svrgs_addon.system.exit_status import plain, printable
 from svrgs_addon.system.file_names import extended, is_link, shown, what_is_forbidden
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from svrgs_addon.jobs.stop_request import StopRequest
+from svrgs_addon.prune.stop_request import StopRequest
 from svrgs_addon.system import here, processes
 from svrgs_addon.system import windows as system_calls
 from svrgs_addon.system.processes import ChildProcess, ProcessGroup, killed_from_outside, stop_signals
@@ -138,7 +138,7 @@ def test_ctrl_break_is_a_stop_request(monkeypatch):
 CTRL_BREAK = """
 import signal, sys, time
 sys.path.insert(0, sys.argv[1])
-from svrgs_addon.jobs.stop_request import StopRequest
+from svrgs_addon.prune.stop_request import StopRequest
 with StopRequest() as stop:
     print("ready", flush=True)
     while not stop():

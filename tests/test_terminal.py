@@ -19,9 +19,9 @@ pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
 from colmap_model import write_colmap
-from svrgs_addon.exit_status import printable
 from svrgs_addon.finetune.loop import Progress
-from svrgs_addon.jobs.progress import Reporter
+from svrgs_addon.prune.progress import Reporter
+from svrgs_addon.system.exit_status import printable
 
 ROOT = Path(__file__).resolve().parents[1]
 NAME = os.fsdecode(b"caf\xe9")  # Latin-1: not UTF-8

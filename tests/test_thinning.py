@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svrgs_addon.bench.scenes import orbit_camera, room
-from svrgs_addon.geometry.morton_order import morton_order
-from svrgs_addon.metrics.psnr import psnr
-from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render import thinning
+from svrgs_addon.render.metrics.psnr import psnr
 from svrgs_addon.render.thinning import GROUP, Thinning, thinned
+from svrgs_addon.scene.morton_order import morton_order
+from svrgs_bench.scenes import orbit_camera, room
 
 
 @pytest.fixture(scope="module")

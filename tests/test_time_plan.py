@@ -12,7 +12,6 @@ pytest.importorskip("OpenImageIO")
 
 from command_checks import refused
 from plans import prune_settings, train_settings
-from svrgs_addon.errors import Cancelled, FormatError, SceneError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS, removal
@@ -21,14 +20,15 @@ from svrgs_addon.finetune.plan import at_schedule
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import views_that_see
 from svrgs_addon.finetune.settings import MCMC
-from svrgs_addon.jobs import duration, planning, time_plan
-from svrgs_addon.jobs.context import JobContext
-from svrgs_addon.jobs.duration import Pace, pace_of
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.jobs.job_folder import JobFolder
-from svrgs_addon.jobs.options import PruneOptions, TrainOptions
-from svrgs_addon.jobs.run_job import prune_scene, train_scene
-from svrgs_addon.jobs.time_plan import GRID, LEAST, MOST, fitted
+from svrgs_addon.prune import duration, planning, time_plan
+from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.duration import Pace, pace_of
+from svrgs_addon.prune.options import PruneOptions, TrainOptions
+from svrgs_addon.prune.run_job import prune_scene, train_scene
+from svrgs_addon.prune.time_plan import GRID, LEAST, MOST, fitted
+from svrgs_addon.system.errors import Cancelled, FormatError, SceneError
 
 SLOW = Pace(count=250, step=0.1, power=0.4, look=0.5, drawn=0.02, point=0.04, measured=0.1, photograph=0.01, train_views=10, test_views=2, uncached=0.0)
 PRUNING = [name for name, method in METHODS.items() if method.prunes]

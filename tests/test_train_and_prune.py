@@ -12,12 +12,12 @@ pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
 from plans import prune_settings, train_settings
-from svrgs_addon.errors import SceneError
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import invisible, load_scene
 from svrgs_addon.finetune import scores
-from svrgs_addon.jobs import train_and_prune
-from svrgs_addon.native import Rasterizer, RenderOptions
+from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.prune import train_and_prune
+from svrgs_addon.system.errors import SceneError
 from tiny_jobs import SETTINGS, TRAINING, prune
 
 

@@ -11,10 +11,10 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from job_checks import at_work, follow
-from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.jobs.job_folder import PRUNE, TRAIN, JobFolder
 from svrgs_addon.jobs.job_process import Job
+from svrgs_addon.system.errors import FormatError, SceneError
 
 SHORT, MEDIUM = 80, 3000  # steps
 

@@ -15,11 +15,11 @@ pytest.importorskip("OpenImageIO")
 
 import scenes
 from row_dataset import HEIGHT, OPENCV, PINHOLE, POINTS, WIDTH, make_dataset, photo
-from svrgs_addon import packages
-from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files.ply_points import read_points
-from svrgs_addon.photographs.colmap import read_model
-from svrgs_addon.photographs.dataset import Dataset, load_dataset
+from svrgs_addon.system import packages
+from svrgs_addon.system.errors import FormatError, SceneError
+from svrgs_addon.views.colmap import read_model
+from svrgs_addon.views.dataset import Dataset, load_dataset
 from transforms_dataset import transforms_of, write_points, write_transforms
 
 FISHEYE = ("OPENCV_FISHEYE", [60.0, 58.0, 31.0, 25.0, 0.05, -0.01, 0.002, -0.001])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svrgs_addon.geometry.upright import levelled, tilt, up_direction
+from svrgs_addon.scene.upright import levelled, tilt, up_direction
 
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -56,7 +56,7 @@ def test_no_up_without_a_consensus():
 def test_real_captures(shared_data):
     """Held against the plane of the bed, the street's direction, and the ground below a drone."""
     pytest.importorskip("pycolmap")
-    from svrgs_addon.photographs.dataset import load_dataset
+    from svrgs_addon.views.dataset import load_dataset
 
     for name, plane, bound in (("snowmiku_plush", (0, -0.83, -0.55), 10), ("lund_street", (0, -1, 0), 6), ("brighton_beach", (0, 0, -1), 11)):
         cameras = load_dataset(shared_data / name, cameras_only=True).cameras

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from svrgs_addon.errors import FormatError, SceneError
 from svrgs_addon.files import usd, usd_arrays
 from svrgs_addon.files.registry import read_scene, write_scene
-from svrgs_addon.geometry.affine import transformed
+from svrgs_addon.scene.affine import transformed
+from svrgs_addon.system.errors import FormatError, SceneError
 from test_formats import differences, like_trained, rotations
 
 pxr = pytest.importorskip("pxr", reason="usd-core is not installed")

@@ -12,11 +12,11 @@ import numpy as np
 
 import scenes
 from colmap_model import write_colmap
-from svrgs_addon.camera import Camera
 from svrgs_addon.files.images import write_image
 from svrgs_addon.files.ply import write_ply
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.scene import Scene
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.scene.gaussians import Scene
 
 WIDTH, HEIGHT, VIEWS = 64, 48, 12
 SEEN, FAINT = 120, 10

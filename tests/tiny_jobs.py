@@ -7,7 +7,7 @@ from pathlib import Path
 
 from plans import prune_settings, train_settings
 from svrgs_addon.finetune.settings import Densify
-from svrgs_addon.jobs import train_and_prune
+from svrgs_addon.prune import train_and_prune
 
 # Masks that start undecided, so that pruning events bite within few steps.
 SETTINGS = replace(prune_settings("svr", 60, 30, prune_every=20, lambda_f=1e-3), mask_init=0.5, seed=5)

@@ -45,7 +45,7 @@ pip=("$python" -m pip install -qq --disable-pip-version-check) # -qq: errors onl
 "${pip[@]}" -r requirements-dev.txt
 # The checkout is on Python's path, behind the current folder; pip's own way to do this would compile the native core again.
 "$python" -m pip uninstall -qq --yes --disable-pip-version-check svrgs-addon 2>/dev/null
-echo "$PWD" >"$("$python" -c "import sysconfig; print(sysconfig.get_path('purelib'))")/svrgs.pth"
+printf '%s\n' "$PWD" "$PWD/benchmarks" >"$("$python" -c "import sysconfig; print(sysconfig.get_path('purelib'))")/svrgs.pth"
 printf '#!/bin/sh\nexec "%s" -m svrgs_addon "$@"\n' "$(cd "$venv" && pwd)/bin/python" >"$venv/bin/svrgs"
 chmod +x "$venv/bin/svrgs"
 

@@ -1,4 +1,4 @@
-"""The parser of the command line. Options of datasets, training and pruning come from jobs/options.py.
+"""The parser of the command line. Options of datasets, training and pruning come from prune/options.py.
 
 Nothing heavy is imported here, so that every command starts at once. The list of methods is imported when a help text shows it.
 """
@@ -15,14 +15,14 @@ from dataclasses import fields
 from typing import Any
 
 from .. import __version__
-from ..errors import SceneError
-from ..exit_status import printable
-from ..farm.engine_messages import KINDS as MESSAGES
-from ..jobs.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions, refuse_time_and_steps
-from ..option_kinds import COLOUR, COUNT, DECIBELS, POSITIVE, SHARE, SHARES, Kind, Option, default_of, options_of
-from ..outputs import PICTURES
-from ..selection.options import SelectOptions
+from ..jobs.farm.engine_messages import KINDS as MESSAGES
+from ..native.outputs import PICTURES
+from ..prune.options import ENGINES, DatasetOptions, PruneOptions, TrainOptions, refuse_time_and_steps
+from ..prune.selection.options import SelectOptions
+from ..system.errors import SceneError
+from ..system.exit_status import printable
 from ..system.file_names import extended
+from ..system.option_kinds import COLOUR, COUNT, DECIBELS, POSITIVE, SHARE, SHARES, Kind, Option, default_of, options_of
 from .convert_options import ConvertOptions
 
 NAME_WIDTH = 24  # characters of the first column of the list of methods

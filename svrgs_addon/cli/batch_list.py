@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import SceneError
 from ..files import registry
 from ..files.level_files import level_files
+from ..system.errors import SceneError
 from ..system.file_names import real
 
 PRUNED = "_pruned"  # end of the default name of an output, before its suffix

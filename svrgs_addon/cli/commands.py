@@ -13,11 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .. import memory
-from ..errors import Cancelled
-from ..exit_status import STOPPED, plain, printable
 from ..files import registry
-from ..jobs.options import DatasetOptions, PruneOptions, TrainOptions
+from ..prune.options import DatasetOptions, PruneOptions, TrainOptions
+from ..system import memory
+from ..system.errors import Cancelled
+from ..system.exit_status import STOPPED, plain, printable
 from .arguments import options_from
 
 if TYPE_CHECKING:
@@ -40,15 +40,15 @@ def render(words: Words) -> int:
 
 
 def train(words: Words) -> int:
-    from ..jobs.run_job import train_scene
+    from ..prune.run_job import train_scene
 
     result = train_scene(options_from(TrainOptions, words))
     return _print(result, words, _figures(result))
 
 
 def prune(words: Words) -> int:
-    from ..jobs.run_job import method_of, prune_scene
     from ..jobs.worker import run_in_child
+    from ..prune.run_job import method_of, prune_scene
     from . import batch_list
 
     options = options_from(PruneOptions, words, out=None, report=None)
@@ -103,11 +103,11 @@ def rig(words: Words) -> int:
 
 
 def evaluate(words: Words) -> int:
-    from ..jobs.run_job import dataset_of
-    from ..large.opened import opened
-    from ..metrics import load_lpips
-    from ..metrics.evaluate import evaluate as measure
-    from ..metrics.evaluate import refuse_unseen, split_indices
+    from ..prune.blocks.block_rasterizer import opened
+    from ..prune.run_job import dataset_of
+    from ..render.metrics import load_lpips
+    from ..render.metrics.evaluate import evaluate as measure
+    from ..render.metrics.evaluate import refuse_unseen, split_indices
 
     _set_threads(words)
     registry.check_readable(words.scene)
@@ -147,11 +147,13 @@ def large(words: Words) -> int:
 
 
 def bench(words: Words) -> int:
-    from ..bench.run import bench as run
-    from ..bench.text import as_text
+    from ..system.errors import SceneError
+    from ..system.packages import is_installed, load
 
-    result = run(words)
-    return _print(result, words, "" if words.json else as_text(result))
+    if not is_installed("svrgs_bench"):
+        raise SceneError("svrgs bench is not part of the extension: use a checkout after make setup, or install the wheel")
+    result = load("svrgs_bench.run", "svrgs bench").bench(words)
+    return _print(result, words, "" if words.json else load("svrgs_bench.text", "svrgs bench").as_text(result))
 
 
 COMMANDS: dict[str, Callable[[Words], int]] = {
@@ -161,9 +163,9 @@ COMMANDS: dict[str, Callable[[Words], int]] = {
 
 
 def _set_threads(words: Words):
-    from .. import native
+    from ..native import library
 
-    native.set_threads(words.threads)
+    library.set_threads(words.threads)
 
 
 def _figures(result: dict, lpips_missing: str = "") -> str:

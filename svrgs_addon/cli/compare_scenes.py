@@ -6,19 +6,19 @@ import argparse
 
 import numpy as np
 
-from ..camera import evenly
-from ..errors import SceneError
 from ..files.atomic import check_writable
 from ..files.registry import check_readable
-from ..jobs.options import DatasetOptions
-from ..jobs.rendered_views import LONGEST
-from ..jobs.run_job import dataset_of
-from ..large.opened import opened
-from ..large.sample import sample_of
-from ..photographs.camera_files import load_cameras
-from ..photographs.dataset import HOLDOUT, Dataset
-from ..report.compare import compare
-from ..rig import place_rig
+from ..prune.blocks.block_rasterizer import opened
+from ..prune.blocks.sample import sample_of
+from ..prune.options import DatasetOptions
+from ..prune.rendered_views import LONGEST
+from ..prune.report.compare import compare
+from ..prune.run_job import dataset_of
+from ..scene.camera import evenly
+from ..system.errors import SceneError
+from ..views.camera_files import load_cameras
+from ..views.dataset import HOLDOUT, Dataset
+from ..views.rig import place_rig
 from .arguments import options_from
 
 MOST = 32  # given views, evenly spread in the file

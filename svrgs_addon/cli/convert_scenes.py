@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import memory
-from ..errors import MemoryShort, SceneError, SplatError, TooMany
 from ..files import registry
 from ..files.atomic import check_writable
 from ..files.level_files import holds_levels
 from ..files.spooled import spooled
 from ..files.streamed_sog import write_levels
-from ..geometry.affine import scaled, transformed
-from ..scene import SH_COEFFICIENTS, Scene
-from ..selection.criteria import in_box
+from ..prune.selection.criteria import in_box
+from ..scene.affine import scaled, transformed
+from ..scene.gaussians import SH_COEFFICIENTS, Scene
+from ..system import memory
+from ..system.errors import MemoryShort, SceneError, SplatError, TooMany
 from ..system.file_names import extended, real
 from .arguments import options_from
 from .convert_options import ConvertOptions

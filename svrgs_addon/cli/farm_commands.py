@@ -7,18 +7,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ..errors import SceneError, SplatError
-from ..farm.engine_messages import Messages
-from ..farm.farm_job import FarmJob, common_folder, refuse_folder, tasks_of
-from ..farm.flamenco import write_submission
-from ..farm.needs import memory_of
-from ..farm.openjd import write_bundle
-from ..farm.run_tasks import numbers_of, run_tasks
-from ..farm.summary import summarise
 from ..files.registry import format_to_write
-from ..jobs.options import PruneOptions
-from ..jobs.run_job import method_of
-from ..memory import size_text
+from ..jobs.farm.engine_messages import Messages
+from ..jobs.farm.farm_job import FarmJob, common_folder, refuse_folder, tasks_of
+from ..jobs.farm.flamenco import write_submission
+from ..jobs.farm.needs import memory_of
+from ..jobs.farm.openjd import write_bundle
+from ..jobs.farm.run_tasks import numbers_of, run_tasks
+from ..jobs.farm.summary import summarise
+from ..prune.options import PruneOptions
+from ..prune.run_job import method_of
+from ..system.errors import SceneError, SplatError
+from ..system.memory import size_text
 from .arguments import options_from
 from .batch_list import expand
 

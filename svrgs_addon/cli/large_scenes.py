@@ -8,29 +8,29 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-from .. import native
-from ..camera import Camera
-from ..errors import Cancelled, SceneError
-from ..farm.engine_messages import Messages
 from ..files.registry import format_to_read
-from ..jobs.by_blocks import left_by_a_stop, request_of
-from ..jobs.options import PruneOptions
-from ..jobs.stop_request import StopRequest
-from ..large.blocks import Divided, clear, divide
-from ..large.folder import measured_views, prepare, refuse_foreign, scored_views
-from ..large.learning import decide, prepare_around, recover, targets
-from ..large.likeness import Likeness
-from ..large.merging import merge, reduce
-from ..large.pruning import finish, finish_learned
-from ..large.request import Request
-from ..large.sample import finer, refuse_hidden, sample_of
-from ..large.scoring import score
-from ..large.tuning import EPOCHS, TUNED, cut, tune
-from ..large.whole import Goal, check_out, prune_by_blocks
-from ..option_kinds import default_of
-from ..photographs.camera_files import load_cameras
-from ..photographs.dataset import HOLDOUT, load_dataset
-from ..rig import place_rig
+from ..jobs.farm.engine_messages import Messages
+from ..native import library
+from ..prune.blocks.divided import Divided, clear, divide
+from ..prune.blocks.folder import measured_views, prepare, refuse_foreign, scored_views
+from ..prune.blocks.learning import decide, prepare_around, recover, targets
+from ..prune.blocks.likeness import Likeness
+from ..prune.blocks.merging import merge, reduce
+from ..prune.blocks.pruning import finish, finish_learned
+from ..prune.blocks.request import Request
+from ..prune.blocks.sample import finer, refuse_hidden, sample_of
+from ..prune.blocks.scoring import score
+from ..prune.blocks.tuning import EPOCHS, TUNED, cut, tune
+from ..prune.blocks.whole import Goal, check_out, prune_by_blocks
+from ..prune.by_blocks import left_by_a_stop, request_of
+from ..prune.options import PruneOptions
+from ..prune.stop_request import StopRequest
+from ..scene.camera import Camera
+from ..system.errors import Cancelled, SceneError
+from ..system.option_kinds import default_of
+from ..views.camera_files import load_cameras
+from ..views.dataset import HOLDOUT, load_dataset
+from ..views.rig import place_rig
 from .arguments import options_from
 
 OF_METHODS = ("lambda_f", "iterations", "recovery", "schedule", "min_contribution")  # options
@@ -38,7 +38,7 @@ OF_METHODS = ("lambda_f", "iterations", "recovery", "schedule", "min_contributio
 
 def large(words: argparse.Namespace) -> dict[str, Any]:
     """Does one step, or all. Raises SplatError."""
-    native.set_threads(words.threads)
+    library.set_threads(words.threads)
     steps = {"divide": _divide, "score": _score, "reduce": _reduce, "merge": _merge, "decide": _decide, "cut": _cut, "tune": _tune, "finish": _finish}
     return (steps | {"prune": _prune})[words.action](words)
 

@@ -21,9 +21,9 @@ def _main(arguments: list[str] | None) -> int:
     from . import terminal
 
     terminal.prepare()
-    from .. import memory
-    from ..exit_status import guarded
-    from ..packages import uninterrupted
+    from ..system import memory
+    from ..system.exit_status import guarded
+    from ..system.packages import uninterrupted
     from .arguments import parser
 
     options = parser().parse_args(arguments)

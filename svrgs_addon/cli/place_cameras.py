@@ -6,15 +6,15 @@ import argparse
 import logging
 from pathlib import Path
 
-from .. import memory
-from ..errors import MemoryShort, SceneError, TooMany
 from ..files.atomic import check_writable
 from ..files.images import write_image
 from ..files.registry import load_scene, refuse_input
-from ..large.sample import MOST, sample_of
-from ..photographs.cameras_json import write_cameras_json
-from ..rig import place_rig
-from ..scene import Scene
+from ..prune.blocks.sample import MOST, sample_of
+from ..scene.gaussians import Scene
+from ..system import memory
+from ..system.errors import MemoryShort, SceneError, TooMany
+from ..views.cameras_json import write_cameras_json
+from ..views.rig import place_rig
 
 
 def place_cameras(words: argparse.Namespace) -> dict:
@@ -29,7 +29,7 @@ def place_cameras(words: argparse.Namespace) -> dict:
     rig = place_rig(scene, views=words.views, seed=words.seed, enlarged=enlarged)
     write_cameras_json(words.out, [*rig.cameras, *rig.held_out])
     if words.preview is not None:
-        from ..rig.preview import preview
+        from ..views.rig.preview import preview
 
         write_image(words.preview, preview(scene, rig))
     return {**rig.facts(), "out": str(words.out), "preview": words.preview and str(words.preview)}

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import memory
-from ..camera import Camera, refuse_same_stems, view_stem
-from ..errors import SceneError
 from ..files.atomic import atomic_write, check_writable
 from ..files.images import write_image
-from ..large.opened import opened
-from ..metrics.evaluate import picture_options
-from ..outputs import OUTPUTS, PICTURES
-from ..photographs.camera_files import load_cameras
-from ..photographs.dataset import HOLDOUT, load_dataset
-from ..report.pictures import mask_to_rgb, to_uint8
+from ..native.outputs import OUTPUTS, PICTURES
+from ..prune.blocks.block_rasterizer import opened
+from ..prune.report.pictures import mask_to_rgb, to_uint8
+from ..render.metrics.evaluate import picture_options
+from ..scene.camera import Camera, refuse_same_stems, view_stem
+from ..system import memory
+from ..system.errors import SceneError
+from ..views.camera_files import load_cameras
+from ..views.dataset import HOLDOUT, load_dataset
 
 MAX_DIGITS = 20  # of the number of a view; Python refuses to read thousands of digits
 

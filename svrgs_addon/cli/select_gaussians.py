@@ -8,18 +8,18 @@ import logging
 from collections.abc import Iterator
 from pathlib import Path
 
-from .. import memory
-from ..camera import Camera
-from ..errors import SceneError
 from ..files.atomic import check_writable
 from ..files.registry import format_to_write, read_parts, read_scene, refuse_input, write_scene
 from ..files.repair import unusable
 from ..files.spooled import spooled
-from ..photographs.camera_files import load_cameras
-from ..photographs.dataset import load_dataset
-from ..scene import Scene
-from ..selection.options import OF_ONE, OF_VIEWS, SelectOptions
-from ..selection.select import selected
+from ..prune.selection.options import OF_ONE, OF_VIEWS, SelectOptions
+from ..prune.selection.select import selected
+from ..scene.camera import Camera
+from ..scene.gaussians import Scene
+from ..system import memory
+from ..system.errors import SceneError
+from ..views.camera_files import load_cameras
+from ..views.dataset import load_dataset
 from .arguments import options_from
 from .render_views import choose
 

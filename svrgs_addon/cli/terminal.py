@@ -7,7 +7,7 @@ import io
 import os
 import sys
 
-from ..exit_status import log_to_stderr
+from ..system.exit_status import log_to_stderr
 
 ERRORS = "svrgs"  # name of the error handler of both streams
 

@@ -16,9 +16,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from ..errors import SceneError
-from ..memory import size_text
 from ..system import file_names, here, locks, replacing
+from ..system.errors import SceneError
+from ..system.memory import size_text
 
 FREE_SPACE_MARGIN = 1.1  # free disk space needed per byte of a file
 HIDDEN_PREFIX = ".svrgs-"  # first characters of the names of temporary files

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..scene import Scene
+from ..scene.gaussians import Scene
 
 AXES = np.array([1, -1, -1], np.float32)  # signs of positions after half a turn around x; of the (x, y, z) of quaternions, too
 AROUND_Y = np.array([-1, 1, -1], np.float32)  # the same around y

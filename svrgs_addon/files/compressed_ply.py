@@ -17,9 +17,9 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import FormatError
-from ..geometry.morton_order import morton_order
-from ..scene import SH_COEFFICIENTS, Scene
+from ..scene.gaussians import SH_COEFFICIENTS, Scene
+from ..scene.morton_order import morton_order
+from ..system.errors import FormatError
 from .atomic import atomic_write, check_space
 from .opened import MAX_COUNT, opened, refuse_unpacking, rows_at, size_of
 from .ply_header import MAX_HEADER_BYTES, Header, format_header, parse_header

@@ -9,9 +9,9 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-from ..errors import SceneError
-from ..memory import size_text
+from ..system.errors import SceneError
 from ..system.file_names import real
+from ..system.memory import size_text
 
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))  # the disk, the largest file, the quota of the user
 CAN_HOLD = hasattr(os, "posix_fallocate")

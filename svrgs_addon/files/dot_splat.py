@@ -11,8 +11,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..errors import FormatError
-from ..scene import Scene
+from ..scene.gaussians import Scene
+from ..system.errors import FormatError
 from .atomic import atomic_write, check_space
 from .opened import MAX_COUNT, opened, refuse_unpacking, rows_at, size_of
 from .quantised import alphas_of, colors_of_sh, logits_of, logs_of, sh_of_colors

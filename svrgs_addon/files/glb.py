@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, SceneError
-from ..geometry.affine import transformed
-from ..geometry.merge import merged
-from ..geometry.rotations import rotation_matrices
-from ..scene import SH_COEFFICIENTS, Scene
+from ..scene.affine import transformed
+from ..scene.gaussians import SH_COEFFICIENTS, Scene
+from ..scene.merge import merged
+from ..scene.rotations import rotation_matrices
+from ..system.errors import FormatError, SceneError
 from . import spz
 from .atomic import atomic_write, check_space
 from .axes import AXES, turned_around, turned_over

@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..errors import FormatError
+from ..system.errors import FormatError
 from .opened import size_of
 
 HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 
-from ..scene import Scene
+from ..scene.gaussians import Scene
 from . import glb, spz
 from .atomic import atomic_write, check_space
 from .axes import turned_around, turned_over

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 
-from ..errors import FormatError
+from ..system.errors import FormatError
 
 HEAD_BYTES = 16
 MISNAMED_BYTES = 64 * 2**20  # largest file that is read although its suffix is that of another kind

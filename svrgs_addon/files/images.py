@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import packages
-from ..errors import FormatError, SceneError
+from ..system import packages
+from ..system.errors import FormatError, SceneError
 from .atomic import atomic_path
 from .image_kinds import has_right_suffix
 

@@ -14,8 +14,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import FormatError
-from ..scene import SH_COEFFICIENTS, Scene
+from ..scene.gaussians import SH_COEFFICIENTS, Scene
+from ..system.errors import FormatError
 from .opened import MAX_COUNT, opened, refuse_many, refuse_unpacking, rows_at, size_of
 from .quantised import logits_of, logs_of, sh_of_colors
 from .splat_format import SplatFormat

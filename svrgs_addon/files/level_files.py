@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..scene import Scene
+from ..scene.gaussians import Scene
 from . import streamed_sog
 from .registry import size_on_disk, split_name, stored, write_scene
 from .splat_format import joined

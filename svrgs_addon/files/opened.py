@@ -11,8 +11,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from .. import memory
-from ..errors import FormatError, TooMany
+from ..system import memory
+from ..system.errors import FormatError, TooMany
 
 MAX_COUNT, MAX_IN_PARTS = 20_000_000, 2**32 - 1  # Gaussians of a file that is read as a whole, in parts
 SHORTER = "became shorter while it was read; try again when no program writes it"

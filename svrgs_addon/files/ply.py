@@ -15,9 +15,9 @@ from typing import BinaryIO
 
 import numpy as np
 
-from .. import memory
-from ..errors import FormatError, SceneError
-from ..scene import SH_COEFFICIENTS, Scene
+from ..scene.gaussians import SH_COEFFICIENTS, Scene
+from ..system import memory
+from ..system.errors import FormatError, SceneError
 from . import compressed_ply
 from .atomic import atomic_write, check_space, start_writeback
 from .opened import MAX_COUNT, opened, refuse_many, size_of

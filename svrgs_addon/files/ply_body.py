@@ -11,8 +11,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..errors import FormatError
-from ..scene import Scene
+from ..scene.gaussians import Scene
+from ..system.errors import FormatError
 from .ply_header import ENCODINGS, Header
 
 MAX_ASCII_BYTES = 64 * 2**20

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from ..errors import FormatError
+from ..system.errors import FormatError
 
 MAX_HEADER_BYTES = 64 * 1024
 MAX_HEADER_LINES = 1000

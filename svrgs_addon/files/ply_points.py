@@ -7,7 +7,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import FormatError
+from ..system.errors import FormatError
 from .ply_body import MAX_ASCII_BYTES, parse_numbers
 from .ply_header import ENCODINGS, MAX_HEADER_BYTES, parse_header
 

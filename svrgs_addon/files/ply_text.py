@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from ..errors import SceneError
-from ..scene import Scene
+from ..scene.gaussians import Scene
+from ..system.errors import SceneError
 from .ply_header import is_comment
 
 MIP_COMMENT = "SplatRenderMode: mip"

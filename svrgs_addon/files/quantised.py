@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import SH_C0, Scene
+from ..scene.gaussians import SH_C0, Scene
 from .spooled import in_blocks
 
 LEAST_SCALE = np.float32(1e-30)  # for one of 0

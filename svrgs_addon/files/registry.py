@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import memory
-from ..errors import FormatError, SceneError
-from ..native_library import thresholds
-from ..scene import Scene
+from ..native.library import thresholds
+from ..scene.gaussians import Scene
+from ..system import memory
+from ..system.errors import FormatError, SceneError
 from ..system.file_names import extended, real
 from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, streamed_sog, usd
 from .opened import MAX_IN_PARTS

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..scene import Scene
+from ..scene.gaussians import Scene
 
 LOGIT_OF_ONE = 10.0  # opacity 0.99995: rendered like 1, because alpha is clamped at 0.99, but its gradient is not zero
 MAX_ABS_LOGIT = 1e6  # beyond, arithmetic on logits may overflow; no picture shows a difference

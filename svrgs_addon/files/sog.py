@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError
-from ..scene import SH_COEFFICIENTS, Scene
+from ..scene.gaussians import SH_COEFFICIENTS, Scene
+from ..system.errors import FormatError
 from .images import read_texture
 from .opened import MAX_COUNT, json_object, opened, refuse_unpacking
 from .quantised import logits_of, quats_of_three

@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__, memory
-from ..errors import SceneError
-from ..geometry.morton_order import morton_order
-from ..scene import Scene
+from .. import __version__
+from ..scene.gaussians import Scene
+from ..scene.morton_order import morton_order
+from ..system import memory
+from ..system.errors import SceneError
 from .atomic import atomic_path, atomic_write, check_space
 from .images import write_texture
 from .palette import nearest, palette, table

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..native_library import PARAMETERS
-from ..scene import Scene
+from ..native.library import PARAMETERS
+from ..scene.gaussians import Scene
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from typing import IO, Any
 
 import numpy as np
 
-from ..errors import SceneError
-from ..native_library import PARAMETERS
-from ..scene import Scene
+from ..native.library import PARAMETERS
+from ..scene.gaussians import Scene
+from ..system.errors import SceneError
 from .disk_space import existing_parent
 
 LARGE = 1 << 29  # bytes of an array that array_for() puts into a file

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry.morton_order import morton_order
-from ..scene import Scene
+from ..scene.gaussians import Scene
+from ..scene.morton_order import morton_order
 from .atomic import atomic_write, check_space
 from .axes import turned_over
 from .opened import MAX_COUNT, opened

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import FormatError, SceneError
-from ..scene import SH_COEFFICIENTS
+from ..scene.gaussians import SH_COEFFICIENTS
+from ..system.errors import FormatError, SceneError
 from . import zstd
 from .opened import refuse_unpacking
 

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..errors import FormatError
-from ..geometry.morton_order import morton_order
-from ..geometry.rotations import rotation_matrices
-from ..scene import SH_COEFFICIENTS, Scene
+from ..scene.gaussians import SH_COEFFICIENTS, Scene
+from ..scene.morton_order import morton_order
+from ..scene.rotations import rotation_matrices
+from ..system.errors import FormatError
 from . import sog
 from .atomic import atomic_write, check_space
 from .opened import MAX_COUNT, MAX_IN_PARTS, json_object, opened, refuse_many

@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from .. import packages
-from ..errors import FormatError, SceneError
-from ..geometry.affine import transformed
-from ..geometry.merge import merged
-from ..scene import SH_COEFFICIENTS, Scene
-from ..system import limited
+from ..scene.affine import transformed
+from ..scene.gaussians import SH_COEFFICIENTS, Scene
+from ..scene.merge import merged
+from ..system import limited, packages
+from ..system.errors import FormatError, SceneError
 from ..system.processes import ChildProcess
 from . import usd_arrays
 from .atomic import atomic_path, check_space

@@ -6,7 +6,7 @@ import importlib
 import importlib.util
 import os
 
-from ..errors import FormatError
+from ..system.errors import FormatError
 
 SHARED = 1 << 22  # bytes
 PIECE, HALF_WINDOW = 1 << 22, 8  # bytes that a core takes at a time; it looks back half as far as one core alone would, which costs 0.2 % more bytes

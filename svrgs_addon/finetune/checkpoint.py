@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write, check_space
 from ..files.npz import write_arrays
-from ..photographs.dataset import Dataset
+from ..system.errors import FormatError, SceneError
+from ..views.dataset import Dataset
 from .averaging import Average
 from .densify import Statistics
 from .model import Model

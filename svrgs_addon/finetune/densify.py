@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..geometry.rotations import rotation_matrices
+from ..scene.rotations import rotation_matrices
 from .model import Model
 from .settings import Densify
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..camera import Camera
-from ..native import Rasterizer, RenderOptions
+from ..native.rasterizer import Rasterizer, RenderOptions
+from ..scene.camera import Camera
 from .model import MASK, PARAMETERS, Model
 from .penalties import Penalty
 

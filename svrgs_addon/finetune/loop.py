@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..errors import Cancelled, SplatError
+from ..system.errors import Cancelled, SplatError
 from .run import Run
 
 CURVE_POINTS, LEAST_BETWEEN = 40, 20  # points of the curves; least number of steps between two: a point takes as long as one or two steps

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import SceneError
-from ..native import sample_masks
+from ..native.rasterizer import sample_masks
+from ..system.errors import SceneError
 from .model import MASK, Model
 from .scores import top
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.random import Generator
 
-from ..geometry.rotations import rotated
+from ..scene.rotations import rotated
 from .model import Model
 from .penalties import MeanOpacity, MeanScale, sigmoid
 from .settings import MCMC

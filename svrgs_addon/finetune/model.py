@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SceneError
-from ..geometry.neighbours import nearest_distances
-from ..scene import SH_C0, SH_COEFFICIENTS, Scene
+from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Scene
+from ..scene.neighbours import nearest_distances
+from ..system.errors import SceneError
 from .moments import zero_moments
 
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..native import moments_like
+from ..native.rasterizer import moments_like
 
 
 def zero_moments(values: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..geometry.morton_order import morton_order
+from ..scene.morton_order import morton_order
 from .run_view import RunView
 from .saliency import removal_errors
 from .scores import top

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ..errors import SceneError
+from ..system.errors import SceneError
 from .methods.base import Method
 from .settings import Densify, Phase, Settings
 

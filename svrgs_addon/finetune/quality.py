@@ -21,7 +21,7 @@ from .run_view import RunView
 from .scores import top
 
 if TYPE_CHECKING:  # reads files; a Blender that only starts needs none of it
-    from ..photographs.dataset import Dataset
+    from ..views.dataset import Dataset
 
 LEAST = 0.05  # least share of the Gaussians that an allowed drop keeps: in a poor scene, PSNR alone would be held by some large blurs
 VIEWS = 16  # most views on which a drop in PSNR is measured, spread evenly over the test views

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import SceneError
+from ..system.errors import SceneError
 from .quality import fewest_within
 from .run_view import Keep, RunView
 from .saliency import removal_errors

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..camera import Camera
-from ..geometry.neighbours import nearest_rows
-from ..geometry.rotations import rotation_matrices
-from ..native import thresholds
+from ..native.library import thresholds
+from ..scene.camera import Camera
+from ..scene.neighbours import nearest_rows
+from ..scene.rotations import rotation_matrices
 from .model import Model
 from .penalties import sigmoid
 

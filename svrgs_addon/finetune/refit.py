@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..camera import Camera
-from ..errors import Cancelled
-from ..geometry.morton_order import morton_order
-from ..native import RenderOptions
-from ..native_library import PARAMETERS
-from ..scene import Scene
+from ..native.library import PARAMETERS
+from ..native.rasterizer import RenderOptions
+from ..scene.camera import Camera
+from ..scene.gaussians import Scene
+from ..scene.morton_order import morton_order
+from ..system.errors import Cancelled
 from .engine import NativeEngine, Step
 from .model import Model
 from .settings import Rates

@@ -15,13 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from .. import memory
-from ..camera import Camera
-from ..errors import SceneError
-from ..geometry.morton_order import morton_order
-from ..metrics.evaluate import mean_psnr
-from ..native import Rasterizer, RenderOptions
-from ..photographs.dataset import Dataset
+from ..native.rasterizer import Rasterizer, RenderOptions
+from ..render.metrics.evaluate import mean_psnr
+from ..scene.camera import Camera
+from ..scene.morton_order import morton_order
+from ..system import memory
+from ..system.errors import SceneError
+from ..views.dataset import Dataset
 from . import densify, masks, mcmc
 from .averaging import Average
 from .engine import Step, StepResult
@@ -280,7 +280,7 @@ class Run:
         return not sentence
 
     def _into_order(self):
-        """Puts the rows in Morton order (geometry/morton_order.py). The densification statistics are not reordered, so it is called only
+        """Puts the rows in Morton order (scene/morton_order.py). The densification statistics are not reordered, so it is called only
         when they are empty or are reset next."""
         if self.settings.spatial_order:
             self.model.reorder(morton_order(self.model.means))

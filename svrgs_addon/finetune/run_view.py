@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ..camera import Camera
-from ..native import Rasterizer, RenderOptions
+from ..native.rasterizer import Rasterizer, RenderOptions
+from ..scene.camera import Camera
 from .model import Model
 from .settings import Settings
 

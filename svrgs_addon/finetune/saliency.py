@@ -21,9 +21,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..camera import Camera
-from ..native import Rasterizer, RenderOptions
-from ..scene import Scene
+from ..native.rasterizer import Rasterizer, RenderOptions
+from ..scene.camera import Camera
+from ..scene.gaussians import Scene
 from .model import Model
 from .views import fitting_reduction
 

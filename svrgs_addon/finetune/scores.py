@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..camera import Camera
-from ..native import Rasterizer, RenderOptions
-from ..scene import Scene
+from ..native.rasterizer import Rasterizer, RenderOptions
+from ..scene.camera import Camera
+from ..scene.gaussians import Scene
 from .model import Model
 
 

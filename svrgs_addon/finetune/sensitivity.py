@@ -17,11 +17,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..camera import Camera
-from ..geometry.rotations import rotation_matrices
-from ..native import MOMENTS, Rasterizer, RenderOptions
-from ..native_library import thresholds
-from ..scene import Scene
+from ..native.library import thresholds
+from ..native.rasterizer import MOMENTS, Rasterizer, RenderOptions
+from ..scene.camera import Camera
+from ..scene.gaussians import Scene
+from ..scene.rotations import rotation_matrices
 from .views import fitting_reduction
 
 REDUCTION = 4  # views are rendered at a quarter of their size, as published

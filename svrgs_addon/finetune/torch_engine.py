@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SceneError
-from ..native import GRADS, Rasterizer
+from ..native.library import GRADS
+from ..native.rasterizer import Rasterizer
+from ..system.errors import SceneError
 from .engine import BETAS, EPS, Step, StepResult
 from .model import MASK, PARAMETERS, Model
 from .moments import packed, unpacked

@@ -1,1 +1,1 @@
-"""Training and pruning as whole jobs: in this process, in a child process of a batch, or in a background process that Blender follows."""
+"""Jobs outside this process: background jobs that Blender follows, child processes of a batch, and tasks of a farm (farm/)."""

@@ -9,24 +9,24 @@ from __future__ import annotations
 import sys
 import time
 
-from .. import native
-from ..exit_status import answer
 from ..files.registry import invisible
 from ..finetune.plan import at_schedule
-from ..metrics.evaluate import refuse_unseen
-from ..metrics.explained import mismatch_of
-from ..option_kinds import check_mapping
+from ..native import library
+from ..prune.context import PROCESS
+from ..prune.duration import pace_of
+from ..prune.expected_count import expected_count, expected_order, seen_by_some
+from ..prune.options import PruneOptions
+from ..prune.planning import timed_scene
+from ..prune.quality_forecast import forecast
+from ..prune.quick import like_quick
+from ..prune.run_job import dataset_of_pruning, plan_of_pruning
+from ..prune.time_plan import fitted
+from ..render.metrics.evaluate import refuse_unseen
+from ..render.metrics.explained import mismatch_of
+from ..system.exit_status import answer
 from ..system.file_names import extended
-from .context import PROCESS
-from .duration import pace_of
-from .expected_count import expected_count, expected_order, seen_by_some
+from ..system.option_kinds import check_mapping
 from .job_recorder import RECORDED
-from .options import PruneOptions
-from .planning import timed_scene
-from .quality_forecast import forecast
-from .quick import like_quick
-from .run_job import dataset_of_pruning, plan_of_pruning
-from .time_plan import fitted
 
 
 def estimate(options: PruneOptions) -> dict:
@@ -39,7 +39,7 @@ def estimate(options: PruneOptions) -> dict:
     expected time of the whole job; notes: sentences on the dataset and whether the splat belongs to it.
     """
     begun = time.perf_counter()
-    native.set_threads(options.threads)
+    library.set_threads(options.threads)
     options, dataset = like_quick(options) if options.quick else (options, dataset_of_pruning(options))
     assert options.scene is not None
     scene, read = timed_scene(options.scene)

@@ -9,10 +9,10 @@
     previews/ITERATION.png
     ranking.npz        of a job that prunes: when each Gaussian was removed, and its last probability (ranking.py)
     recovered.ply.job  checkpoints; recovered.ply is the splat after the last step
-    recovered.ply.blocks    of a job by blocks (large/): the blocks, and which of its tasks are done
+    recovered.ply.blocks    of a job by blocks (prune/blocks/): the blocks, and which of its tasks are done
     stop               flag file: the parent creates it, the child obeys (job_main.py)
     cameras.json       given views of a job without photographs, if there are any
-    merged.ply, order.npy   of a quick job: its order (decimate/saved_order.py)
+    merged.ply, order.npy   of a quick job: its order (finetune/decimate/saved_order.py)
 
     pruned.ply, kept.npy, score.npy, result.json     the result; result.json is written last
     probability.npy                                  if masks were learned
@@ -43,24 +43,23 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..camera import Camera
-from ..decimate.saved_order import MERGED, ORDER
-from ..errors import FormatError, SceneError
 from ..files.atomic import atomic_write
 from ..files.ply_header import MAX_HEADER_BYTES, parse_header
 from ..files.registry import write_scene
+from ..finetune.decimate.saved_order import MERGED, ORDER
 from ..finetune.methods import FORMER_NAMES
-from ..large import folder as blocks
-from ..large import tasks
-from ..option_kinds import check_mapping
-from ..scene import Scene
+from ..prune.blocks import folder as blocks
+from ..prune.blocks import tasks
+from ..prune.disk_room import ROW, check_room
+from ..prune.options import PruneOptions, TrainOptions, refuse_time_and_steps
+from ..scene.camera import Camera
+from ..scene.gaussians import Scene
+from ..system.errors import FormatError, SceneError
 from ..system.file_names import extended, is_link, remove_link
+from ..system.option_kinds import check_mapping
 from ..system.replacing import read_bytes
-from .disk_room import check_room
-from .options import PruneOptions, TrainOptions, refuse_time_and_steps
 
 SCHEMA = 2
-ROW = "svrgs_row"  # column of scene.ply
 BLOCKS = blocks.blocks_of(Path("recovered.ply")).name
 HEARTBEAT = 2.0  # seconds between two writes of state.json
 STALE = 15.0  # seconds: a process that has not renewed its state for so long is gone
@@ -100,7 +99,7 @@ class JobFolder:
         rows = np.arange(scene.count, dtype=np.uint32)
         write_scene(folder / "scene.ply", replace(scene, attributes={**scene.attributes, ROW: rows}))
         if cameras:
-            from ..photographs.cameras_json import write_cameras_json  # a Blender that only starts does not need it
+            from ..views.cameras_json import write_cameras_json  # a Blender that only starts does not need it
 
             write_cameras_json(folder / CAMERAS, cameras)
         folder._write_request(PRUNE, name, scene.count, options, digest_of(scene))

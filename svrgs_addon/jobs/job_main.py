@@ -24,8 +24,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import Cancelled, SceneError
-from ..exit_status import guarded
+from ..system.errors import Cancelled, SceneError
+from ..system.exit_status import guarded
 from .job_folder import HEARTBEAT, PRUNE, STOP, TRAIN, JobFolder
 
 POLL_EVERY = 0.05  # seconds between two checks for the flag file
@@ -65,8 +65,8 @@ class JobMain:
             _say(kind, facts)
 
     def _work(self) -> int:
+        from ..prune.run_job import prune_scene, train_scene
         from .job_recorder import RECORDERS
-        from .run_job import prune_scene, train_scene
 
         kind, options = self.folder.kind, self.folder.options()
         if options.colmap is None:

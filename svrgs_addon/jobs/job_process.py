@@ -14,8 +14,8 @@ import subprocess
 import sys
 import time
 
-from ..blender import subprocess_python
-from ..errors import FormatError, SceneError
+from ..system import subprocess_python
+from ..system.errors import FormatError, SceneError
 from ..system.processes import ProcessGroup, killed_from_outside
 from .job_folder import ENDED, JobFolder, facts_of
 

@@ -9,22 +9,23 @@ from typing import Protocol
 
 import numpy as np
 
-from ..errors import FormatError, SceneError
-from ..exit_status import plain
 from ..files.atomic import atomic_write
 from ..files.images import write_image
 from ..files.registry import load_scene, read_scene, write_scene
 from ..finetune import loop, masks
 from ..finetune.run import Run
-from ..metrics.evaluate import render_options, rounded_to_8_bits
-from ..native import Rasterizer, RenderOptions
-from ..scene import Scene
+from ..native.rasterizer import Rasterizer, RenderOptions
+from ..prune.context import JobContext
+from ..prune.disk_room import ROW
+from ..prune.time_plan import TimePlan
+from ..render.metrics.evaluate import render_options, rounded_to_8_bits
+from ..scene.gaussians import Scene
+from ..system.errors import FormatError, SceneError
+from ..system.exit_status import plain
 from ..system.replacing import replace as replace_file
-from .context import JobContext
-from .job_folder import METRICS, PRUNE, ROW, TRAIN, JobFolder
+from .job_folder import METRICS, PRUNE, TRAIN, JobFolder
 from .ranking import VIEWS as IMPORTANCE_VIEWS
 from .ranking import Ranking, importance
-from .time_plan import TimePlan
 
 PREVIEW_SIDE = 512  # longest side of a preview, pixels
 METRIC_ROWS = 200  # rows of metrics.csv for a whole run, roughly
@@ -178,7 +179,7 @@ RECORDERS: dict[str, type[JobRecorder]] = {PRUNE: PruneRecorder, TRAIN: TrainRec
 
 
 def without_rows(scene: Scene) -> Scene:
-    """The scene without the column of source rows (job_folder.ROW)."""
+    """The scene without the column of source rows (ROW)."""
     attributes = {name: column for name, column in scene.attributes.items() if name != ROW}
     return replace(scene, attributes=attributes, property_order=tuple(name for name in scene.property_order if name != ROW))
 

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..blender import subprocess_python
-from ..camera import Camera
-from ..errors import SceneError
-from ..exit_status import answer
-from ..metrics.explained import sample_views
-from ..photographs.dataset import load_dataset
+from ..render.metrics.explained import sample_views
+from ..scene.camera import Camera
+from ..system import subprocess_python
+from ..system.errors import SceneError
+from ..system.exit_status import answer
+from ..views.dataset import load_dataset
 
 Views = list[tuple[Camera, np.ndarray]]
 

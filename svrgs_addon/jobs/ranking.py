@@ -14,13 +14,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..blender.activation import opacities as sigmoid
-from ..errors import FormatError
 from ..files.npz import write_arrays
 from ..finetune import scores
 from ..finetune.model import MASK
 from ..finetune.run import Run
-from ..scene import Scene
+from ..scene.activation import opacities as sigmoid
+from ..scene.gaussians import Scene
+from ..system.errors import FormatError
 
 ALIVE = np.iinfo(np.int32).max  # value of Ranking.dropped for Gaussians that are still in the model
 VIEWS = 32  # views for the order of Gaussians for which no mask was learned

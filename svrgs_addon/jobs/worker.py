@@ -13,11 +13,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..blender.subprocess_python import environment
-from ..exit_status import STOPPED, answer
+from ..prune.options import PruneOptions
+from ..prune.stop_request import StopRequest
+from ..system.exit_status import STOPPED, answer
 from ..system.processes import ChildProcess
-from .options import PruneOptions
-from .stop_request import StopRequest
+from ..system.subprocess_python import environment
 
 PATHS = ("scene", "colmap", "cameras", "out", "report", "lpips_weights")
 
@@ -44,7 +44,7 @@ def run_in_child(options: PruneOptions) -> tuple[int, dict]:
 
 
 def _prune_request(request: dict) -> dict:
-    from .run_job import prune_scene
+    from ..prune.run_job import prune_scene
 
     values: dict[str, Any] = {name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()}
     values |= {name: tuple(value) for name, value in values.items() if isinstance(value, list)}  # JSON has no tuples

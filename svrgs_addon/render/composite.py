@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..camera import Camera
-from ..errors import Cancelled
-from ..native import Rasterizer, RenderOptions
-from ..outputs import OUTPUTS
-from ..scene import Scene
+from ..native.outputs import OUTPUTS
+from ..native.rasterizer import Rasterizer, RenderOptions
+from ..scene.camera import Camera
+from ..scene.gaussians import Scene
+from ..system.errors import Cancelled
 from .meshes import Surface
 
 FAR = 1e10  # depth of empty pixels, as in Blender's own engines

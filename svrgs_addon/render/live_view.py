@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ..errors import Cancelled
-from ..native import Rasterizer
+from ..native.rasterizer import Rasterizer
+from ..system.errors import Cancelled
 
 COARSE = 4  # a pixel of the coarse picture covers 4 x 4 pixels of the view
 

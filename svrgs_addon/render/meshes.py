@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ..camera import Camera
-from ..native_pictures import draw_triangles
+from ..native.pictures import draw_triangles
+from ..scene.camera import Camera
 from .textures import Texture
 
 AMBIENT = 0.62  # brightness of a surface at right angles to LIGHT

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..camera import Camera
-from ..native_pictures import add_view
+from ..native.pictures import add_view
+from ..scene.camera import Camera
 from .composite import FAR, Composite
 
 BANDS = 9  # of views between the poles

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..camera import Camera
-from ..native import Rasterizer
-from ..native_pictures import linear_colours
-from ..outputs import OUTPUTS
-from ..scene import Scene
+from ..native.outputs import OUTPUTS
+from ..native.pictures import linear_colours
+from ..native.rasterizer import Rasterizer
+from ..scene.camera import Camera
+from ..scene.gaussians import Scene
 from .composite import FAR, Composite, composite
 from .meshes import Surface
 

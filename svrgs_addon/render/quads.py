@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..blender import activation
-from ..camera import Camera
-from ..geometry.rotations import rotation_matrices
-from ..geometry.sh_rotation import band
-from ..scene import SH_C0, Scene
+from ..scene import activation
+from ..scene.camera import Camera
+from ..scene.gaussians import SH_C0, Scene
+from ..scene.rotations import rotation_matrices
+from ..scene.sh_rotation import band
 from .color_maps import colored
 
 BLOCK = 65_536  # Gaussians that are computed at a time

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..native import Rasterizer
-from ..scene import Scene
+from ..native.rasterizer import Rasterizer
+from ..scene.gaussians import Scene
 
 GROUP = 4  # Gaussians that one stands for
 MOST = 500_000  # that are seen: of so many, all are drawn

@@ -1,1 +1,1 @@
-"""The operating system: the only room with a branch for each one. It imports nothing of the other rooms."""
+"""The ground: what differs between operating systems, errors and exit status, packages, memory, kinds of options. It imports no other room."""

@@ -1,129 +1,192 @@
-"""The memory of this computer and of this process, as the system reports it. All values are in bytes."""
+"""Estimates of the memory that a job needs, and the memory that is available.
+
+A job whose estimate exceeds the available memory is refused before it starts; the message names both numbers. What the system says is
+read in system/memory_limits.py.
+"""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from pathlib import Path, PurePosixPath
+from collections.abc import Sequence
+from typing import Protocol
 
-from . import here, macos, windows
-
-try:
-    import resource
-except ImportError:  # Windows
-    resource = None  # type: ignore[assignment]
-
-CGROUP, OWN_CGROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-CGROUP_2 = ("memory.max", "memory.current", "inactive_file")  # files with limit and use, and name of the cached files in memory.stat
-CGROUP_1 = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+from .errors import MemoryShort, SceneError
+from .memory_limits import address_limit, available
 
 
-def available() -> int | None:
-    """Bytes that this process can still allocate without swapping; None if the system does not report it.
+class View(Protocol):
+    """Anything with the size of a picture, in pixels: a Camera. Importing that, and with it NumPy, needs memory."""
 
-    Limits are included: of containers (cgroups), of the process (ulimit -v), of the job object of a process on Windows.
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+
+
+# Measured as the growth of the process in bytes (docs/reliability.md).
+READING = 1.3  # bytes per byte of a splat file: its arrays, and copies of some of them during repair
+ROW_FLOATS = 13  # 4-byte values per Gaussian without SH: mean 3, log-scale 3, quaternion 4, opacity logit, existence logit, source row
+SH_MOMENT = 2  # bytes of Adam moments per SH coefficient; other values have moments of their own size, 4 bytes
+STATISTICS = 8  # bytes per Gaussian: the statistics of densification
+ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densification adds
+PROJECTED = 150  # bytes per projected Gaussian
+STREAMED = 65  # bytes per Gaussian of a compressed file that is unpacked, without SH; an SPZ needs most
+TEXTURED = 150  # bytes per Gaussian that becomes pixels of a SOG
+DECIMATED = 500  # bytes per Gaussian while it is removed or merged, without its values
+RENDERED_PIXEL = 50  # bytes per pixel of a view: a picture
+KEPT_PIXEL = 50  # the same, for what gradients or statistics need in addition
+TUNED_PIXEL, MEASURED_PIXEL = 200, 100  # the same: fine-tuning, metrics
+LPIPS_PIXEL = 2000  # bytes per pixel of a view: LPIPS
+COMPARED_PIXEL = 60  # bytes per pixel of each view of which two scenes are shown in a report
+NUMPY_ADDRESSES, PHOTOGRAPH_ADDRESSES = 200_000_000, 800_000_000  # bytes of addresses needed by NumPy; by pycolmap, OpenImageIO and SciPy too
+
+
+def reading(file_bytes: int) -> int:
+    """Bytes of memory needed to read a splat file of file_bytes bytes."""
+    return int(READING * file_bytes)
+
+
+def unpacking(count: int, coefficients: int) -> int:
+    """Bytes of memory needed to read `count` Gaussians out of a compressed file: in parts, which are then joined. coefficients: SH coefficients per
+    channel, K."""
+    return 2 * 4 * (11 + 3 * coefficients) * count
+
+
+def unpacking_in_parts(count: int, coefficients: int) -> int:
+    """Bytes of memory needed to read `count` Gaussians out of a compressed file in parts: for the file, and the streams or textures
+    that are unpacked as a whole. coefficients: as for unpacking()."""
+    return (STREAMED + 6 * coefficients) * count
+
+
+def texturing(count: int, coefficients: int) -> int:
+    """Bytes of memory needed to turn `count` Gaussians that are in memory already into textures and a palette. coefficients: SH coefficients per
+    channel, K."""
+    return (TEXTURED + 4 * 3 * coefficients) * count
+
+
+def rendering(count: int, width: int, height: int) -> int:
+    """Bytes of memory needed to render one view of width x height pixels of `count` Gaussians that are in memory already."""
+    return PROJECTED * count + RENDERED_PIXEL * width * height
+
+
+def tuning(count: int, coefficients: int, cameras: Sequence[View], kept_photographs: int, averaged: int = 0) -> int:
+    """Bytes of memory needed to fine-tune and evaluate `count` Gaussians.
+
+    coefficients: SH coefficients per channel, K. cameras: all views; the largest one counts. kept_photographs: memory budget of
+    cached photographs in bytes; at most 3 bytes per pixel of all views are counted. averaged: number of those that are left when values are
+    averaged; 0 if none are.
     """
-    sources = (_windows_available, _job_available) if here.WINDOWS else (_system_available, _cgroup_available, _addresses_available)
-    limits = [limit for source in sources if (limit := source()) is not None]
-    return min(limits) if limits else None
+    row, moments = _trained_row(coefficients)
+    besides = max(PROJECTED * count, (PROJECTED + row) * averaged)  # the first steps, the averaged ones; the memory of removed rows is not freed
+    return int((row + moments) * count + besides + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + _kept(cameras, kept_photographs))
 
 
-def peak() -> int | None:
-    """Largest resident set size of this process so far in bytes; None if the system does not report it."""
-    if here.WINDOWS:
-        memory = windows.process_memory()
-        return memory.peak_working_set if memory else None
-    try:  # VmHWM counts this program only; on Linux, getrusage starts with the size of the parent process
-        return proc_bytes("self/status", "VmHWM")
-    except (OSError, ValueError):
-        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return most if here.MACOS else most * 1024
+def decimating(count: int, coefficients: int, cameras: Sequence[View]) -> int:
+    """Bytes of memory needed to remove and merge Gaussians (finetune/decimate/) and to fine-tune those that are left, on pictures that are all kept.
 
-
-def address_limit() -> int | None:
-    """Largest number of bytes of addresses of this process (ulimit -v); None without a limit."""
-    if resource is None or here.WINDOWS:
-        return None
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    return None if limit == resource.RLIM_INFINITY else limit
-
-
-# --- Windows
-
-
-def _windows_available() -> int | None:
-    """Bytes of memory that are free, as far as they can be committed."""
-    status = windows.memory_status()
-    return min(status.available, status.available_page_file) if status else None
-
-
-def _job_available() -> int | None:
-    """Bytes below the limit of the job object; None without one. Of a limit on all its processes, other ones may have used a part."""
-    job, memory = windows.own_job_limits(), windows.process_memory()
-    if job is None or memory is None:
-        return None
-    limits = ((windows.LIMITS_PROCESS_MEMORY, job.process_memory), (windows.LIMITS_JOB_MEMORY, job.job_memory))
-    return min((max(0, limit - memory.private) for flag, limit in limits if job.flags & flag), default=None)
-
-
-# --- Linux and macOS
-
-
-def _system_available() -> int | None:
-    """Available bytes of the whole system; None if it does not report them."""
-    if here.MACOS:
-        return macos.available_memory()
-    try:
-        return proc_bytes("meminfo", "MemAvailable")
-    except (OSError, ValueError):
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-
-
-def proc_bytes(file: str, name: str) -> int:
-    """Bytes in the line `name` of /proc/`file`. Raises OSError or ValueError if there is no such file or line."""
-    text = Path("/proc", file).read_text(encoding="utf-8", errors="surrogateescape")
-    return 1024 * int(text.partition(f"{name}:")[2].partition("kB")[0])
-
-
-def _cgroup_available() -> int | None:
-    """Bytes below the nearest limit of the containers (cgroups, version 1 or 2), where cached files count as free; None without a limit."""
-    left = [_below_limit(folder, *names) for folder, names in _cgroups()]
-    return min((value for value in left if value is not None), default=None)
-
-
-def _cgroups() -> Iterator[tuple[Path, tuple[str, str, str]]]:
-    """The folders of the cgroups of this process and of those around them, and the names of their files.
-
-    In a container, the path of the process in /proc may not exist below /sys/fs/cgroup; then only the root, which is the container's, does.
+    coefficients: SH coefficients per channel, K. cameras: all views.
     """
-    try:
-        lines = [line.split(":", 2) for line in OWN_CGROUPS.read_text(encoding="utf-8", errors="surrogateescape").splitlines()]
-    except OSError:
-        lines = []
-    paths = {controllers: path for _, controllers, path in lines}
-    own_2 = paths.get("", "/")
-    own_1 = next((path for controllers, path in paths.items() if "memory" in controllers.split(",")), "/")
-    for root, own, names in ((CGROUP, own_2, CGROUP_2), (CGROUP / "unified", own_2, CGROUP_2), (CGROUP / "memory", own_1, CGROUP_1)):
-        inner = PurePosixPath(own.lstrip("/"))
-        for part in (inner, *inner.parents):
-            if ".." not in part.parts:  # above the root of a namespace
-                yield root / part, names
+    pictures = 12 * sum(camera.width * camera.height for camera in cameras)
+    return max(ordering(count, coefficients, cameras), tuning(count, coefficients, cameras, 0)) + pictures
 
 
-def _below_limit(folder: Path, limit_file: str, use_file: str, cached_name: str) -> int | None:
-    """Bytes that may still be used in one cgroup; None if it has no limit or does not exist."""
-    try:
-        limit, used, stat = ((folder / name).read_text(encoding="utf-8").strip() for name in (limit_file, use_file, "memory.stat"))
-        facts = dict(line.split() for line in stat.splitlines())
-        return None if limit == "max" else max(0, int(limit) - int(used) + int(facts.get(cached_name, 0)))
-    except (OSError, ValueError):
-        return None
+def ordering(count: int, coefficients: int, cameras: Sequence[View]) -> int:
+    """Bytes of memory needed to order removals and merges. coefficients, cameras: as for decimating()."""
+    return (DECIMATED + _trained_row(coefficients)[0]) * count + (RENDERED_PIXEL + KEPT_PIXEL) * _pixels(cameras)
 
 
-def _addresses_available() -> int | None:
-    """Bytes of addresses that this process can still have; None without a limit."""
+def measuring(count: int, cameras: Sequence[View], kept_photographs: int, lpips: bool) -> int:
+    """Bytes of memory needed to evaluate `count` Gaussians that are in memory already. cameras: the views; the largest one counts.
+
+    kept_photographs: as for tuning(). lpips: whether LPIPS is measured too.
+    """
+    pixel = RENDERED_PIXEL + MEASURED_PIXEL + LPIPS_PIXEL * lpips
+    return PROJECTED * count + pixel * _pixels(cameras) + _kept(cameras, kept_photographs)
+
+
+def comparing(count: int, cameras: Sequence[View], shown: Sequence[View], kept_photographs: int, lpips: bool) -> int:
+    """Bytes of memory needed to compare two scenes in memory, the larger one with `count` Gaussians, in figures and pictures.
+
+    cameras, kept_photographs, lpips: as for measuring(). shown: the views with pictures.
+    """
+    pictures = COMPARED_PIXEL * sum(camera.width * camera.height for camera in shown)
+    return measuring(count, cameras, kept_photographs, lpips) + pictures
+
+
+def growing(count: int, added: int, coefficients: int, cameras: Sequence[View]) -> int:
+    """Further bytes of memory needed to add `added` Gaussians to `count` ones during training.
+
+    The arrays are copied one after the other, so one copy of the largest array counts. Metrics of a view at the end must fit as well.
+    """
+    (row, moments), largest = _trained_row(coefficients), 4 * 3 * coefficients
+    new = (1 + ADDED_COPIES) * row + moments + PROJECTED
+    return new * added + largest * (count + added) + MEASURED_PIXEL * _pixels(cameras)
+
+
+def checkpoint(count: int, coefficients: int, averaged: int = 0) -> int:
+    """Bytes on disk of the largest checkpoint of a run that has `count` Gaussians now. coefficients: SH coefficients per channel. averaged: as
+    for tuning()."""
+    row, moments = _trained_row(coefficients)
+    return max((row + moments + STATISTICS) * count, (2 * row + moments + STATISTICS) * averaged)
+
+
+def _trained_row(coefficients: int) -> tuple[int, int]:
+    """Bytes of the parameters and of the Adam moments of one Gaussian with K SH coefficients per channel."""
+    other = 4 * ROW_FLOATS
+    return other + 4 * 3 * coefficients, other + SH_MOMENT * 3 * coefficients
+
+
+BY_BLOCKS, IN_PARTS = "svrgs large prunes it by blocks, with less", "svrgs convert and svrgs large read it in parts"  # advice
+
+
+def without_advice(sentence: str) -> str:
+    """The sentence of an error without BY_BLOCKS or IN_PARTS at its end: for work that then goes on in this way."""
+    return sentence.removesuffix(f"; {BY_BLOCKS}").removesuffix(f"; {IN_PARTS}")
+
+
+def shortage(what: str, needed: int) -> str:
+    """A sentence if `needed` bytes exceed the available memory, else ''. what: subject of the sentence, such as 'pruning a.ply'."""
+    free = available()
+    if free is None or needed <= free:
+        return ""
+    return f"{what} needs about {size_text(needed)} of memory, but only {size_text(free)} are available"
+
+
+def refuse_excess(what: str, needed: int, advice: str = "") -> None:
+    """Raises MemoryShort with the sentence of shortage() if there is one. advice: what else can be done."""
+    if sentence := shortage(what, needed):
+        raise MemoryShort(f"{sentence}; {advice}" if advice else sentence)
+
+
+def refuse_few_addresses(least: int) -> None:
+    """Raises SceneError if the process may have less than `least` bytes of addresses (ulimit -v).
+
+    Call it before NumPy and pycolmap are imported: with too few, they fail in ways that a program cannot catch, or never return.
+    """
     limit = address_limit()
-    try:
-        return None if limit is None else max(0, limit - proc_bytes("self/status", "VmSize"))
-    except (OSError, ValueError):
-        return None
+    if limit is not None and limit < least:
+        raise SceneError(f"this process may use only {size_text(limit)} of memory (ulimit -v), but needs at least {size_text(least)}; raise the limit")
+
+
+def _kept(cameras: Sequence[View], budget: int) -> int:
+    """Bytes of cached photographs of 8 bits per channel within the budget."""
+    return min(budget, 3 * sum(camera.width * camera.height for camera in cameras))
+
+
+def _pixels(cameras: Sequence[View]) -> int:
+    """Number of pixels of the largest view."""
+    return max(camera.width * camera.height for camera in cameras)
+
+
+def size_text(value: float) -> str:
+    """Bytes as text: '1.2 GB', '150.0 MB', '12 bytes'."""
+    for limit, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if value >= limit:
+            return f"{value / limit:.1f} {unit}"
+    return f"{value:.0f} bytes"
+
+
+def part_text(part: int, whole: int) -> str:
+    """Two numbers of bytes, the first below the second, as text: '0.1 of 21.7 MB', or '12 bytes of 21.7 MB are missing'."""
+    number, unit = size_text(whole).split()
+    shown = f"{part * float(number) / whole:.1f}" if unit != "bytes" else str(part)
+    return f"{shown} of {number} {unit}" if shown != number else f"{size_text(whole - part)} of {number} {unit} are missing"

@@ -67,7 +67,7 @@ def dataset(request) -> tuple[Path, Views]:
 @pytest.fixture
 def make_scene():
     """Scenes as a file may hold them: not normalised, extreme, with further columns of every type."""
-    Scene = part("svrgs_addon.scene").Scene
+    Scene = part("svrgs_addon.scene.gaussians").Scene
 
     def make(count: int = 500, degree: int = 3, further: bool = True):
         rng, K = np.random.default_rng(degree), (degree + 1) ** 2
@@ -107,7 +107,7 @@ def stage():
 
 @pytest.fixture
 def gaussians():
-    return part("svrgs_addon.bench.scenes").room(3000)
+    return part("svrgs_bench.scenes").room(3000)
 
 
 @pytest.fixture

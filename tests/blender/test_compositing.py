@@ -80,7 +80,7 @@ def rendered(path) -> np.ndarray:
 
 def raw(scene, camera, matrix) -> dict:
     """As drawn(), without rounding."""
-    native, view = part("svrgs_addon.native"), view_of(camera, bpy.context.scene).moved(matrix)
+    native, view = part("svrgs_addon.native.rasterizer"), view_of(camera, bpy.context.scene).moved(matrix)
     return native.Rasterizer().forward(scene, view, native.RenderOptions(), outputs=("rgb", "alpha"))
 
 

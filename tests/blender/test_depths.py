@@ -136,7 +136,7 @@ def test_a_camera_path_is_a_set_of_views_in_the_coordinates_of_the_splat(splat, 
         assert (matrix @ [*view.position, 1])[1] == pytest.approx(shot.matrix_world.translation.y, abs=1e-4)
     splat.scale = (1, 2, 1)
     bpy.context.view_layer.update()
-    with pytest.raises(part("svrgs_addon.errors").SceneError, match="scaled unevenly"):
+    with pytest.raises(part("svrgs_addon.system.errors").SceneError, match="scaled unevenly"):
         part("operators.bridge_views").views(bpy.context, splat)
 
 

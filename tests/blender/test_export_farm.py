@@ -28,7 +28,7 @@ def lines() -> str:
 
 
 def run(folder, *words: str) -> int:
-    return part("svrgs_addon.blender.subprocess_python").run(["farm", "run", str(folder), *words, "--json"])[0]
+    return part("svrgs_addon.system.subprocess_python").run(["farm", "run", str(folder), *words, "--json"])[0]
 
 
 def test_a_farm_prunes_as_the_panel_would(splat, bridge, watch, tmp_path):

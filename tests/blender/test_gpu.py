@@ -25,7 +25,7 @@ def shaders():
 
 def quads_picture(shaders, scene, camera, hidden=1.0, reduction: int = 1) -> np.ndarray:
     """(H, W, 4) of all Gaussians, from the top; hidden: depth in [0, 1] of what is in front, a number or (H, W)."""
-    bridge_gpu, native, quads = part("operators.bridge_gpu"), part("svrgs_addon.native_pictures"), part("svrgs_addon.render.quads")
+    bridge_gpu, native, quads = part("operators.bridge_gpu"), part("svrgs_addon.native.pictures"), part("svrgs_addon.render.quads")
     cloud = quads.quads(scene, scene.count)
     lists = {
         "order": bridge_gpu.texture(native.depth_order(cloud.means, camera.viewmat[2, :3]), "R32F"),
@@ -34,7 +34,7 @@ def quads_picture(shaders, scene, camera, hidden=1.0, reduction: int = 1) -> np.
     }
     flip = np.diag([1.0, -1, -1, 1])
     small = camera.resized(camera.width // reduction, camera.height // reduction)
-    near, far = part("svrgs_addon.native_library").thresholds().near, 100.0
+    near, far = part("svrgs_addon.native.library").thresholds().near, 100.0
     scale, shift = (-2 / (far - near), -(far + near) / (far - near)) if camera.orthographic else (-(far + near) / (far - near), -2 * far * near / (far - near))
     constants = {
         "modelview": Matrix(flip @ camera.viewmat), "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]),
@@ -53,7 +53,7 @@ def quads_picture(shaders, scene, camera, hidden=1.0, reduction: int = 1) -> np.
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_all_quads_are_the_rasterizers_picture(shaders, antialiased, orthographic):
     """To the 11 bits of the half floats they are blended in."""
-    scenes, native = part("svrgs_addon.bench.scenes"), part("svrgs_addon.native")
+    scenes, native = part("svrgs_bench.scenes"), part("svrgs_addon.native.rasterizer")
     scene, camera = replace(scenes.room(2000), antialiased=antialiased), scenes.orbit_camera(SIDE, SIDE // 2)
     if orthographic:
         camera = replace(camera, K=camera.K @ np.diag([0.15, 0.15, 1]), orthographic=True)
@@ -66,13 +66,13 @@ def test_all_quads_are_the_rasterizers_picture(shaders, antialiased, orthographi
 
 
 def test_what_is_in_front_hides_them(shaders):
-    scenes = part("svrgs_addon.bench.scenes")
+    scenes = part("svrgs_bench.scenes")
     scene, camera = scenes.room(500), scenes.orbit_camera(SIDE, SIDE // 2)
     assert quads_picture(shaders, scene, camera).any() and not quads_picture(shaders, scene, camera, hidden=0.0).any()
 
 
 def test_fewer_pixels_show_the_same_picture(shaders):
-    scenes = part("svrgs_addon.bench.scenes")
+    scenes = part("svrgs_bench.scenes")
     scene, camera = scenes.room(2000), scenes.orbit_camera(4 * SIDE, 2 * SIDE)
     whole, small = quads_picture(shaders, scene, camera), quads_picture(shaders, scene, camera, reduction=2)
     blocks = whole.reshape(SIDE, 2, 2 * SIDE, 2, 4).mean(axis=(1, 3))
@@ -81,7 +81,7 @@ def test_fewer_pixels_show_the_same_picture(shaders):
 
 def test_a_thin_line_in_front_leaves_no_dots_in_a_smaller_picture(shaders):
     """The lines of the grid and of bounds are in the viewport's depth buffer."""
-    scenes = part("svrgs_addon.bench.scenes")
+    scenes = part("svrgs_bench.scenes")
     scene, camera = scenes.room(2000), scenes.orbit_camera(4 * SIDE, 2 * SIDE)
     line = np.ones((2 * SIDE, 4 * SIDE), np.float32)
     line[np.arange(2 * SIDE), np.arange(2 * SIDE)] = 0.0

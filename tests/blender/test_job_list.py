@@ -156,7 +156,7 @@ def test_jobs_of_earlier_sessions_are_found_in_the_folders(splat, watch, listed,
     follow(watch, lambda: all(map(ended, watch.jobs.values())))
     assert set(listed()) == {"scene", "beside"}
     assert Path(listed()["beside"]["folder"]).parent == tmp_path / "svrgs_jobs"
-    assert part("svrgs_addon.memory").size_text(first.folder.size()) in listed()["scene"]["size"]
+    assert part("svrgs_addon.system.memory").size_text(first.folder.size()) in listed()["scene"]["size"]
 
 
 def test_a_result_is_opened_beside_its_splat_where_that_is(splat, watch, listed, results):

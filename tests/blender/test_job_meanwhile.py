@@ -125,7 +125,7 @@ def test_a_full_disk_stops_no_other_job(splat, watch, monkeypatch):
     (job,) = watch.jobs.values()
 
     def full(*_):
-        raise part("svrgs_addon.errors").SceneError("state.json: No space left on device")
+        raise part("svrgs_addon.system.errors").SceneError("state.json: No space left on device")
 
     monkeypatch.setattr(folder.JobFolder, "write_json", full)
     job._process.kill()

@@ -70,7 +70,7 @@ def test_what_cycles_shows_is_at_the_same_place(tmp_path, stage, panorama, spots
 
 def test_a_splat_is_where_its_gaussians_are(tmp_path, stage, bridge, panorama):
     """Some small white Gaussians around the camera."""
-    scene = part("svrgs_addon.bench.scenes").room(5)
+    scene = part("svrgs_bench.scenes").room(5)
     means = np.array([[3, 0, 0.5], [-1, 2, 1], [0, -2, -2], [1, 1, 3], [-3, -1, -1]], np.float32)
     white = np.full((5, 1, 3), 1.7, np.float32)
     scene = type(scene)(means, np.full((5, 3), -2.7, np.float32), scene.quats, np.full(5, 5, np.float32), white)

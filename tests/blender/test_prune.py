@@ -23,7 +23,7 @@ def json_lines(text: str) -> list[dict]:
 @pytest.fixture(scope="module")
 def from_a_shell(tmp_path_factory) -> tuple[dict, bytes]:
     out = tmp_path_factory.mktemp("shell") / "pruned.ply"
-    child = part("svrgs_addon.blender.subprocess_python")
+    child = part("svrgs_addon.system.subprocess_python")
     words = [f"--{name}={value}" for name, value in SHORT.items()]
     command = [sys.executable, "-m", "svrgs_addon", "prune", DATA / "tiny/scene.ply", "--colmap", DATA / "tiny", *words, "--out", out, "--json", "--quiet"]
     done = subprocess.run([str(word) for word in command], env=child.environment(), capture_output=True, text=True)
@@ -209,7 +209,7 @@ def test_threads_are_taken_from_the_preferences(capfd):
 
 
 def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch, tmp_path):
-    child = part("svrgs_addon.blender.subprocess_python")
+    child = part("svrgs_addon.system.subprocess_python")
     run = child.run
 
     def identical(words):

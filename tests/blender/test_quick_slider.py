@@ -65,8 +65,8 @@ def test_it_shows_any_number_at_once_and_the_data_stay_those_of_the_job(result, 
 
 def test_more_gaussians_look_more_like_the_original(result, splat, bridge):
     original = bridge.scene_from_object(splat)
-    camera = part("svrgs_addon.rig.around").cameras_around(original, 8, 128)[3]
-    native, psnr = part("svrgs_addon.native"), part("svrgs_addon.metrics").psnr
+    camera = part("svrgs_addon.views.rig.around").cameras_around(original, 8, 128)[3]
+    native, psnr = part("svrgs_addon.native.rasterizer"), part("svrgs_addon.render.metrics").psnr
     draw = lambda scene: native.Rasterizer().forward(scene, camera)["rgb"].copy()  # noqa: E731
     whole, values = draw(original), []
     for share in (5, 30, 90):

@@ -88,10 +88,10 @@ def test_several_splats_are_one_picture(tmp_path, stage, bridge, gaussians, room
     away = Matrix.Rotation(1.1, 4, (1, 2, 3)) @ Matrix.Diagonal((-0.5, 2.0, 1.0, 1.0))
     degree0 = replace(gaussians, sh=np.ascontiguousarray(gaussians.sh[:, :1]))
     parts = degree0.select(np.arange(1500)), gaussians.select(np.arange(1500, 3000))
-    moved = part("svrgs_addon.geometry.affine").transformed(parts[0], np.array(away.inverted()))
+    moved = part("svrgs_addon.scene.affine").transformed(parts[0], np.array(away.inverted()))
     first = bridge.object_from_scene("first", moved, stage.collection, bridge.AXES @ away)
     bridge.object_from_scene("second", parts[1], stage.collection)
-    both = part("svrgs_addon.geometry.merge").merged(parts)
+    both = part("svrgs_addon.scene.merge").merged(parts)
     expected = drawn(both, camera, bridge.AXES)["rgb"]
     assert np.abs(f12(tmp_path / "two.png")[..., :3] - expected).max() <= 2 * LEVEL
     assert np.abs(expected - whole[..., :3]).max() > 0.05, "colours that depend on the direction count"

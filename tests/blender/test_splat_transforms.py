@@ -17,7 +17,7 @@ PLACES = {"a": Matrix(), "b": Matrix.LocRotScale((2, 1, 0.5), Euler((1.0, 2.0, 3
 @pytest.fixture
 def two(stage, bridge, camera):
     """Objects a and b in the middle of a picture, b rotated and scaled."""
-    rng, scene_of = np.random.default_rng(5), part("svrgs_addon.scene").Scene.of
+    rng, scene_of = np.random.default_rng(5), part("svrgs_addon.scene.gaussians").Scene.of
     made = {}
     for name, place in PLACES.items():
         count = 300
@@ -40,7 +40,7 @@ def activate(*objects):
 
 def in_world(parts) -> object:
     """The Gaussians of [(scene, matrix to the world)], sorted by opacity, which no operation changes; instances by place."""
-    transformed, merged = part("svrgs_addon.geometry.affine").transformed, part("svrgs_addon.geometry.merge").merged
+    transformed, merged = part("svrgs_addon.scene.affine").transformed, part("svrgs_addon.scene.merge").merged
     scene = merged([transformed(scene, np.array(matrix)) for scene, matrix in parts])
     return scene.select(np.lexsort((scene.means[:, 0], scene.opacity_logits)))
 
@@ -80,7 +80,7 @@ LOOKS = {"render": in_render, "viewport": in_viewport, "export": in_export, "job
 
 
 def covariances(scene) -> np.ndarray:
-    axes = part("svrgs_addon.geometry.rotations").rotation_matrices(scene.quats) * np.exp(scene.log_scales.astype(np.float64))[:, None]
+    axes = part("svrgs_addon.scene.rotations").rotation_matrices(scene.quats) * np.exp(scene.log_scales.astype(np.float64))[:, None]
     return axes @ axes.transpose(0, 2, 1)
 
 
@@ -391,7 +391,7 @@ def test_the_file_goes_where_the_object_went(two, tmp_path, ply, bridge):
     """Coordinates 'Imported File': what the user has moved is moved, and what the import has turned is not."""
     _, b = two
     scene = bridge.scene_from_object(b)
-    expected = part("svrgs_addon.geometry.affine").transformed(scene, np.array(bridge.AXES.inverted() @ b.matrix_world))
+    expected = part("svrgs_addon.scene.affine").transformed(scene, np.array(bridge.AXES.inverted() @ b.matrix_world))
     activate(b)
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "moved.ply"))
     assert_looks_like(ply.read_ply(tmp_path / "moved.ply"), expected)

@@ -128,7 +128,7 @@ def test_world_coordinates_are_the_objects_transform(splat, ply, tmp_path, capfd
     obj.location, obj.rotation_euler, obj.scale = (1, 2, 3), (0.3, -2, 1), (2, 2, 2)
     bpy.context.view_layer.update()
     found = ply.read_ply(exported(tmp_path, space="WORLD", y_down=False))
-    expected = part("svrgs_addon.geometry.affine").transformed(scene, np.array(obj.matrix_world))
+    expected = part("svrgs_addon.scene.affine").transformed(scene, np.array(obj.matrix_world))
     assert_same(found, ply.read_ply(write(ply, tmp_path, expected)))
     assert "scaled differently" not in capfd.readouterr().out
 

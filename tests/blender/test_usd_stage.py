@@ -39,7 +39,7 @@ def export(path, **words):
 
 def moved(scene, matrix):
     """The scene in Blender's world, as the file has it: y down."""
-    return part("svrgs_addon.geometry.affine").transformed(scene, part("operators.bridge").to_world(matrix, True))
+    return part("svrgs_addon.scene.affine").transformed(scene, part("operators.bridge").to_world(matrix, True))
 
 
 def same(found, expected):

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from svrgs_addon.library_path import library_path
+from svrgs_addon.native.library_path import library_path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

@@ -12,7 +12,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from digests import RECORD, RECORDED_LEVELS, TARGETS, build, cross_build, differences, lines, missing, recorded
-from svrgs_addon import native
+from svrgs_addon.native import library
 
 
 def of_target(target: str, own: dict[str, list[str]]) -> tuple[dict[str, list[str]], bool]:
@@ -37,7 +37,7 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         program = build(Path(folder))
-        found = {level: lines(program, level) for level in native.supported_levels()}
+        found = {level: lines(program, level) for level in library.supported_levels()}
     own, right = dict(found), True
     for target in TARGETS:
         if reason := missing(target):

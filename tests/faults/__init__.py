@@ -27,10 +27,10 @@ from svrgs_addon.files.images import write_image
 from svrgs_addon.files.npz import write_arrays
 from svrgs_addon.files.ply import write_ply
 from svrgs_addon.finetune import loop
-from svrgs_addon.jobs import train_and_prune
 from svrgs_addon.jobs.job_folder import JobFolder
-from svrgs_addon.photographs.dataset import load_dataset
-from svrgs_addon.scene import Scene
+from svrgs_addon.prune import train_and_prune
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.views.dataset import load_dataset
 
 
 @dataclass

@@ -11,9 +11,9 @@ import numpy as np
 
 from fuzz.targets import SPLATS, Checkpoint, Colmap, Streamed, cameras_json, transforms_json
 from ksplat_file import ksplat_of
-from svrgs_addon.bench.scenes import room
 from svrgs_addon.files import spz
 from svrgs_addon.files.registry import FORMATS, write_scene
+from svrgs_bench.scenes import room
 
 
 def target(name: str, folder: Path):

@@ -18,20 +18,20 @@ from pathlib import Path
 
 import numpy as np
 
-from svrgs_addon.bench.scenes import room
-from svrgs_addon.camera import Camera
-from svrgs_addon.errors import SplatError
 from svrgs_addon.files import streamed_sog
 from svrgs_addon.files.registry import FORMATS
 from svrgs_addon.files.repair import clamp_extremes, drop_nonfinite
 from svrgs_addon.files.splat_format import SplatFormat
 from svrgs_addon.finetune import checkpoint
-from svrgs_addon.native import Rasterizer
-from svrgs_addon.photographs.cameras_json import load_cameras_json
-from svrgs_addon.photographs.colmap import pinhole_camera, read_model
-from svrgs_addon.photographs.colmap_files import MODEL_FILES
-from svrgs_addon.photographs.transforms_json import read_transforms
-from svrgs_addon.scene import Scene
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.system.errors import SplatError
+from svrgs_addon.views.cameras_json import load_cameras_json
+from svrgs_addon.views.colmap import pinhole_camera, read_model
+from svrgs_addon.views.colmap_files import MODEL_FILES
+from svrgs_addon.views.transforms_json import read_transforms
+from svrgs_bench.scenes import room
 
 SECONDS = 1.0  # of the processor
 MEGABYTES, TIMES_INPUT = 64, 4

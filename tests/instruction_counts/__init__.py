@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from svrgs_addon import native
-from svrgs_addon.bench.scenes import orbit_camera, room
+from svrgs_addon.native import library
+from svrgs_bench.scenes import orbit_camera, room
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -53,10 +53,10 @@ def measure(folder: Path) -> Counts:
     subprocess.run([*command, f"-Wl,-rpath,{LIBRARY.parent}", "-o", driver], check=True)
     write_case(case)
     counts = {}
-    for level in (level for level in LEVELS if level in native.supported_levels()):
+    for level in (level for level in LEVELS if level in library.supported_levels()):
         out = folder / f"{level}.out"
         tool = ["valgrind", "--quiet", "--tool=callgrind", f"--callgrind-out-file={out}"]
-        subprocess.run([*tool, driver, case, str(native.levels()[level])], check=True)
+        subprocess.run([*tool, driver, case, str(library.levels()[level])], check=True)
         counts |= {f"{level} {call}": count for call, count in _dumps(out)}
     return counts
 

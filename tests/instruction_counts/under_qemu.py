@@ -12,7 +12,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from digests import SYSROOT, library_of, missing
 from instruction_counts import HERE, ROOT, write_case
-from svrgs_addon import native
 
 BOUND = 1.15  # NEON's instructions by SSE2's, at most
 RUNS = {  # level: target, the emulator, the number of the level
@@ -28,7 +27,7 @@ def counts(level: str, case: Path, plugin: Path) -> dict[str, int]:
     driver = library.with_name("counted")
     compiler = [sys.executable, "-m", "ziglang", "c++", "-target", target, "-std=c++20", "-O1", "-DCOUNTED_BY_QEMU", f"-I{ROOT / 'native/include'}"]
     subprocess.run([*compiler, HERE / "driver.cc", library, "-Wl,-rpath,$ORIGIN", "-o", driver], check=True)
-    command = [*emulator, "-plugin", plugin, driver, case, str(native.levels()[level])]
+    command = [*emulator, "-plugin", plugin, driver, case, str(library.levels()[level])]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     marks = [int(line) for line in done.stderr.splitlines() if line.isdigit()]
     return dict(zip(done.stdout.split(), marks[1::2], strict=True))  # a mark before each call and one after it

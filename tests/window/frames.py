@@ -30,7 +30,7 @@ def add(count: int) -> bpy.types.Object:
     """A room of Gaussians, seen from inside."""
     for obj in list(bpy.data.objects):
         bpy.data.objects.remove(obj)
-    obj = part("operators.bridge").object_from_scene("room", part("svrgs_addon.bench.scenes").room(count), bpy.context.scene.collection)
+    obj = part("operators.bridge").object_from_scene("room", part("svrgs_bench.scenes").room(count), bpy.context.scene.collection)
     view = area("VIEW_3D").spaces.active.region_3d
     view.view_perspective, view.view_distance, view.view_location = "PERSP", 6, (0, 0, 0)
     return obj

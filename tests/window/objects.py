@@ -95,7 +95,7 @@ def cameras_of_another_capture(seen: dict):
     match = part("operators.camera_match")
     yield from until(lambda: state.sentences is not None and match._found, "the check of the cameras", 60)
     seen["own"] = state.sentences
-    bridge, scene = part("operators.bridge"), part("svrgs_addon.bench.scenes").room(2000)
+    bridge, scene = part("operators.bridge"), part("svrgs_bench.scenes").room(2000)
     other = bridge.object_from_scene("other", scene, bpy.context.scene.collection)
     activate(other)
     root = next(obj for obj in bpy.context.scene.objects if bridge.ROOT in obj)

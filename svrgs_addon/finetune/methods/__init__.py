@@ -6,7 +6,7 @@ import importlib
 import pkgutil
 from copy import copy
 
-from ...errors import SceneError
+from ...system.errors import SceneError
 from .base import Method
 
 DEFAULT, PAPER_METHOD = "removal", "svr"

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...camera import Camera
-from ...native import Rasterizer, RenderOptions
-from ...scene import Scene
+from ...native.rasterizer import Rasterizer, RenderOptions
+from ...scene.camera import Camera
+from ...scene.gaussians import Scene
 from ..masks import refuse_emptying
 from ..model import Model
 from ..run_view import Keep, RunView
@@ -77,7 +77,7 @@ class Method:
     def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         """The looks of an active phase that keeps the share `share` of the Gaussians: those times at which score() ranks all of them over all
         training views. (share of the steps before it, roughly the share of the Gaussians after it) each. For methods that rank, those of
-        their cut. Empty: Gaussians go gradually. jobs/duration.py foresees the time of a run with it."""
+        their cut. Empty: Gaussians go gradually. prune/duration.py foresees the time of a run with it."""
         return []
 
     def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:

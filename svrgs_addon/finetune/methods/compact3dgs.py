@@ -16,9 +16,9 @@ import numpy as np
 
 from ..model import MASK, Model
 from ..penalties import MeanExistence, sigmoid
+from ..run_view import Keep, RunView
 from ..scores import top
 from ..settings import Phase, Rates
-from .base import Keep, RunView
 from .masked import Masked
 
 THRESHOLD = np.log(0.01 / 0.99)  # logit above which a gate is open: sigmoid(m) > 0.01

@@ -4,8 +4,8 @@ in it. Published at steps 15 000, when densification ends, 18 000 and 21 000 of 
 from dataclasses import dataclass
 from typing import ClassVar
 
+from ..run_view import Keep, RunView
 from ..scores import contribution, dominance, top
-from .base import Keep, RunView
 from .stepwise import Stepwise
 
 

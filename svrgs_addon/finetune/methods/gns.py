@@ -18,10 +18,11 @@ import numpy as np
 from ..model import Model
 from ..penalties import OpacityPressure, sigmoid
 from ..quality import fewest_within
+from ..run_view import Keep, RunView
 from ..saliency import saliency
 from ..scores import drawn, top
 from ..settings import Densify, Phase, Rates
-from .base import REMOVE, Keep, Method, RunView
+from .base import REMOVE, Method
 
 STEPS, PRESS_EVERY, EASE = 8_000, 50, 1_000  # published; EASE: steps with the first form of the penalty, and with OPACITY_RATE after the trim
 GOAL_ZERO = 7_000 / STEPS  # share of the phase after which the goal is 0

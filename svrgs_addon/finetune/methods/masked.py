@@ -10,8 +10,9 @@ from .. import masks
 from ..model import MASK, Model
 from ..penalties import sigmoid
 from ..quality import fewest_within
+from ..run_view import Keep, RunView
 from ..settings import Phase, Rates
-from .base import Keep, Method, RunView, learning_phase
+from .base import Method, learning_phase
 
 
 @dataclass

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..run_view import RunView
 from ..settings import Phase, Rates
-from .base import Method, RunView, learning_phase
+from .base import Method, learning_phase
 from .masked import Masked
 
 POST_WEIGHT = 0.2 * 0.1  # post-training: published as 0.1 inside the bracket that is multiplied by 0.2, the weight of SSIM

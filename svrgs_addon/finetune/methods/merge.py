@@ -1,4 +1,4 @@
-"""Removals and merges in the order of what they change in the pictures (decimate/order.py), in one cut; a recovery with larger rates follows.
+"""Removals and merges in the order of what they change in the pictures (finetune/decimate/order.py), in one cut; a recovery with larger rates follows.
 
 Merged Gaussians start where one pair is best replaced, so all values are trained on: the rates are those of refit.py, and fall more slowly.
 """
@@ -9,15 +9,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...camera import Camera, evenly
-from ...decimate.order import Order, looks, order_of
-from ...native import Rasterizer, RenderOptions
-from ...native_library import PARAMETERS
-from ...scene import Scene
+from ...native.library import PARAMETERS
+from ...native.rasterizer import Rasterizer, RenderOptions
+from ...scene.camera import Camera, evenly
+from ...scene.gaussians import Scene
+from ..decimate.order import Order, looks, order_of
 from ..model import Model
 from ..refit import FASTER, LAST, POSITION, middle_scale, pace_at
+from ..run_view import Keep, RunView
 from ..settings import Phase, Rates
-from .base import Keep, Method, RunView
+from .base import Method
 
 VIEWS = 32  # training views, at most, in which the order is measured
 PARTS = 16  # of the recovery: the rates fall after each

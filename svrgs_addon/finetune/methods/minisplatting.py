@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..run_view import Keep, RunView
 from ..scores import drawn, importance
-from .base import Keep, RunView
 from .stepwise import Stepwise
 
 SAMPLED = 0.5  # share of the Gaussians with an importance above 0 that the first simplification draws

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 from .. import admm
 from ..penalties import EffectiveRank
+from ..run_view import RunView
 from ..saliency import removal_errors
 from ..settings import Phase, Settings
-from .base import RunView
 from .stepwise import Stepwise
 
 RHO, EVERY, LEAST = 5e-4, 50 / 5_000, 10  # EVERY: of the steps, one in which ADMM pulls, then projects; LEAST: steps from one to the next

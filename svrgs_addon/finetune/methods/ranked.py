@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...camera import Camera
-from ...native import Rasterizer, RenderOptions
-from ...scene import Scene
+from ...native.rasterizer import Rasterizer, RenderOptions
+from ...scene.camera import Camera
+from ...scene.gaussians import Scene
 from ..model import Model
+from ..run_view import Keep, RunView
 from ..scores import top
 from ..settings import Settings
-from .base import Keep, Method, RunView
+from .base import Method
 
 
 @dataclass

@@ -1,7 +1,7 @@
 """RDO-Gaussian (arXiv 2406.01597): its pruning mask alone, without its quantiser and its masks of SH degrees. The mask is a gate on opacity and
 scale, as in Compact3DGS; without the quantiser each Gaussian costs the same rate. It is removed once, after the optimisation."""
 
-from .base import Keep, RunView
+from ..run_view import Keep, RunView
 from .compact3dgs import Compact3DGS
 
 

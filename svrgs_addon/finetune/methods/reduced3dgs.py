@@ -8,9 +8,9 @@ import numpy as np
 
 from ..penalties import MeanSeenOpacity, sigmoid
 from ..redundancy import survivors
+from ..run_view import Keep, RunView
 from ..scores import top
 from ..settings import Phase, Settings
-from .base import Keep, RunView
 from .stepwise import Stepwise
 
 INVISIBLE, EVERY = 1 / 255, 100  # opacity below which Gaussians are removed, every so many steps; ten times as many lie between two events

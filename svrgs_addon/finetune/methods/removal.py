@@ -29,10 +29,11 @@ from .. import masks
 from ..densify import lower_opacity
 from ..model import Model
 from ..quality import HALVED, fewest_within, psnr_removed
+from ..run_view import Keep, RunView
 from ..saliency import removal_errors, saliency, views_that_see
 from ..scores import top
 from ..settings import LARGEST, LARGEST_OF_POSITION, Densify, Phase, Rates, Settings, rates_for
-from .base import REMOVE, Keep, Method, RunView
+from .base import REMOVE, Method
 
 LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
 STEPS_PER_LOOK = 36  # a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few steps

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from ..run_view import Keep, RunView
 from ..scores import slopes
 from ..settings import Phase
-from .base import Keep, RunView
 from .stepwise import Stepwise
 
 SOFT_CUTS, SOFT_KEPT = (0.4, 0.6, 0.8), 0.2  # shares of the steps with densification; share of the Gaussians that stays

@@ -7,9 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..run_view import Keep, RunView
 from ..scores import top
 from ..settings import Phase, Rates, Settings
-from .base import Keep, Method, RunView, learning_phase
+from .base import Method, learning_phase
 
 
 @dataclass

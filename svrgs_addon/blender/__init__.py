@@ -1,1 +1,0 @@
-"""Conventions of Blender, without bpy: attribute layout, activations, cameras, child processes of its Python."""

@@ -1,1 +1,0 @@
-"""Scenes larger than memory: divided into blocks on the disk (blocks.py), scored view by view (scoring.py), merged block by block (merging.py)."""

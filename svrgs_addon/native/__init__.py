@@ -1,0 +1,1 @@
+"""The native library in Python: the renderer, its structs and checks, pictures, and the order of removals and merges."""

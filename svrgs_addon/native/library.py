@@ -1,0 +1,290 @@
+"""Loads the native library and calls its functions: structs of the interface, checks of arrays, names, thresholds, threads.
+
+`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Only this module,
+native.py, native_pictures.py and native_decimation.py import ctypes.
+"""
+
+from __future__ import annotations
+
+import ctypes as c
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+
+from ..scene.camera import Camera
+from ..system.errors import Cancelled, NativeError
+from .library_path import library_path
+from .outputs import OUTPUTS
+
+INTERFACE_VERSION = 19
+PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
+GRADS = (*PARAMETERS, "masks", "means2d")
+LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # images whose gradients backward() accepts
+_CANCELLED = 3  # of enum svrgs_status
+_LEVEL_NAMES, _MASK_KIND_NAMES, _SKIP_NAMES, _STAGE_NAMES = range(4)  # enum svrgs_names
+
+_real = c.c_void_p
+
+
+def _struct(name: str, **fields) -> Any:
+    return type(name, (c.Structure,), {"_fields_": list(fields.items())})
+
+
+SceneStruct = _struct(
+    "SceneStruct",
+    count=c.c_int64,
+    sh_coefficients=c.c_int32,
+    means=_real,
+    log_scales=_real,
+    quats=_real,
+    opacity_logits=_real,
+    sh=_real,
+    masks=c.c_void_p,
+)
+CameraStruct = _struct(
+    "CameraStruct",
+    viewmat=c.c_double * 16,
+    fx=c.c_double,
+    fy=c.c_double,
+    cx=c.c_double,
+    cy=c.c_double,
+    width=c.c_int32,
+    height=c.c_int32,
+    orthographic=c.c_int32,
+    background=c.c_double * 3,
+)
+OptionsStruct = _struct(
+    "OptionsStruct",
+    sh_degree=c.c_int32,
+    antialiased=c.c_int32,
+    full=c.c_int32,
+    mask_kind=c.c_int32,
+    eps_a=c.c_double,
+    disabled_skips=c.c_int32,
+    max_pairs=c.c_int64,
+    cancel=c.c_void_p,
+    depth_limit=_real,
+    picture_only=c.c_int32,
+)
+ImagesStruct = _struct("ImagesStruct", **{name: _real for name in OUTPUTS})
+ImageGradsStruct = _struct("ImageGradsStruct", **{name: _real for name in LOSS_IMAGES})
+GradsStruct = _struct("GradsStruct", **{name: _real for name in GRADS})
+AdamStruct = _struct("AdamStruct", lr=c.c_void_p, beta1=c.c_double, beta2=c.c_double, eps=c.c_double, step=c.c_int64, shared=c.c_int32)
+TrainedStruct = _struct("TrainedStruct", param=_real, moments=c.c_void_p, lr=c.c_void_p)
+UpdateStruct = _struct("UpdateStruct", adam=AdamStruct, **{name: TrainedStruct for name in (*PARAMETERS, "masks")}, slope=_real, frozen=_real)
+WorkStruct = _struct("WorkStruct", **{name: c.c_int64 for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")})
+TextureStruct = _struct("TextureStruct", texels=c.c_void_p, width=c.c_int32, height=c.c_int32, repeat=c.c_int32)
+TrianglesStruct = _struct(
+    "TrianglesStruct",
+    count=c.c_int64,
+    corners=c.c_void_p,
+    colors=c.c_void_p,
+    light=c.c_void_p,
+    uvs=c.c_void_p,
+    textures=c.c_void_p,
+    holdout=c.c_void_p,
+    texture=c.c_void_p,
+    texture_count=c.c_int32,
+    ambient=c.c_double,
+)
+LayersStruct = _struct("LayersStruct", share=c.c_void_p, depth=c.c_void_p, rgba=c.c_void_p)
+ViewStruct = _struct(
+    "ViewStruct",
+    image=c.c_void_p,
+    width=c.c_int32,
+    height=c.c_int32,
+    channels=c.c_int32,
+    along=c.c_int32,
+    turn=c.c_double * 9,
+    focal=c.c_double,
+    cx=c.c_double,
+    cy=c.c_double,
+)
+PanoramaStruct = _struct(
+    "PanoramaStruct",
+    sums=c.c_void_p,
+    width=c.c_int32,
+    height=c.c_int32,
+    latitudes=c.c_void_p,
+    row_weights=c.c_void_p,
+    longitudes=c.c_void_p,
+    column_weights=c.c_void_p,
+)
+DecimationStruct = _struct(
+    "DecimationStruct",
+    count=c.c_int64,
+    sh_coefficients=c.c_int32,
+    antialiased=c.c_int32,
+    **{name: c.c_void_p for name in PARAMETERS},
+    visibility=c.c_void_p,
+    middle=c.c_double * 3,
+    unit=c.c_double,
+    least=c.c_int64,
+)
+MergesStruct = _struct("MergesStruct", **{name: c.c_void_p for name in ("a", "b", "costs", *PARAMETERS)})
+MachineStruct = _struct("MachineStruct", fma=c.c_double, read=c.c_double, update=c.c_double)
+
+
+@functools.cache
+def library() -> c.CDLL:
+    """The loaded library. Raises NativeError if it is missing, does not load, or has another interface version."""
+    path = library_path()
+    try:
+        loaded = c.CDLL(str(path))
+        loaded.svrgs_last_error.restype = c.c_char_p
+    except (OSError, AttributeError) as error:
+        raise NativeError(f"the native library {path} does not load ({error}): build it for this computer with 'make setup'") from None
+    if (found := loaded.svrgs_interface_version()) != INTERFACE_VERSION:
+        raise NativeError(f"{path} has interface version {found}, this code needs {INTERFACE_VERSION}: rebuild it with 'make setup'")
+    loaded.svrgs_name.restype = c.c_char_p
+    return loaded
+
+
+def call_library(name: str, *arguments):
+    """Calls a function of the library that returns a status. Raises Cancelled, or NativeError with the sentence of the library."""
+    loaded = library()
+    status = getattr(loaded, name)(*arguments)
+    if status == _CANCELLED:
+        raise Cancelled
+    if status:
+        raise NativeError(loaded.svrgs_last_error().decode())
+
+
+def check(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
+    """The address of `array`. Raises TypeError if it is not a C-contiguous array of exactly this shape and dtype."""
+    if not isinstance(array, np.ndarray) or array.dtype != dtype or array.shape != shape or not array.flags.c_contiguous:
+        found = f"{array.dtype}{array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise TypeError(f"{name} is {found}; expected C-contiguous {np.dtype(dtype).name}{shape}")
+    return array.ctypes.data
+
+
+def check_out(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
+    """As check(), for an array that the library writes. Raises TypeError also if it is read-only."""
+    address = check(array, name, shape, dtype)
+    if not array.flags.writeable:
+        raise TypeError(f"{name} is read-only")
+    return address
+
+
+def camera_struct(camera: Camera, background=(0.0, 0.0, 0.0)) -> c.Structure:
+    """The struct of a camera. background: display sRGB."""
+    K = camera.K
+    return CameraStruct(
+        (c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()),
+        K[0, 0],
+        K[1, 1],
+        K[0, 2],
+        K[1, 2],
+        camera.width,
+        camera.height,
+        camera.orthographic,
+        (c.c_double * 3)(*background),
+    )
+
+
+class Thresholds(NamedTuple):
+    """Constants of the rasterizer in this build of the library; svrgs_thresholds in svrgs.h."""
+
+    near: float  # a Gaussian is rendered if near < z < far; z is the depth of its centre
+    far: float
+    blur: float  # pixels^2, added to both variances of a projected Gaussian
+    frustum_margin: float  # share of half the image size; the Jacobian clamps x/z and y/z at this distance outside the image
+    alpha_cut: float  # a Gaussian hits a pixel where alpha >= alpha_cut
+    alpha_max: float  # alpha is clamped to this
+    stop: float  # blending of colours stops before the transmittance would fall below this
+    compensation_floor: float  # smallest det(before blur) / det(after blur), in antialiased scenes
+    tile: int  # side of a square tile, pixels
+    block_width: int  # pixels
+    block_height: int  # pixels
+
+
+ThresholdsStruct = _struct("ThresholdsStruct", **{name: {float: c.c_double, int: c.c_int32}[kind] for name, kind in get_type_hints(Thresholds).items()})
+
+
+@functools.cache
+def thresholds() -> Thresholds:
+    """The constants of the rasterizer, as the library reports them."""
+    found = ThresholdsStruct()
+    library().svrgs_get_thresholds(c.byref(found))
+    return Thresholds(**{name: getattr(found, name) for name in Thresholds._fields})
+
+
+@functools.cache
+def _names(which: int) -> tuple[str, ...]:
+    """Names of the values of one enum of the library, in its order. which: a value of enum svrgs_names."""
+    ask = library().svrgs_name
+    names: list[str] = []
+    while name := ask(c.c_int32(which), c.c_int32(len(names))):
+        names.append(name.decode())
+    return tuple(names)
+
+
+def levels() -> dict[str, int]:
+    """SIMD levels as {name: number in the interface}, float levels from slow to fast, then 'float64'."""
+    return {name: number for number, name in enumerate(_names(_LEVEL_NAMES))}
+
+
+def mask_kinds() -> dict[str, int]:
+    """Forms of the spatial mask F and its gradient as {name: number in the interface}; svrgs_mask_kind in svrgs.h."""
+    return {name: number for number, name in enumerate(_names(_MASK_KIND_NAMES))}
+
+
+def skips() -> dict[str, int]:
+    """Work that the rasterizer skips because it cannot change the result, as {name: bit}; svrgs_skip in svrgs.h."""
+    return {name: 1 << number for number, name in enumerate(_names(_SKIP_NAMES))}
+
+
+def stages() -> tuple[str, ...]:
+    """Names of the stages whose durations are measured: four of forward (project, tiles, sort, blend), two of backward, loss, Adam."""
+    return _names(_STAGE_NAMES)
+
+
+def best_level() -> str:
+    """Name of the fastest float SIMD level that this processor supports."""
+    return list(levels())[library().svrgs_best_level()]
+
+
+def supported_levels() -> list[str]:
+    """Names of all levels that this processor supports, 'float64' included."""
+    return [name for name, code in levels().items() if library().svrgs_level_supported(code)]
+
+
+def peaks(level: str) -> dict[str, float]:
+    """Measured peak rates of all threads together at a level.
+
+    'fma': operations/s of fused multiply-adds, 2 operations per lane. 'read': bytes/s read from memory. 'update': bytes/s while
+    three streams are read and two of them written, as in Adam.
+    """
+    machine = MachineStruct()
+    call_library("svrgs_measure_machine", c.c_int32(levels()[level]), c.byref(machine))
+    return {name: getattr(machine, name) for name, *_ in MachineStruct._fields_}
+
+
+def set_threads(count: int):
+    """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not depend on it.
+
+    More than 32 threads, or 8 per core, would only slow each other down: a larger count is taken as this one.
+    """
+    library().svrgs_set_threads(c.c_int32(min(count, 2**31 - 1)))
+
+
+def threads() -> int:
+    """Size of the thread pool."""
+    return library().svrgs_threads()
+
+
+def traced(call: Callable[[], object]) -> list[np.ndarray]:
+    """The seconds of each task of the thread pool while call() runs: one array for each job. Nothing with more than one thread."""
+    lib, seconds, count = library(), c.POINTER(c.c_double)(), c.c_int64()
+    lib.svrgs_trace(c.c_int32(1))
+    try:
+        call()
+    finally:
+        lib.svrgs_trace(c.c_int32(0))
+    lib.svrgs_traced(c.byref(seconds), c.byref(count))
+    if not count.value:
+        return []
+    found = np.ctypeslib.as_array(seconds, (count.value,)).copy()
+    return [job[1:] for job in np.split(found, np.flatnonzero(found < 0))[1:]]

@@ -1,1 +1,0 @@
-"""Posed photographs: COLMAP models, datasets, cameras.json."""

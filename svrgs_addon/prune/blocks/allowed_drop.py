@@ -1,0 +1,112 @@
+"""As few Gaussians as an allowed drop in PSNR leaves (--max-drop)."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean
+
+from ...files.atomic import atomic_write
+from ...files.registry import format_to_write
+from ...finetune.methods.removal import floor_of_drop
+from ...finetune.plan import Plan
+from ...finetune.quality import LEAST, bisected, squared_error
+from ...render.metrics.format_loss import ASSUMED, refuse_loss
+from ...render.metrics.psnr import with_error
+from ...scene.camera import Camera
+from ...system.errors import FormatError, SceneError
+from ...views.rendered import PHOTOGRAPHED
+from .divided import NUMBER, Divided, Told, divide
+from .folder import HELD
+from .likeness import EQUAL, Likeness, PhotographLikeness
+from .merging import most_needed
+from .pruning import write_joined
+from .tuning import CUT, cut, written
+
+STEP = 0.01  # share of the Gaussians to which the number is found
+
+
+def errors_of_format(divided: Divided, likeness: Likeness, allowed: float, out: Path, told: Told) -> list[float]:
+    """The mean squared error in each view of the whole scene as the format of the output holds it. Raises SplatError; SceneError if the format alone loses
+    the allowed drop in dB, or without views."""
+    if not likeness.views:
+        raise SceneError("--max-drop is measured in views that are held out, and there are none: give more cameras, or --target")
+    if format_to_write(out).lossless:
+        return [0.0] * len(likeness.views)
+    with _held(divided, out, told) as stored:
+        errors = [squared_error(value) for value in likeness.psnrs(stored, "try")]
+    refuse_loss(out, ASSUMED - _psnr([EQUAL] * len(errors), errors), allowed)
+    return errors
+
+
+def fewest_within(divided: Divided, scored: Sequence[Camera], likeness: Likeness, allowed: float, errors: Sequence[float], told: Told) -> int:
+    """The fewest Gaussians, at least LEAST of them, that hold the allowed drop in dB before fine-tuning, which wins a part of it back. As if PHOTOGRAPHED were
+    the error of the original. scored: the views that were scored. errors: from errors_of_format(). Raises SplatError."""
+    return _fewest(divided, lambda count: _psnr(likeness.psnrs(cut(divided, scored, count, told("try")), "try"), errors) >= ASSUMED - allowed)
+
+
+def floor_on_photographs(divided: Divided, likeness: PhotographLikeness, allowed: float, plan: Plan, out: Path, told: Told) -> float:
+    """The PSNR in dB against photographs that a removal may leave without any learning, for an allowed drop at the end of the plan. What the format of the
+    output loses of the whole scene counts. Raises SplatError; SceneError if the format alone loses the allowed drop."""
+    before, loss = likeness.psnr(divided), 0.0
+    if not format_to_write(out).lossless:
+        with _held(divided, out, told) as stored:
+            loss = max(0.0, before - likeness.psnr(stored))
+        refuse_loss(out, loss, allowed)
+    return floor_of_drop(before, replace(plan, max_drop=allowed - loss))
+
+
+def fewest_above(divided: Divided, likeness: Likeness, floor: float, told: Told) -> int:
+    """The fewest Gaussians of highest removal error, at least LEAST of all, with this PSNR in dB. Raises SplatError."""
+
+    def left(count: int) -> Divided:
+        return written(divided, most_needed(divided, count, told("try")), CUT)
+
+    return _fewest(divided, lambda count: likeness.psnr(left(count)) >= floor)
+
+
+def _fewest(divided: Divided, within: Callable[[int], bool]) -> int:
+    """within: whether a scene with so many Gaussians holds the drop."""
+    return bisected(math.ceil(LEAST * divided.count) - 1, divided.count, int(STEP * divided.count), within)
+
+
+@contextlib.contextmanager
+def _held(divided: Divided, out: Path, told: Told) -> Iterator[Divided]:
+    """The scene as the format of the output holds it, divided as long as the context lasts."""
+    told("try")("writes the scene in the format of the output", 0.0)
+    folder = divided.folder / HELD
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    try:
+        write_joined(divided, folder / out.name)
+        yield divide(folder / out.name, folder / "blocks")
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def write_number(folder: Path, number: int):
+    """Keeps the number of Gaussians that was found, for a job that is continued. Raises SceneError."""
+    with atomic_write(folder / NUMBER) as file:
+        file.write(str(number).encode())
+
+
+def read_number(folder: Path) -> int:
+    """The number of Gaussians that write_number() has kept. Raises FormatError."""
+    try:
+        return int((folder / NUMBER).read_text())
+    except (OSError, ValueError):
+        raise FormatError(f"{folder / NUMBER}: is missing or damaged; delete {folder} to start again") from None
+
+
+def drop(psnr: float) -> float:
+    """The drop in dB of a result with this PSNR against the original."""
+    return ASSUMED - with_error(psnr, PHOTOGRAPHED)
+
+
+def _psnr(values: Sequence[float], errors: Sequence[float]) -> float:
+    """Mean PSNR in dB, of each view with PHOTOGRAPHED and a further mean squared error."""
+    return fmean(with_error(value, PHOTOGRAPHED + error) for value, error in zip(values, errors, strict=True))

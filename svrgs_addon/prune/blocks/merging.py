@@ -1,0 +1,167 @@
+"""Merges and removes in a divided scene: each cell has an order of operations (finetune/decimate/order.py), and one cost for the whole
+scene says how far each goes.
+
+Cells are small parts of the k-d tree whose large parts are the blocks. So the same Gaussians are merged whatever the number of blocks, if these are not smaller
+than cells. Beside the blocks lie
+
+    NUMBER.visibility   float64, 9 for each Gaussian: the sums over all views
+    NUMBER.order.npz    the operations on its cells and their costs, down to LEAST of each cell; steps: their number for each cell
+    reduced.json        a point and a length of about a pixel, of the whole scene
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...files.atomic import atomic_write, check_space
+from ...files.npz import write_arrays
+from ...files.opened import json_object
+from ...finetune.decimate.order import Order
+from ...finetune.scores import top
+from ...native.decimation import REMOVED, Merges, decimate
+from ...native.library import PARAMETERS
+from ...native.rasterizer import VISIBILITY
+from ...scene.camera import Camera
+from ...scene.gaussians import Scene
+from ...scene.merge import joined
+from ...system.errors import FormatError, SceneError
+from .divided import Block, Divided, Tell, leaves, scene_of
+from .scoring import SQUARES, UNITS, total, visibility
+
+REDUCED, LEAST = "reduced.json", 0.01
+CELL = 1 << 16  # Gaussians of a cell, at most
+OPERATIONS = ("a", "b", "costs")  # arrays of Merges
+NEEDED = "reduce the scores first"
+
+
+def reduce(divided: Divided, cameras: Sequence[Camera]):
+    """Adds the parts of the scores and writes those of each block. Raises SplatError."""
+    sums = total(divided, cameras)
+    columns = dict(zip(VISIBILITY, sums.T, strict=False))
+    seen = columns["views"] > 0
+    if not seen.any():
+        raise SceneError(f"{divided.source}: no view sees any of its Gaussians: the cameras belong to another scene")
+    check_space(divided.folder / REDUCED, 8 * sums.size)
+    units = dict(zip(VISIBILITY, UNITS, strict=True))
+    pixel = float(np.median(np.sqrt(columns["views"][seen] * units["views"] / (columns["density"][seen] * units["density"]))))
+    for block in divided.blocks:
+        with atomic_write(divided.folder / f"{block.number}.visibility") as file:
+            file.write(visibility(sums[block.rows]).data)
+    means = np.concatenate([block.geometry[seen[block.rows], :3] for block in divided.blocks])
+    middle = [float(np.median(means[:, axis])) for axis in range(3)]
+    with atomic_write(divided.folder / REDUCED) as file:
+        file.write(json.dumps({"pixel": pixel, "middle": middle}).encode())
+
+
+def merge(divided: Divided, number: int):
+    """Orders the operations on the cells of the block with this number, and writes them. Raises SplatError."""
+    if not 0 <= number < len(divided.blocks):
+        raise SceneError(f"{divided.folder}: has no block {number}, only 0 to {len(divided.blocks) - 1}")
+    block, (pixel, middle) = divided.blocks[number], _reduced(divided)
+    scene, sums = scene_of(divided, block), _visibility(block)
+    found = [decimate(scene.select(rows), sums[rows], middle, pixel, max(1, round(LEAST * len(rows)))) for rows in _cells(block)]
+    arrays = {name: np.concatenate([getattr(one, name) for one in found]) for name in OPERATIONS}
+    results = {name: np.concatenate([one.results[name] for one in found]) for name in PARAMETERS}
+    write_arrays(_order_path(block), {"steps": np.array([len(one.a) for one in found]), **arrays, **results})
+
+
+def counts(divided: Divided, wanted: int) -> list[list[int]]:
+    """How many Gaussians each cell of each block keeps, so that together they are `wanted`, or as few as the orders allow: operations are done whose cost, or
+    that of one before them in the cell, is below one bound. Raises SplatError."""
+    cells = [[len(rows) for rows in _cells(block)] for block in divided.blocks]
+    costs = [np.maximum.accumulate(one) for block, some in zip(divided.blocks, cells, strict=True) for one in _costs(block, some)]
+    most = sum(map(len, costs))
+    steps = min(max(divided.count - wanted, 0), most)
+    if not steps:
+        return cells
+    bound = np.partition(np.concatenate(costs), steps - 1)[steps - 1]
+    done = [int(np.searchsorted(one, bound, "left")) for one in costs]
+    spare = steps - sum(done)
+    for number, one in enumerate(costs):  # of operations at the bound, as many as are still needed
+        more = min(spare, int(np.searchsorted(one, bound, "right")) - done[number])
+        done[number], spare = done[number] + more, spare - more
+    left = iter(done)
+    return [[count - next(left) for count in some] for some in cells]
+
+
+def merged(divided: Divided, kept: Sequence[Sequence[int]], tell: Tell = lambda *_: None) -> Iterator[Scene]:
+    """What is left of each block, cell after cell. kept: from counts(). Raises SplatError."""
+    for block, wanted in zip(divided.blocks, kept, strict=True):
+        tell("writes what stays", block.number / len(divided.blocks))
+        scene = scene_of(divided, block)
+        yield joined([Order(scene.select(rows), one).at(count) for rows, one, count in zip(_cells(block), _merges(block), wanted, strict=True)])
+
+
+def most_needed(divided: Divided, wanted: int, tell: Tell = lambda *_: None) -> Iterator[Scene]:
+    """The `wanted` Gaussians of highest removal error (finetune/saliency.py), block after block; of each block one at least. Raises SplatError."""
+    errors = [_visibility(block)[:, SQUARES].copy() for block in divided.blocks]  # a view would keep all columns in memory
+    stays = np.split(top(np.concatenate(errors), wanted), np.cumsum([block.count for block in divided.blocks])[:-1])
+    for block, error, some in zip(divided.blocks, errors, stays, strict=True):
+        tell("writes what stays", block.number / len(divided.blocks))
+        some[np.argmax(error)] = True
+        yield scene_of(divided, block).select(np.flatnonzero(some))
+
+
+def _cells(block: Block) -> list[np.ndarray]:
+    """The places in the block of the Gaussians of each of its cells, ascending."""
+    return list(leaves(block.geometry[:, :3], np.arange(block.count), CELL))
+
+
+def _costs(block: Block, counts: Sequence[int]) -> list[np.ndarray]:
+    """The costs of the operations on each cell. counts: of its Gaussians."""
+    arrays = _order(block, ("steps", "costs"))
+    if len(arrays["steps"]) != len(counts) or (arrays["steps"] >= counts).any() or arrays["steps"].sum() != len(arrays["costs"]):
+        raise FormatError(f"{_order_path(block)}: is not of this block; merge it again")
+    return np.split(arrays["costs"], np.cumsum(arrays["steps"])[:-1])
+
+
+def _merges(block: Block) -> Iterator[Merges]:
+    """The operations on each cell."""
+    arrays = _order(block, ("steps", *OPERATIONS, *PARAMETERS))
+    ends = np.cumsum(arrays["steps"])
+    made = np.cumsum([0, *(np.count_nonzero(one != REMOVED) for one in np.split(arrays["b"], ends[:-1]))])
+    if len(arrays["means"]) != made[-1]:
+        raise FormatError(f"{_order_path(block)}: is damaged; merge it again")
+    for start, end, first, last in zip(ends - arrays["steps"], ends, made, made[1:], strict=False):
+        a, b, costs = (arrays[name][start:end] for name in OPERATIONS)
+        yield Merges(a, b, costs, {name: arrays[name][first:last] for name in PARAMETERS})
+
+
+def _reduced(divided: Divided) -> tuple[float, np.ndarray]:
+    path = divided.folder / REDUCED
+    try:
+        found = json_object(path, 1 << 16)
+        assert found is not None
+        return float(found["pixel"]), np.array(found["middle"], np.float64).reshape(3)
+    except OSError:
+        raise SceneError(f"{path}: is not there; {NEEDED}") from None
+    except (AssertionError, KeyError, TypeError, ValueError):
+        raise FormatError(f"{path}: is damaged; {NEEDED}") from None
+
+
+def _visibility(block: Block) -> np.ndarray:
+    path = block.folder / f"{block.number}.visibility"
+    try:
+        return np.fromfile(path, np.float64).reshape(block.count, len(VISIBILITY))
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path}: cannot be read ({error}); {NEEDED}") from None
+
+
+def _order(block: Block, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Arrays of the operations on a block. Raises SplatError."""
+    try:
+        with np.load(_order_path(block), allow_pickle=False) as stored:
+            return {name: stored[name] for name in names}
+    except FileNotFoundError:
+        raise SceneError(f"{_order_path(block)}: is not there; merge the block {block.number} first") from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise FormatError(f"{_order_path(block)}: cannot be read ({error}); merge the block again") from None
+
+
+def _order_path(block: Block) -> Path:
+    return block.folder / f"{block.number}.order.npz"

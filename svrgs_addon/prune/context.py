@@ -1,0 +1,51 @@
+"""The surroundings of a job: its outputs, its engine, its observers. The plan (finetune/plan.py) says what it computes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..files.level_files import level_files
+from ..finetune.loop import Progress
+from ..finetune.run import Run
+from .time_plan import TimePlan
+
+PROCESS = 0.5  # seconds of starting and ending the program
+
+
+@dataclass(frozen=True)
+class JobContext:
+    """Where a job writes, whether it resumes, how it measures LPIPS, and its callbacks."""
+
+    out: Path
+    report: Path | None = None
+    resume: bool = False
+    engine: str = "native"
+    order: Path | None = None  # folder for the order of a quick job (finetune/decimate/saved_order.py)
+    levels: tuple[float, ...] = ()  # shares of a nested result that are written too
+    planned: TimePlan | None = None  # of a job with a time limit
+    recorded: tuple[int, int] = (0, 0)  # views that the observer renders: for each point of the curves, and at the end
+    started: float = field(default_factory=time.perf_counter)  # when the job began
+    tell: Callable[[TimePlan, str], None] = lambda *_: None  # called with the plan of a job with a time limit, and what is foreseen, in a sentence
+    lpips: Callable | None = None  # (image, photograph) -> float
+    lpips_missing: str = ""  # why lpips is None
+    observe: Callable[[Progress], None] = lambda _: None  # called after each step
+    part: Callable[[str, float], None] = lambda *_: None  # progress of a job by blocks: called with a text and the share that is done, 0 to 1
+    stop: Callable[[], bool] = lambda: False  # asked after each step
+    begin: Callable[[Run], None] = lambda _: None  # called before the first step, after a checkpoint was restored
+
+    def seconds(self) -> float:
+        """Seconds since the job began, with those that the program needs to start and to end."""
+        return PROCESS + time.perf_counter() - self.started
+
+    @property
+    def level_files(self) -> dict[float, Path]:
+        """The files of the levels of detail, by their share."""
+        return level_files(self.out, self.levels)
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the checkpoints, until the job is finished."""
+        return self.out.with_name(self.out.name + ".job")

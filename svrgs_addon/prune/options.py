@@ -1,0 +1,160 @@
+"""The options of each command that works on a dataset: one field per option, with its kind, default and help text.
+
+The parser of the command line, job folders and the properties of Blender's operators and panels are made from these fields. A help text
+begins in lower case and has no full stop; Blender's tooltips capitalise it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..system.errors import SceneError
+from ..system.option_kinds import (
+    COLOUR,
+    COUNT,
+    DECIBELS,
+    DENSIFY,
+    FACTOR,
+    FILE,
+    FLAG,
+    GIGABYTES,
+    PATH,
+    POSITIVE,
+    SECONDS,
+    SH_DEGREE,
+    SHARE,
+    SHARES,
+    SMALL_SHARE,
+    SMALLER_SHARE,
+    TEXT,
+    WEIGHT,
+    option,
+    options_of,
+)
+
+ITERATIONS, PRUNE_ITERATIONS, RECOVERY = 30_000, 3_000, 5_000
+MIN_CONTRIBUTION = 0.02
+ENGINES = ("native", "torch")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetOptions:
+    """Options of commands that measure a scene on photographs."""
+
+    colmap: Path | None = option(
+        PATH, None, "folder of the dataset: photographs, and a COLMAP model or transforms.json", metavar="DIR", required=True, in_job=True
+    )
+    images: str = option(TEXT, "", "folder of the photographs in the dataset, for example images_4", metavar="NAME", default_help="images", in_job=True)
+    holdout: int = option(COUNT, 8, "hold out every N-th view for testing; 0: none", metavar="N", in_job=True)
+    background: tuple[float, float, float] = option(COLOUR, (0.0, 0.0, 0.0), "behind transparent pixels, 0..1 each", metavar="R,G,B", default_help="black")
+    image_memory: float = option(GIGABYTES, 4.0, "memory for photographs, in GB; if they need more, they are read again for each step", metavar="GB")
+    lpips_weights: Path | None = option(FILE, None, "file with the VGG weights of LPIPS; without it LPIPS is not measured", metavar="FILE")
+    threads: int = option(COUNT, 0, "number of threads; the result does not depend on it", metavar="N", default_help="one per core", in_job=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TuningOptions(DatasetOptions):
+    """Options that training and pruning have in common."""
+
+    method: str = option(TEXT, "", "name of the method")
+    seed: int = option(COUNT, 0, "seed of the random numbers; the same seed gives the same result", metavar="N", in_job=True)
+    engine: str = option(TEXT, "native", "what computes the steps: native (C++), or torch (PyTorch, for comparison)")
+    lambda_f: float | None = option(
+        WEIGHT, None,
+        "with svr methods, weight of the spatial mask; with removal and saliency, the saliency above which a Gaussian stays; larger values keep fewer",
+        metavar="L", default_help="1e-4; svr-a: 1e-2", in_job=True,
+    )  # fmt: skip
+    lambda_m: float | None = option(
+        WEIGHT, None, "with maskgs and compact3dgs, weight of their term over all masks; with gns, weight of the opacity pressure at the start",
+        metavar="L", default_help="that of the method",
+    )  # fmt: skip
+    paper: bool = option(FLAG, False, "with --method svr: the printed settings of the paper to the letter, such as L1 + (1 - SSIM) and no first cut")
+    visible_mask: bool = option(FLAG, False, "count the Gaussians of a ray for the spatial mask only up to where its colours stop", in_job=True)
+    views_by_loss: bool = option(FLAG, False, "show the half of the photographs with the lower loss only in every other epoch", in_job=True)
+    schedule: float = option(
+        FACTOR, 1.0, "multiply all step counts, pruning events included, but not the spacing of densifications and opacity resets; a quick try is 0.1",
+        metavar="X", steps=True,
+    )  # fmt: skip
+    time: float = option(
+        SECONDS, 0.0, "seconds that the job may take: measures the speed of this machine, chooses the schedule that fits, up to 1, and prints it",
+        metavar="SECONDS", default_help="no limit", in_job=True,
+    )  # fmt: skip
+    target: float | None = option(
+        SHARE, None, "share of the Gaussians to keep, up to 1", metavar="SHARE", default_help="the method decides", size=True, in_job=True
+    )
+    target_count: int | None = option(POSITIVE, None, "number of Gaussians to keep", metavar="N", default_help="the method decides", size=True, in_job=True)
+    resume: bool = option(FLAG, False, "continue from the last checkpoint of the same job; without it, the job starts again and deletes its checkpoints")
+    quiet: bool = option(FLAG, False, "print no progress on stderr")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions(TuningOptions):
+    """Options of `svrgs train`."""
+
+    method: str = option(TEXT, "3dgs", "method that prunes while training, see the list below", metavar="NAME")
+    iterations: int = option(COUNT, ITERATIONS, "number of training steps", metavar="N", steps=True, in_job=True)
+    recovery: int | None = option(
+        COUNT, None, "number of recovery steps after the training steps", metavar="N", default_help=f"{RECOVERY} for methods that prune, else 0", steps=True
+    )
+    coarse_until: int = option(COUNT, 0, "train on photographs of half the size up to this step", metavar="N")
+    densify: str = option(
+        DENSIFY, "3dgs", "how training adds Gaussians: 3dgs clones and splits them, mcmc relocates them and grows up to --cap (3DGS-MCMC)", in_job=True
+    )
+    densify_until: int | None = option(
+        COUNT, None, "end densification before this step", metavar="N", default_help="half of the steps, at most 15000; mcmc: 5/6, at most 25000"
+    )
+    cap: int | None = option(
+        POSITIVE, None, "with --densify mcmc, number of Gaussians up to which the scene grows", metavar="N",
+        default_help="with --method 3dgs, that of --target-count", in_job=True,
+    )  # fmt: skip
+    sh_degree: int = option(SH_DEGREE, 3, "degree of the spherical harmonics")
+    out: Path | None = option(PATH, None, "splat file to write", metavar="FILE", required=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PruneOptions(TuningOptions):
+    """Options of `svrgs prune` for one scene."""
+
+    method: str = option(
+        TEXT, "", "method that decides which Gaussians are removed, see the list below", metavar="NAME",
+        default_help="removal; without photographs, to a number, merge", in_job=True,
+    )  # fmt: skip
+    iterations: int = option(COUNT, PRUNE_ITERATIONS, "steps spent deciding which Gaussians to remove", metavar="N", steps=True, in_job=True)
+    recovery: int = option(COUNT, RECOVERY, "steps after pruning, which recover the quality", metavar="N", steps=True, in_job=True)
+    min_contribution: float | None = option(
+        SMALL_SHARE, None, "first remove the Gaussians that cover less than this share of every pixel in every training view", metavar="A",
+        default_help=f"{MIN_CONTRIBUTION} for methods that learn masks, else 0", in_job=True,
+    )  # fmt: skip
+    max_drop: float = option(
+        DECIBELS, 0.0, "keep as few Gaussians as possible, but at least 5 %%, and lose at most about this much PSNR, in dB, on a few test views", metavar="DB",
+        default_help="no such limit", size=True, in_job=True,
+    )  # fmt: skip
+    nested: float | None = option(
+        SMALLER_SHARE, None, "also train smaller numbers of Gaussians, down to this share of the result: its first rows, any number, are a good splat",
+        metavar="SHARE", default_help="only the result as a whole is trained", in_job=True,
+    )  # fmt: skip
+    levels: tuple[float, ...] = option(
+        SHARES, (), "levels of detail, as in 0.5,0.25,0.1: also write these shares of the result, to OUT_50.ply and so on, or into the streamed SOG "
+        "OUT/lod-meta.json: the first rows of a nested result; with --quick, each pruned on its own",
+        metavar="SHARES", default_help="none",
+    )  # fmt: skip
+    quick: bool = option(
+        FLAG, False, "remove and merge within seconds, on the scene's own pictures instead of photographs; needs --target, --target-count, --max-drop or "
+        "--levels; with --colmap only the cameras of the dataset are read", in_job=True,
+    )  # fmt: skip
+    cameras: Path | None = option(
+        PATH, None, "without photographs, views that matter besides the placed ones: cameras.json of 3DGS, or transforms.json", metavar="JSON", in_job=True
+    )
+    seen_from_only: bool = option(FLAG, False, "with --cameras, only those views count: what they do not see may be removed", in_job=True)
+    scene: Path | None = None  # splat file to prune
+    out: Path | None = None  # splat file to write
+    report: Path | None = None  # folder of the HTML report
+
+
+def refuse_time_and_steps(cls: type, given: Collection[str]):
+    """Raises SceneError if both a time limit and a number of steps are given. given: names of the options of the dataclass that are."""
+    steps = [f"--{name}" for name, found in options_of(cls).items() if found.steps and name in given]
+    if "time" in given and steps:
+        raise SceneError(f"--time chooses the number of steps itself: leave out {' and '.join(steps)}, or --time")

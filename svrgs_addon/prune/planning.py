@@ -1,0 +1,64 @@
+"""The plan of a job with a time limit: what the job costs on this machine (duration.py), and the schedule that fits (time_plan.py)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from ..files.registry import load_scene
+from ..finetune.model import scene_from_points
+from ..finetune.plan import Plan, at_schedule
+from ..finetune.settings import Densify
+from ..scene.gaussians import Scene
+from ..system import memory
+from ..views.dataset import Dataset
+from .context import JobContext
+from .duration import pace_of
+from .expected_count import expected_count, expected_order, seen_by_some
+from .quality_forecast import forecast, is_foreseen
+from .report.prune_report import REPORT_VIEWS
+from .time_plan import TRAINING_MARGIN, TimePlan, fitted, of_checkpoint
+
+
+def pruning_within(seconds: float, plan: Plan, splat: Path, dataset: Dataset, job: JobContext) -> tuple[Plan, JobContext]:
+    """The plan of `svrgs prune` that takes at most so many seconds, and the context with it. plan: with the whole schedule. It tells what it
+    expects. Raises SceneError if the time is too short; FormatError."""
+    if found := of_checkpoint(seconds, job.folder) if job.resume else None:
+        return _with(found, plan, job, "the job goes on as it was planned")
+    scene, read = timed_scene(splat)
+    needed = memory.tuning(scene.count, scene.sh.shape[1], dataset.cameras, dataset.memory_budget)  # of a copy, with which steps are measured
+    memory.refuse_excess(f"{splat}: choosing the steps for --time", needed)
+    pace = pace_of(scene, dataset, plan, job.lpips)
+    kept = plan.target or expected_count(plan, scene, dataset, seen_by_some(scene, dataset, plan))
+    others = 2 * read + (2 * REPORT_VIEWS * pace.measured if job.report else 0.0)  # the splat is read again, and written
+    fit = lambda: fitted(seconds, plan, lambda some: pace.pruning(some, kept / scene.count, job.recorded), job.seconds() + others)  # noqa: E731
+    found, quality = fit(), None
+    if is_foreseen(some := at_schedule(plan, found.schedule)):
+        quality = forecast(scene, dataset, some, expected_order(plan, scene, dataset, seen_by_some(scene, dataset, plan)), kept)
+        found = fit()  # the forecast has taken some of the time
+    psnr = f"PSNR about {quality.after:.1f} dB or more (now {quality.before:.1f} dB)" if quality else ""
+    return _with(found, plan, job, f"about {kept:,} of {scene.count:,} Gaussians stay", psnr)
+
+
+def training_within(seconds: float, plan: Plan, dataset: Dataset, job: JobContext, sh_degree: int) -> tuple[Plan, JobContext]:
+    """As pruning_within(), for `svrgs train`. How many Gaussians a training adds is not known before, so it is less exact."""
+    if found := of_checkpoint(seconds, job.folder) if job.resume else None:
+        return _with(found, plan, job, "the job goes on as it was planned")
+    growth = plan.phases[0].densify or Densify()
+    pace = pace_of(scene_from_points(dataset.points, dataset.point_colors, sh_degree, *growth.INITIAL), dataset, plan, job.lpips)
+    found = fitted(seconds, plan, lambda some: pace.training(some, job.recorded), job.seconds(), TRAINING_MARGIN)
+    return _with(found, plan, job, "a quarter more or less, as the scene grows")
+
+
+def timed_scene(splat: Path) -> tuple[Scene, float]:
+    """The scene of a file, and the seconds of reading it. Raises FormatError, SceneError."""
+    started = time.perf_counter()
+    return load_scene(splat).scene, time.perf_counter() - started
+
+
+def _with(found: TimePlan, plan: Plan, job: JobContext, *foreseen: str) -> tuple[Plan, JobContext]:
+    """The plan with the schedule that was found, and the context with both. It tells what is foreseen."""
+    chosen = at_schedule(plan, found.schedule)
+    job.tell(found, found.sentence(chosen, *foreseen))
+    return chosen, replace(job, planned=found)

@@ -1,0 +1,87 @@
+"""Where the mass of a scene is, so that a view shows it and not its outliers."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+
+from .camera import Camera
+
+MIDDLE = 0.2, 0.8  # quantiles along each axis; outliers and a background all around are outside
+WIDER = 1 / (MIDDLE[1] - MIDDLE[0])  # of the box between them: it then holds a body of even density as a whole
+SAMPLES = 200_000  # points that are looked at, at most, evenly spaced in the list
+CLIP_NEAR, CLIP_FAR, CLIP_RATIO = 0.01, 100.0, 1e6  # clipping distances over the distance of the view; far over near
+
+
+def robust_box(points: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray | None:
+    """Lower and upper corner (2, 3) float64 of a box around the mass of the points: that between the quantiles MIDDLE, WIDER times as wide.
+
+    points: (P, 3). weights: (P,) of at least 0, such as opacities; None: equal ones. Points that are not finite are left out. None if no
+    point has a weight.
+    """
+    points, weights = _usable(points, weights)
+    if not len(points):
+        return None
+    low, high = np.array([_quantiles(points[:, axis], weights, MIDDLE) for axis in range(3)]).T
+    return np.array([(low + high) / 2 - WIDER * (high - low) / 2, (low + high) / 2 + WIDER * (high - low) / 2])
+
+
+def median_depth(camera: Camera, points: np.ndarray, weights: np.ndarray | None = None) -> float | None:
+    """The weighted median of the distances, along the axis of the camera, of the points that it shows; None if it shows none.
+
+    points: (P, 3), world. weights: as in robust_box.
+    """
+    points, weights = _usable(points, weights)
+    local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    (x, y), z = camera.pixels(local).T, local[:, 2]
+    shown = (z > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+    return float(_quantiles(z[shown], weights[shown], (0.5,))[0]) if shown.any() else None
+
+
+def corners(box: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """The corners (8, 3) float64 of a box (2, 3), moved by the affine matrix (4, 4)."""
+    matrix = np.asarray(matrix, np.float64)
+    places = np.array(list(itertools.product(*np.asarray(box, np.float64).T)))
+    return places @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def sphere_around(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) of the box around the points (P, 3), and the radius of the sphere around it that holds them all."""
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    return centre, float(np.linalg.norm(points - centre, axis=1).max())
+
+
+def viewing_distance(radius: float, lens: float, width: int, height: int, sensor: float) -> float:
+    """The distance from the centre of a sphere at which it just fits into the picture.
+
+    lens, sensor: millimetres; the sensor is as long as the longer side of the picture. width, height: of the picture, in pixels.
+    """
+    tangent = sensor / 2 / lens * min(width, height) / max(width, height)
+    return radius / math.sin(math.atan(tangent))
+
+
+def clipping(distance: float, start: float, end: float) -> tuple[float, float]:
+    """Near and far clipping distances that suit a view from this distance: `start` and `end`, widened where that is needed.
+
+    Their ratio stays below CLIP_RATIO, for the precision of the depth buffer.
+    """
+    end = max(end, CLIP_FAR * distance)
+    return max(min(start, CLIP_NEAR * distance), end / CLIP_RATIO), end
+
+
+def _usable(points: np.ndarray, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """At most SAMPLES of the points that are finite and have a weight, (P', 3) float64, and their weights."""
+    step = max(1, -(-len(points) // SAMPLES))
+    points = np.asarray(points[::step], np.float64)
+    weights = np.ones(len(points)) if weights is None else np.asarray(weights[::step], np.float64)
+    good = np.isfinite(points).all(axis=1) & (weights > 0)
+    return points[good], weights[good]
+
+
+def _quantiles(values: np.ndarray, weights: np.ndarray, shares: tuple[float, ...]) -> np.ndarray:
+    """The weighted quantiles of values (P,), P > 0."""
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[order])
+    return np.interp(shares, (total - weights[order] / 2) / total[-1], values[order])

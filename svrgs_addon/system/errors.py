@@ -1,0 +1,42 @@
+"""The exceptions of the product. Each message is one sentence: it names the file, the fault, and what to do about it."""
+
+from __future__ import annotations
+
+from .file_names import shown
+
+
+class SplatError(Exception):
+    """Base class of errors that a user can cause and correct. The command line prints the message and exits with status 2."""
+
+    def __str__(self) -> str:
+        return shown(super().__str__())
+
+
+class FormatError(SplatError):
+    """A file cannot be read: it is truncated, malformed, malicious or of an unsupported kind."""
+
+
+class TooMany(FormatError):
+    """A file holds more Gaussians than are read as a whole, or than memory can hold."""
+
+
+class SceneError(SplatError):
+    """The files can be read, but the request cannot be carried out: they do not belong together, or nothing would be left of the scene."""
+
+
+class MemoryShort(SceneError):
+    """The work on a whole scene needs more memory than there is."""
+
+
+class NativeError(Exception):
+    """The native library is missing, has another interface version or reports a failure; or a package cannot be loaded.
+
+    The command line exits with status 1.
+    """
+
+
+class Cancelled(Exception):
+    """The user asked to stop. Files that were written before are complete. The command line exits with status 130.
+
+    It may carry a sentence on what is left of the work; without one, there is a checkpoint.
+    """

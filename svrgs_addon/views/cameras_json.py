@@ -1,0 +1,105 @@
+"""Reads and writes the cameras.json that 3DGS training writes: a list of views without photographs."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..files.atomic import atomic_write
+from ..files.images import MAX_SIDE
+from ..scene.camera import Camera
+from ..system.errors import FormatError
+from .colmap import check_name
+
+MAX_BYTES = 64 * 2**20
+MAX_ROTATION_ERROR = 1e-3  # largest entry of |Rᵀ R - I|
+
+
+def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
+    """The cameras of a 3DGS cameras.json in file order. The principal point is the image centre, as in 3DGS.
+
+    Keys of an entry: img_name; width, height, fx, fy (pixels); position (3, world); rotation (3x3, camera to world). Extensions of this project:
+    cx, cy (pixels) name another principal point; with "orthographic": true, fx and fy are pixels per unit of length. Raises FormatError.
+    """
+    entries = _read_entries(path)
+    cameras = []
+    for number, entry in enumerate(entries):
+        try:
+            cameras.append(_camera(entry))
+        except (KeyError, TypeError, ValueError, OverflowError, FormatError) as error:
+            reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+            raise FormatError(f"{path}: camera {number} is not usable ({reason})") from None
+    return cameras
+
+
+def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
+    """Writes the cameras. The file is replaced as a whole. Raises SceneError if it cannot be written."""
+    entries = [
+        {
+            "id": number, "img_name": camera.name, "width": camera.width, "height": camera.height, "position": camera.position.tolist(),
+            "rotation": camera.viewmat[:3, :3].T.tolist(), "fy": float(camera.K[1, 1]), "fx": float(camera.K[0, 0]),
+        } | ({"orthographic": True} if camera.orthographic else {}) | _shift(camera)
+        for number, camera in enumerate(cameras)
+    ]  # fmt: skip
+    with atomic_write(path) as file:
+        file.write(json.dumps(entries, indent=1).encode())
+
+
+def _shift(camera: Camera) -> dict[str, float]:
+    """The keys of a principal point that is not the image centre."""
+    shift = {"cx": float(camera.K[0, 2]), "cy": float(camera.K[1, 2])}
+    return {} if shift == {"cx": camera.width / 2, "cy": camera.height / 2} else shift
+
+
+def _read_entries(path: str | os.PathLike) -> list:
+    """The entries of the file, unchecked. Raises FormatError if it is not a JSON list with at least one entry."""
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe would wait for ever
+        raise FormatError(f"{path}: is not a regular file; give a cameras.json of 3DGS")
+    try:
+        if os.path.getsize(path) > MAX_BYTES:
+            raise FormatError(f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it is not a cameras.json of 3DGS")
+        entries = json.loads(Path(path).read_bytes())
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (ValueError, RecursionError):
+        raise FormatError(f"{path}: is not JSON; give a cameras.json of 3DGS") from None
+    if not isinstance(entries, list) or not entries:
+        raise FormatError(f"{path}: holds no list of cameras; give a cameras.json of 3DGS")
+    return entries
+
+
+def _camera(entry: dict) -> Camera:
+    """The camera of one entry. Raises FormatError, KeyError, TypeError, ValueError or OverflowError if it is not usable."""
+    if not isinstance(entry, dict):
+        raise FormatError("not an object")
+    name = str(entry["img_name"])
+    check_name(name)
+    width, height = (_side(entry[key]) for key in ("width", "height"))
+    fx, fy = float(entry["fx"]), float(entry["fy"])
+    position = np.array(entry["position"], np.float64).reshape(3)
+    rotation = np.array(entry["rotation"], np.float64).reshape(3, 3)  # camera to world
+    if not np.abs(rotation).max() < 2 or not np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_ROTATION_ERROR or np.linalg.det(rotation) < 0:
+        raise FormatError("its rotation is not a rotation matrix")
+    orthographic = entry.get("orthographic", False)
+    if type(orthographic) is not bool:
+        raise FormatError(f"orthographic is {orthographic!r}; true or false is expected")
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation.T
+    with np.errstate(all="ignore"):  # the camera is checked below
+        viewmat[:3, 3] = -rotation.T @ position
+    cx, cy = float(entry.get("cx", width / 2)), float(entry.get("cy", height / 2))
+    camera = Camera(viewmat, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), width, height, name, orthographic)
+    if not camera.usable:
+        raise FormatError("its focal length or position is not usable")
+    return camera
+
+
+def _side(value: object) -> int:
+    """Checks the width or height of an image, in pixels. Raises FormatError."""
+    if type(value) is not int or not 0 < value <= MAX_SIDE:
+        raise FormatError(f"an image side is {value}; 1 to {MAX_SIDE} is expected")
+    return value

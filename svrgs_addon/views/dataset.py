@@ -1,0 +1,206 @@
+"""A dataset for fine-tuning and evaluation: posed photographs and sparse points, from COLMAP or transforms.json.
+
+Photographs are read on demand, cached up to a memory budget, and can be read ahead in background threads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import logging
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..files.images import image_size, read_pixels, to_bytes
+from ..scene.camera import Camera
+from ..system.errors import SceneError
+from ..system.file_names import extended
+from .cameras_json import load_cameras_json
+from .colmap import View, pinhole_camera, undistort_image
+from .photo_files import photograph, present
+from .sources import read_source
+
+if TYPE_CHECKING:
+    import pycolmap
+
+__all__ = ["Dataset", "load_cameras_json", "load_dataset"]
+
+HOLDOUT = 8  # every 8th image in name order is a test view, as in 3DGS
+EXTENT_MARGIN = 1.1  # as in 3DGS
+MEMORY_BUDGET = 4 * 2**30  # bytes of cached photographs
+READ_AHEAD = 3  # photographs
+READER_THREADS = 2
+
+
+@dataclass(frozen=True)
+class Photo:
+    """The file of a view's photograph, and its camera if it has distortion (None: a pinhole camera)."""
+
+    path: Path
+    distorted: pycolmap.Camera | None
+
+
+@dataclass
+class Dataset:
+    """Views in the order of image names, with pinhole cameras for the undistorted and scaled photographs, and sparse points.
+
+    Views whose photograph is missing are left out; `notes` says so. Coordinates are those of the files.
+    """
+
+    cameras: list[Camera]
+    points: np.ndarray  # (P, 3) float32
+    point_colors: np.ndarray  # (P, 3) uint8
+    train_indices: list[int]
+    test_indices: list[int]
+    photos: list[Photo] = field(default_factory=list)  # one per camera; empty if only cameras were loaded
+    background: tuple[float, float, float] = (0, 0, 0)  # display sRGB 0..1, behind transparent pixels
+    memory_budget: int = MEMORY_BUDGET  # bytes of cached photographs
+    notes: tuple[str, ...] = ()  # sentences that the user must see: what is missing, which cameras were read
+    _cache: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def extent(self) -> float:
+        """Scene extent of 3DGS in world units: 1.1 times the largest distance of a training camera from their mean position.
+
+        Without training cameras, all cameras count.
+        """
+        centres = np.array([self.cameras[i].position for i in self.train_indices or range(len(self.cameras))])
+        return float(EXTENT_MARGIN * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
+
+    def image(self, index: int) -> np.ndarray:
+        """The photograph of cameras[index], (H, W, 3) display sRGB, read-only.
+
+        It is uint8, or float32 in 0..1 if the file has more than 8 bits per channel and was not undistorted. Raises FormatError,
+        SceneError.
+        """
+        with self._lock:
+            image = self._cache.get(index)
+        return self._read(index) if image is None else image
+
+    def stream(self, order: Iterable, read: Callable | None = None, ahead: int = READ_AHEAD) -> Generator[tuple]:
+        """Yields (item, read(item)) for each item of `order`, which may be endless. Threads read `ahead` items in advance.
+
+        read: image() by default; items are then indices. The result does not depend on the timing of the threads. They end when
+        the iterator is exhausted or closed.
+        """
+        read = read or self.image
+        order = iter(order)
+        pool = ThreadPoolExecutor(READER_THREADS)
+        try:
+            pending = deque((item, pool.submit(read, item)) for item in itertools.islice(order, max(1, ahead)))
+            while pending:
+                item, result = pending.popleft()
+                pending.extend((item, pool.submit(read, item)) for item in itertools.islice(order, 1))
+                yield item, result.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def window(self, index: int) -> tuple[slice, slice] | None:
+        """The rows and columns of the photograph of cameras[index] that count. None: all."""
+        return None
+
+    @property
+    def unexplained(self) -> float:
+        """The mean squared error, colours in 0..1, that an allowed drop counts beside that against the images."""
+        return 0.0
+
+    def inputs(self) -> Iterator[bytes]:
+        """Digests and texts of all cameras and photographs: equal ones give equal runs. Raises SceneError if a photograph cannot be read."""
+        for camera in self.cameras:
+            yield repr((camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())).encode()
+        for photo in self.photos:
+            yield _file_digest(photo.path)
+
+    def _read(self, index: int) -> np.ndarray:
+        """Reads and caches an image. Raises FormatError, SceneError."""
+        image = self._pixels(index)
+        image.flags.writeable = False
+        self._cache_image(index, image)
+        return image
+
+    def _pixels(self, index: int) -> np.ndarray:
+        """Reads and undistorts a photograph. Raises FormatError, SceneError."""
+        if not self.photos:
+            raise SceneError("the dataset was loaded without its photographs")
+        photo, camera = self.photos[index], self.cameras[index]
+        image = read_pixels(photo.path, self.background, upright=False)  # COLMAP ignores the EXIF orientation
+        if photo.distorted is not None:
+            image = undistort_image(to_bytes(image), photo.distorted)
+        if image.shape != (camera.height, camera.width, 3):
+            raise SceneError(f"{photo.path}: its size has changed since the dataset was loaded; start again")
+        return image
+
+    def _cache_image(self, index: int, image: np.ndarray) -> None:
+        """Caches the image if it fits into the budget. Images are never replaced: in a random order, no other rule gives more hits."""
+        with self._lock:
+            used = sum(cached.nbytes for cached in self._cache.values())
+            if used + image.nbytes <= self.memory_budget:
+                self._cache[index] = image
+
+
+def load_dataset(
+    folder: str | os.PathLike,
+    images: str | None = None,
+    *,
+    holdout: int = HOLDOUT,
+    background: tuple[float, float, float] = (0, 0, 0),
+    cameras_only: bool = False,
+    need_points: bool = False,
+    memory_budget: int = MEMORY_BUDGET,
+) -> Dataset:
+    """Loads a dataset. folder: its root, its `sparse` or `sparse/0`, the folder of the model's files, or a transforms.json.
+
+    images: name of the image folder in the dataset ("images", "images_4", ...), or a path; default "images". Intrinsics are
+    scaled to the size of each photograph. holdout: every holdout-th view in name order is a test view; 0: none. background:
+    display sRGB 0..1, behind transparent pixels. cameras_only: no photograph is opened; cameras have the size in the model.
+    need_points: refuse a model without points. memory_budget: bytes of cached photographs.
+
+    Views whose photograph is missing are left out and logged as a warning. The others stay test or training views as in the whole
+    dataset. Raises SceneError, FormatError; SceneError also if fewer than a third of the photographs are there.
+    """
+    source = read_source(extended(folder), images, not cameras_only)
+    model, notes = source.model, source.notes
+    if not model.views:
+        raise SceneError(f"{source.location}: has no view with a pose; run COLMAP's mapper again")
+    if need_points and not len(model.points):
+        raise SceneError(f"{source.location}: has no 3-D points to start from; run COLMAP's mapper again, or export the sparse points")
+    numbers, photos = list(range(len(model.views))), list[Photo]()
+    if source.image_folder is None:
+        cameras = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views]
+    else:
+        numbers, missing = present([view.name for view in model.views], source.image_folder)
+        cameras, photos = _fit_photos([model.views[i] for i in numbers], source.image_folder)
+        notes += missing
+    for note in notes:
+        logging.warning("%s", note)
+    test = [k for k, i in enumerate(numbers) if holdout and i % holdout == 0]
+    train = [k for k, i in enumerate(numbers) if not holdout or i % holdout]
+    return Dataset(cameras, model.points, model.point_colors, train, test, photos, background, memory_budget, notes)
+
+
+def _fit_photos(views: list[View], folder: Path) -> tuple[list[Camera], list[Photo]]:
+    """The pinhole camera of each view at the size of its photograph, and the photographs. Raises SceneError, FormatError."""
+    cameras, photos = [], []
+    for view in views:
+        path = photograph(folder, view.name) or folder / view.name  # reading it then says that it is gone
+        camera, distorted = pinhole_camera(view, *image_size(path, upright=False))
+        cameras.append(camera)
+        photos.append(Photo(path, distorted))
+    return cameras, photos
+
+
+def _file_digest(path: Path) -> bytes:
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror or error})") from error

@@ -1,0 +1,145 @@
+"""Places cameras for a splat that has no photographs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...native.library import thresholds
+from ...scene.camera import Camera
+from ...scene.gaussians import Scene
+from .around import views_around
+from .coverage import TIMES, Choice, Coverage
+from .space import Matter, Space, matter_of, usable_rows
+from .viewpoints import Around, View, Within, setting_of, side_of
+
+FIRST, SECOND = 96, 48  # candidates: spread over the scene; aimed at what few of the first see, if they are needed
+LEAST, MOST, ENOUGH = 32, 128, 0.995  # views that are chosen by what they see; share of what can be seen that TIMES of them must see
+USUAL = 192  # views of a rig: steps would fit fewer pictures, but not what lies between them
+HELD_OUT, QUICK_HELD_OUT = 16, 8
+OUTSIDE, OPEN = 32, 0.7  # views from outside of a scene that is seen from within, if they show at least this share of its Gaussians, too
+SCORED = 384  # side, in pixels, at which candidates are looked at, at most
+LARGE = 1_000_000  # a scene with more Gaussians has the fewer candidates, at least half as many
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Cameras around or within a splat."""
+
+    cameras: list[Camera]  # rig_000 ...
+    held_out: list[Camera]  # off_000 ...: from other places, in other directions
+    inside_out: bool  # the splat is a room, a street or a sky, seen from within; some cameras may stand outside all the same
+    seen: float | None  # share of what can be seen that at least 3 of the cameras see, weighted by the largest alpha T; None: not measured
+
+    @property
+    def width(self) -> int:
+        """Of each picture, in pixels."""
+        return self.cameras[0].width
+
+    @property
+    def height(self) -> int:
+        """Of each picture, in pixels."""
+        return self.cameras[0].height
+
+    def facts(self) -> dict:
+        """What a JSON result says about the rig."""
+        return {
+            "views": len(self.cameras), "held_out": len(self.held_out), "inside_out": self.inside_out, "seen": self.seen,
+            "width": self.width, "height": self.height,
+        }  # fmt: skip
+
+
+def place_rig(scene: Scene, *, views: int | None = None, held_out: int = HELD_OUT, seed: int = 0, enlarged: float = 1.0) -> Rig:
+    """The fewest cameras that see ENOUGH of what can be seen from free space in at least 3 views each, LEAST to MOST, and further ones, evenly
+    spread, up to USUAL.
+
+    views: their number instead, each chosen by what it sees. held_out: further cameras for testing. enlarged: as for side_of(). The result depends on the
+    seed, not on the number of threads. Raises SceneError if the splat shows nothing.
+    """
+    rng = np.random.default_rng([seed, 0])
+    setting = _setting(scene)
+    side = side_of(setting, enlarged)
+    outside, coverage = _outside(scene, min(side, SCORED)) if setting.inside_out else ([], _coverage(scene))
+    looked, choice = _candidates(coverage, setting, outside, min(side, SCORED), rng)
+    choice.run(views or LEAST, views or MOST, 2.0 if views else ENOUGH)
+    chosen = [looked[view] for view in choice.chosen] or looked[: views or LEAST]
+    if not views:
+        chosen += [looked[view] for view in range(len(outside)) if view not in choice.chosen]
+        chosen += setting.views(max(0, USUAL - len(chosen)), rng)[: max(0, USUAL - len(chosen))]
+    others = views_around(scene, held_out // 4, turn=1.0, nearer=0.9) if outside else []
+    others += setting.other_views(held_out - len(others), np.random.default_rng([seed, 1]))
+    return Rig(_named(chosen, "rig", side), _named(others, "off", side), setting.inside_out, choice.share())
+
+
+def quick_rig(scene: Scene, views: int = 24, *, held_out: int = QUICK_HELD_OUT, seed: int = 0) -> Rig:
+    """About so many cameras, spread evenly and without a look at what they see.
+
+    Around an object they stand on a sphere. Within a scene, a few places look all around. Raises SceneError as place_rig().
+    """
+    setting = _setting(scene)
+    rng = np.random.default_rng([seed, 0])
+    chosen = setting.views(views, rng, 0) if isinstance(setting, Within) else setting.views(views, rng, 0.0)
+    others = setting.other_views(held_out, np.random.default_rng([seed, 1]))
+    side = side_of(setting)
+    return Rig(_named(chosen, "rig", side), _named(others, "off", side), setting.inside_out, None)
+
+
+def _setting(scene: Scene) -> Around | Within:
+    matter: Matter = matter_of(scene)
+    return setting_of(matter, Space.of(matter))
+
+
+def _outside(scene: Scene, side: int) -> tuple[list[View], Coverage]:
+    """Views from outside of the whole scene, if they show most of it: then it will be looked at from there, too. And what they see."""
+    views, coverage = views_around(scene, OUTSIDE), _coverage(scene)
+    coverage.add([view.camera(side) for view in views])
+    return (views, coverage) if (coverage.peaks >= thresholds().alpha_cut).mean() >= OPEN else ([], _coverage(scene))
+
+
+def _coverage(scene: Scene) -> Coverage:
+    """Of the Gaussians that can be seen at all, without any views."""
+    rows = usable_rows(scene)
+    scene = replace(scene.select(rows), sh=np.ascontiguousarray(scene.sh[rows][:, :1]))
+    return Coverage(scene, _widths(scene))
+
+
+def _candidates(coverage: Coverage, setting: Around | Within, outside: list[View], side: int, rng: np.random.Generator) -> tuple[list[View], Choice]:
+    """The candidate views, those from outside first, and the choice among them. coverage: of the views from outside."""
+    scene = coverage.scene
+    share = min(1.0, max(0.5, LARGE / scene.count))
+    within = setting.views(int(share * FIRST), rng)
+    looked = outside + within
+    coverage.add([view.camera(side) for view in within])
+    choice = Choice(coverage)
+    if choice.possible() >= ENOUGH:
+        return looked, choice
+    more = _aimed(scene, setting, looked, choice, int(share * SECOND), rng)
+    coverage.add([view.camera(side) for view in more])
+    return looked + more, Choice(coverage)
+
+
+def _aimed(scene: Scene, setting: Around | Within, looked: list[View], choice: Choice, count: int, rng: np.random.Generator) -> list[View]:
+    """Further views of the Gaussians that fewer than TIMES candidates see, each near one that sees them."""
+    few, views = choice.few(), list[View]()
+    for _ in range(count // (TIMES - 1)):
+        rows = [choice.rows(view, few) for view in range(len(looked))]
+        view = int(np.argmax([choice.weights[found].sum() for found in rows]))
+        if not len(rows[view]):
+            break
+        for _ in range(TIMES - 1):
+            target = scene.means[rows[view][rng.integers(len(rows[view]))]].astype(np.float64)
+            found = setting.varied(looked[view], target, rng)
+            views += [found] if found is not None else []
+        few[rows[view]] = False
+    return views
+
+
+def _widths(scene: Scene) -> np.ndarray:
+    """(N,) float32: twice the geometric mean of the two larger standard deviations."""
+    with np.errstate(over="ignore"):
+        return 2 * np.exp((scene.log_scales.sum(axis=1) - scene.log_scales.min(axis=1)) / 2)
+
+
+def _named(views: list[View], prefix: str, side: int) -> list[Camera]:
+    return [view.camera(side, f"{prefix}_{number:03}") for number, view in enumerate(views)]

@@ -1,0 +1,89 @@
+"""Finds what holds the cameras of a dataset, and reads it: a COLMAP model or transforms.json."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..system.errors import SceneError
+from .colmap import Model, find_model, read_model
+from .transforms_json import NAME, read_transforms
+
+LOOKED_AT = 64 * 1024  # bytes of a file that may be of another program
+EXPORTS = {
+    "Metashape": "in Metashape 2.2 or later, choose File > Export > Export Cameras and the file type Colmap",
+    "RealityScan": "in RealityScan, or RealityCapture 1.5 or later, choose Alignment > Registration and the format COLMAP",
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Cameras and points, where they were read, and the folder of their photographs."""
+
+    model: Model
+    location: Path
+    image_folder: Path | None  # None: the photographs were not asked for
+    notes: tuple[str, ...]  # sentences that the user must see
+
+
+def read_source(folder: Path, images: str | None, with_images: bool = True) -> Source:
+    """Reads the COLMAP model in `folder` or below it; where there is none, its transforms.json, which can also be named itself.
+
+    images: name of the image folder in the dataset, or a path; None: that of the dataset. Raises SceneError, FormatError.
+    """
+    location, is_model = find_cameras(folder)
+    if not is_model:
+        found = read_transforms(location)
+        image_folder = None if not with_images else _image_folder(location.parent, None, images) if images else found.image_folder
+        return Source(found.model, location, image_folder, (f"the cameras are those of {location}", *found.notes))
+    transforms = folder / NAME
+    notes = (f"the cameras are those of {location}, not those of {transforms}",) if transforms.is_file() else ()
+    return Source(read_model(location), location, _image_folder(folder, location, images or "images") if with_images else None, notes)
+
+
+def find_cameras(folder: Path) -> tuple[Path, bool]:
+    """(folder of the COLMAP model, True), or (transforms.json, False) where there is no model. It reads neither. Raises SceneError."""
+    transforms = folder if folder.is_file() else folder / NAME
+    try:
+        return find_model(folder), True
+    except SceneError as error:
+        if transforms.is_file():
+            return transforms, False
+        raise SceneError(_other_program(folder) or f"{error}, and no {NAME}") from None
+
+
+def _image_folder(folder: Path, location: Path | None, images: str) -> Path:
+    """The first folder with this name from the given folder up to the root of the dataset, else the path `images`. Raises SceneError."""
+    here = Path(os.path.abspath(folder))
+    above = here.parents[:2] if folder == location or here.name == "sparse" else ()
+    for candidate in [*(base / images for base in (here, *above)), Path(images)]:
+        if os.path.isdir(candidate):
+            return candidate
+    raise SceneError(f"{folder}: has no image folder {images}; give the name or path of the folder with the photographs")
+
+
+def _other_program(folder: Path) -> str:
+    """A sentence if the folder holds cameras of a program whose files are not read; else ''."""
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        program = _program(path)
+        if program:
+            return f"{path}: the cameras of {program} are not read; export them as COLMAP: {EXPORTS[program]}"
+    return ""
+
+
+def _program(path: Path) -> str:
+    """The program that wrote the file: a name of EXPORTS, or ''."""
+    suffix = path.suffix.lower()
+    if suffix in (".rcproj", ".psx", ".psz"):
+        return "RealityScan" if suffix == ".rcproj" else "Metashape"
+    if suffix not in (".xml", ".csv") or not path.is_file():
+        return ""
+    try:
+        with open(path, "rb") as file:
+            start = file.read(LOOKED_AT)
+    except OSError:
+        return ""
+    if suffix == ".xml":
+        return "Metashape" if b"<chunk" in start else ""
+    return "RealityScan" if start.lstrip(b"\xef\xbb\xbf").lower().startswith(b"#name") else ""

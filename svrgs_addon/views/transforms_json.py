@@ -1,0 +1,238 @@
+"""Reads transforms.json, the cameras of Nerfstudio and instant-ngp, which many programs export.
+
+A frame's `transform_matrix` is camera to world, in a camera frame with x right, y up and z backwards (OpenGL, Blender). Intrinsics are
+keys of the file or of a frame: fl_x, fl_y, cx, cy, w, h in pixels, or camera_angle_x in radians, and the distortion of OpenCV.
+The world is that of the file: in Nerfstudio z is up. `ply_file_path` names the sparse points, in the same world.
+
+Nerfstudio turns and scales the world again when it trains, and writes how to dataparser_transforms.json in the folder of its run. A copy
+of that file beside transforms.json moves cameras and points into the world of the trained splat.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections import ChainMap
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from ..files.images import MAX_SIDE, image_size
+from ..files.ply_points import read_points
+from ..system.errors import FormatError
+from .colmap import Intrinsics, Model, View, check_name
+from .photo_files import photograph
+
+NAME, PARSER_NAME = "transforms.json", "dataparser_transforms.json"
+MAX_BYTES = 64 * 2**20
+MAX_ROTATION_ERROR = 1e-3  # largest entry of |Rᵀ R - I|
+LARGEST = 1e12  # of the absolute value of a number
+PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+FISHEYE = "OPENCV_FISHEYE"
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # camera axes of OpenGL <-> of COLMAP
+UNREADABLE = (KeyError, TypeError, ValueError, OverflowError, FormatError)
+
+
+@dataclass(frozen=True)
+class Transforms:
+    """The contents of a transforms.json. image_folder: that of all photographs, to which the names of the views are relative."""
+
+    model: Model
+    image_folder: Path
+    notes: tuple[str, ...]  # sentences on what is not used
+
+
+def read_transforms(path: Path) -> Transforms:
+    """Reads a transforms.json and the sparse points that it names. Raises FormatError."""
+    facts = _read_json(path)
+    frames = facts.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise FormatError(f"{path}: holds no frames; give a transforms.json of Nerfstudio or instant-ngp")
+    names = [_read(path, f"frame {number}", partial(_name, frame)) for number, frame in enumerate(frames)]
+    common = os.path.commonpath([PurePosixPath(name).parent for name in names])
+    folder = path.parent / common
+    views = []
+    for name, frame in zip(names, frames, strict=True):
+        name = str(PurePosixPath(name).relative_to(common))
+        views.append(_read(path, name, partial(_view, name, ChainMap(frame, facts), folder)))
+    views.sort(key=lambda view: view.name)
+    twice = next((a.name for a, b in zip(views, views[1:], strict=False) if a.name == b.name), None)
+    if twice is not None:
+        raise FormatError(f"{path}: names the photograph {twice!r} twice; export it again")
+    points, colors, notes = _points(path, facts)
+    if any("mask_path" in frame for frame in frames):
+        notes += (f"{path}: its masks are not used",)
+    model, moved = _in_parser_world(path, facts, Model(views, points, colors))
+    return Transforms(model, folder, (*moved, *notes))
+
+
+def _read(path: Path, what: str, read: Callable[[], Any]) -> Any:
+    """read(). Raises FormatError, naming the file and `what`, if it cannot be read."""
+    try:
+        return read()
+    except UNREADABLE as error:
+        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise FormatError(f"{path}: {what} is not usable ({reason})") from None
+
+
+def _read_json(path: Path) -> dict:
+    """The JSON object in a file. Raises FormatError."""
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise FormatError(f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it holds more than cameras")
+        facts = json.loads(path.read_bytes())
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (ValueError, RecursionError):
+        raise FormatError(f"{path}: is not JSON; export it again") from None
+    if not isinstance(facts, dict):
+        raise FormatError(f"{path}: holds no object; give a transforms.json of Nerfstudio or instant-ngp")
+    return facts
+
+
+def _name(frame: object) -> str:
+    """The path of the frame's photograph, relative to the file, with '/' between folders."""
+    if not isinstance(frame, dict):
+        raise FormatError("not an object")
+    if not isinstance(frame["file_path"], str):
+        raise FormatError("its file_path is no text")
+    name = frame["file_path"].replace("\\", "/")
+    check_name(name)
+    return str(PurePosixPath(name))
+
+
+def _view(name: str, facts: Mapping, folder: Path) -> View:
+    """The view of a frame. facts: its keys and those of the file."""
+    to_world = _pose(facts["transform_matrix"])
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = to_world[:3, :3].T
+    viewmat[:3, 3] = -to_world[:3, :3].T @ to_world[:3, 3]
+    return View(name, viewmat, _camera(facts, *_size(facts, folder, name)))
+
+
+def _pose(rows: object) -> np.ndarray:
+    """(4, 4) camera to world, in the camera frame of COLMAP, of a transform_matrix."""
+    matrix = _matrix(rows)
+    R = matrix[:3, :3]
+    if not np.abs(R).max() < 2 or not np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR or np.linalg.det(R) < 0:
+        raise FormatError("its transform_matrix does not hold a rotation")
+    return matrix @ FLIP
+
+
+def _matrix(rows: object) -> np.ndarray:
+    """A (4, 4) matrix of which the last row may be missing. Raises FormatError if a number is not finite or far too large."""
+    matrix = np.array(rows, np.float64)
+    if matrix.shape == (3, 4):
+        matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])
+    if matrix.shape != (4, 4) or not (np.abs(matrix) < LARGEST).all() or not np.array_equal(matrix[3], (0, 0, 0, 1)):
+        raise FormatError("a matrix of 4 x 4 finite numbers is expected")
+    return matrix
+
+
+def _size(facts: Mapping, folder: Path, name: str) -> tuple[int, int]:
+    """(width, height) in pixels: the keys w and h, or else the size of the photograph."""
+    if "w" not in facts or "h" not in facts:
+        file = photograph(folder, name)
+        if file is None:
+            raise FormatError("neither w and h nor its photograph is there")
+        return image_size(file, upright=False)
+    width, height = (_number(facts, key) for key in ("w", "h"))
+    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE and width == int(width) and height == int(height)):
+        raise FormatError(f"its size is {width:g} x {height:g}; whole numbers of 1 to {MAX_SIDE} are expected")
+    return int(width), int(height)
+
+
+def _camera(facts: Mapping, width: int, height: int) -> Intrinsics:
+    """The camera of a frame."""
+    model = FISHEYE if facts.get("is_fisheye") is True else facts.get("camera_model", "OPENCV")
+    if model not in (*PERSPECTIVE, FISHEYE):
+        raise FormatError(f"its camera_model is {str(model)[:40]!r}; export photographs without distortion, or with the model OPENCV")
+    fx = _focal(facts, "x", width)
+    fy = _focal(facts, "y", height) if "fl_y" in facts or "camera_angle_y" in facts else fx
+    pinhole = [fx, fy, _number(facts, "cx", width / 2), _number(facts, "cy", height / 2)]
+    k1, k2, k3, k4, p1, p2 = (_number(facts, key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    params: list[float] = []
+    if model == FISHEYE:
+        params = [k1, k2, k3, k4]
+    elif k4:
+        raise FormatError(f"its distortion has k4 = {k4:g}, which is not supported; export photographs without distortion, or with k1, k2, k3, p1, p2")
+    elif k3:
+        model, params = "FULL_OPENCV", [k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
+    elif k1 or k2 or p1 or p2:
+        model, params = "OPENCV", [k1, k2, p1, p2]
+    else:
+        model = "PINHOLE"
+    return Intrinsics(model, width, height, (*pinhole, *params))
+
+
+def _focal(facts: Mapping, axis: str, side: int) -> float:
+    """The focal length in pixels along an axis: fl_x or fl_y, or from the angle of view over `side` pixels."""
+    if f"fl_{axis}" in facts:
+        focal = _number(facts, f"fl_{axis}")
+    else:
+        angle = _number(facts, f"camera_angle_{axis}") if f"camera_angle_{axis}" in facts else _missing_focal()
+        focal = side / 2 / math.tan(angle / 2) if 0 < angle < math.pi else 0.0
+    if not 0 < focal < LARGEST:
+        raise FormatError("its focal length is not usable")
+    return focal
+
+
+def _missing_focal() -> float:
+    raise FormatError("neither fl_x nor camera_angle_x is there")
+
+
+def _number(facts: Mapping, key: str, default: float | None = None) -> float:
+    """A finite number. Raises FormatError; KeyError if it is missing and there is no default."""
+    value = facts[key] if default is None else facts.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(float(value)) < LARGEST:
+        raise FormatError(f"{key} is {str(value)[:40]}; a finite number is expected")
+    return float(value)
+
+
+def _points(path: Path, facts: dict) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Positions (P, 3) float32 and colours (P, 3) uint8 of the sparse points, and what is missing, in sentences."""
+    none = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
+    name = facts.get("ply_file_path")
+    if name is None:
+        return *none, ()
+    if not isinstance(name, str):
+        raise FormatError(f"{path}: its ply_file_path is no text")
+    name = name.replace("\\", "/")
+    _read(path, "ply_file_path", lambda: check_name(name))
+    file = path.parent / name
+    if not file.is_file():
+        return *none, (f"{file}: the sparse points that {path.name} names are missing",)
+    return *read_points(file), ()
+
+
+def _in_parser_world(path: Path, facts: dict, model: Model) -> tuple[Model, tuple[str, ...]]:
+    """The model in the world of a splat that Nerfstudio has trained, if dataparser_transforms.json is there, and a sentence that says so."""
+    file = path.with_name(PARSER_NAME)
+    if not file.is_file():
+        return model, ()
+    matrix = _read(file, "it", lambda: _parser_matrix(_read_json(file), facts))
+    back, scale, views = np.linalg.inv(matrix), np.linalg.det(matrix[:3, :3]) ** (1 / 3), []
+    for view in model.views:
+        viewmat = view.viewmat @ back
+        viewmat[:3] *= scale
+        views.append(View(view.name, viewmat, view.camera))
+    points = model.points.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    return Model(views, points.astype(np.float32), model.point_colors), (f"{file}: cameras are moved into the world of the splat trained with it",)
+
+
+def _parser_matrix(parser: dict, facts: dict) -> np.ndarray:
+    """(4, 4) from the world of transforms.json to that of the trained splat.
+
+    dataparser_transforms.json leads there from the world before applied_transform and applied_scale, which transforms.json holds.
+    """
+    matrix, scale = _matrix(parser["transform"]), _number(parser, "scale") / _number(facts, "applied_scale", 1.0)
+    matrix = matrix @ np.linalg.inv(_matrix(facts["applied_transform"])) if "applied_transform" in facts else matrix
+    R = matrix[:3, :3]
+    if not 0 < scale < LARGEST or not np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR or np.linalg.det(R) < 0:
+        raise FormatError("it is no rotation with a scale")
+    return np.diag([scale, scale, scale, 1.0]) @ matrix
